@@ -25,8 +25,9 @@ from support.synthetic_film import FilmScript, SyntheticFilm
 from support.tampering import noticed, tamperings
 
 from tetractl.emulate.dish.picture import PictureLook
+from tetractl.lab.cameras.cells.cell import Track
 from tetractl.lab.cameras.cells.helix import HelixFilter
-from tetractl.lab.cameras.cells.identity import opened
+from tetractl.lab.cameras.cells.names import Names
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan
 from tetractl.model.swimmers import Swimmers, bodies
@@ -73,20 +74,25 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     cells.bias[:] = 0.0
     bank, deviation = HelixFilter(True), np.tile((0.86, 0.86, 0.04), (2, 1))
     rows = np.array([bank.add(0.0, 0.0, cells.heading[i], cells.speed[i]) for i in range(2)])
-    question, direction, left, frame = None, 0.0, 0.0, 0
+    tracks = [
+        Track(i, [], int(rows[i]), i, long=cells.length[i], wide=cells.width[i]) for i in (0, 1)
+    ]
+    names = Names(bank, lambda: -1, 52.3, splits=False)
+    direction, left, frame, merged = 0.0, 0.0, 0, False
     for k in range(round((10.0 + limit) / STEP_S)):
         t = k * STEP_S
         if left <= 0:
             direction, left = random.uniform(-math.pi, math.pi), random.uniform(0.3, 1.2)
-        if question is None and t >= 10.0:  # at one place with one heading
+        if not merged and t >= 10.0:  # at one place with one heading
             cells.x[:], cells.y[:], cells.heading[1] = 0.0, 0.0, cells.heading[0]
             cells.phase[1] = cells.phase[0]
-            bank.mean[rows, :2] = bank.mean[rows[0], :2] - bank.mean[rows[0], :2]
+            bank.mean[rows, :2] = 0.0
             bank.mean[rows, 2] = cells.heading[0]
             bank.mean[rows[1], 4:6] = bank.mean[rows[0], 4:6]
-            alike = np.tile((cells.length[0], cells.width[0]), (2, 1))
-            places = bank.mean[rows, :3].copy()
-            question = opened(bank, (0, 1), rows.tolist(), places, alike, t)
+            names.meet(tracks, t, False)
+            places = {i: bank.mean[rows[i], :3].copy() for i in (0, 1)}
+            names.part(places, [], t + STEP_S)
+            merged = True
         field = (math.cos(direction), math.sin(direction))
         cells.swim(field, STEP_S, random)
         bank.predict([(STEP_S, *field)])
@@ -97,16 +103,17 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
         seen = bodies(cells)
         blobs = np.column_stack([seen.x, seen.y, seen.axis])
         blobs += random.normal(0, 1, (2, 3)) * (0.4, 0.4, 0.02)
-        if question is None:
-            bank.update(rows, blobs, deviation)
-        else:
-            for track in range(2):
-                likelihood, _ = bank.update(
-                    question.rows[track], np.tile(blobs[track], (2, 1)), deviation
-                )
-                question.add(track, likelihood)
+        for track, blob in zip(tracks, blobs, strict=True):
+            asked = track.question
+            each = [track.row] if asked is None else asked.rows[track.number]
+            many = np.tile(blob, (len(each), 1)), np.tile(deviation[0], (len(each), 1))
+            likelihood, _ = bank.update(np.array(each, int), *many)
+            if asked is not None:
+                asked.add(track, likelihood, None)
+    question = tracks[0].question
     assert question is not None
-    return question.best()
+    order, shares = question.best()
+    return order, float(shares.min())
 
 
 def logs(count: int, seconds: float) -> None:

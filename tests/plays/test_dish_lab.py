@@ -93,7 +93,7 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
     ],
 )
 def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):
-    script = "faults: [{fault: divides, cell: cell 1, at: 6.5}]"
+    script = "faults: [{fault: divides, cell: cell 1, at: 4.5}]"
     log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", f"on_lost={on_lost}"))
     result = log.result
     assert len(cells) == 5

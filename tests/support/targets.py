@@ -185,7 +185,8 @@ def _dish() -> tuple[list, list[bytes]]:
 
 def pictures(data: bytes) -> None:
     """What a network camera answers, searched for cells."""
-    from tetractl.lab.cameras.cells.tracking import CELLS, CellTracker
+    from tetractl.lab.cameras.cells.detect_cells import BLOBS
+    from tetractl.lab.cameras.cells.tracking import CellTracker
 
     tracker, parts = CellTracker(2.3, known=True), Multipart(BOUNDARY)
     tracker.learn(_dish()[0])
@@ -194,7 +195,7 @@ def pictures(data: bytes) -> None:
         if grey is None:
             continue
         cells = tracker.see(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])
-        assert len(cells) <= CELLS
+        assert len(cells) <= BLOBS
         for cell in cells:
             assert all(map(math.isfinite, (cell.x, cell.y, cell.heading, *cell.mean)))
             assert 0 <= cell.probability <= 1

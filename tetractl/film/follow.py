@@ -13,14 +13,16 @@ from tetractl.core.poses import Floats, Grey
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.organism_of import recognised
 from tetractl.film.pictures import FilmPictures
-from tetractl.lab.cameras.cells.cell import Born, SeenCell
+from tetractl.lab.cameras.cells.cell import Born, CellAnswer, SeenCell
 from tetractl.lab.cameras.cells.helix import STATES
+from tetractl.lab.cameras.cells.names import ASSERTED
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 from tetractl.model.organisms import Organism
 
 BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 100_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
+LIKELY = 0.5  # probability of a name below which a part of a track gets a name of its own
 SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
@@ -88,13 +90,13 @@ def follow(
     if not sample:
         raise TetractlError(f"{film.path}: no picture of the film can be read")
     seen_as = recognised(film, sample, um_px, organism)
-    tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism)
+    tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism, splits=True)
     tracker.learn(sample)
     pieces = no_field if field is None else field.pieces
     shown: list[dict[int, SeenCell]] = []  # the cells of each picture, by track
     frames: list[int] = []
     times: list[float] = []
-    doubtful: list[tuple[tuple[int, ...], float]] = []
+    answers: list[CellAnswer] = []
     divisions: list[tuple[int, int]] = []
     lights = []
     for number, picture in film:
@@ -106,18 +108,17 @@ def follow(
         shown.append({cell.track: cell for cell in cells})
         frames.append(number)
         times.append(seconds)
-        for answer in tracker.closed:
-            if answer.probability < 0.9:
-                doubtful.append((tuple(sorted(answer.identities)), answer.probability))
-            first = np.searchsorted(times, answer.since_s)
-            for at in shown[int(first) :]:
-                for track, identity in zip(answer.tracks, answer.identities, strict=True):
-                    if track in at:
-                        least = min(at[track].probability, answer.probability)
-                        at[track] = replace(at[track], identity=identity, probability=least)
+        for answer in tracker.answers:
+            _rename(shown, times, answer)
+        answers += tracker.answers
         if tracker.light.contrast is not None:
             lights.append((tracker.light.contrast, tracker.light.noise))
         on_picture(number)
+    tracker.finish()
+    for answer in tracker.answers:
+        _rename(shown, times, answer)
+    answers += tracker.answers
+    _split(shown, times)
     contrast, noise = np.median(lights, axis=0) if lights else (0.0, tracker.light.noise)
     background = tracker.finder.background
     assert background is not None and tracker.finder.size is not None
@@ -136,7 +137,11 @@ def follow(
         contrast=float(contrast),
         noise=float(noise),
         background=background,
-        doubtful=tuple(doubtful),
+        doubtful=tuple(
+            (tuple(sorted(each.asked)), each.probability)
+            for each in answers
+            if each.probability < ASSERTED
+        ),
         divisions=tuple(divisions),
     )
 
@@ -184,6 +189,34 @@ def _fill_back(
             track=born.track,
             measured=(x, y, axis, POSITION_UM, POSITION_UM, 2 * AXIS),
         )
+
+
+def _rename(
+    shown: Sequence[dict[int, SeenCell]], times: Sequence[float], answer: CellAnswer
+) -> None:
+    """Give tracks the names that were found out later, from the times on when they may have
+    changed.
+    """
+    for track, identity, certainty, since_s in answer.named:
+        for at in shown[int(np.searchsorted(times, since_s)) :]:
+            if track in at:
+                at[track] = replace(at[track], identity=identity, probability=certainty)
+
+
+def _split(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> None:
+    """Give each long part of a track whose name is rather wrong than right a name of its own."""
+    last = max((cell.identity for at in shown for cell in at.values()), default=0)
+    parts: dict[int, list[int]] = {}
+    for k, at in enumerate([*shown, {}]):
+        for track in [each for each in parts if each not in at or at[each].probability > LIKELY]:
+            part = parts.pop(track)
+            if times[part[-1]] - times[part[0]] > SHORTEST_S:
+                last += 1
+                for i in part:
+                    shown[i][track] = replace(shown[i][track], identity=last, probability=1.0)
+        for track, cell in at.items():
+            if cell.probability <= LIKELY:
+                parts.setdefault(track, []).append(k)
 
 
 def _paths(

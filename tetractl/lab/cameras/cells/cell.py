@@ -1,13 +1,19 @@
-"""A tracked cell, and its state in one picture."""
+"""A tracked object of a dish, and a cell's state in one picture."""
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.detect_cells import Blob
-from tetractl.lab.cameras.cells.identity import Question
+
+if TYPE_CHECKING:
+    from tetractl.lab.cameras.cells.names import Meeting, Question
+
+Entry = tuple[float, float, float, float, float, float]
+"""A blob: time [s], x, y [um], axis [rad], length and width [um], NaN if it is cut off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +24,7 @@ class SeenCell:
     of the helix's axis, which turns by equation (3) of the paper. `mean` (12,) and `covariance`
     (12, 12) are the filter's state. `probability` is the probability that this is the cell with the
     number `identity`. `found`: the cell has a blob; `merged`: its blob shows other cells, too.
-    `track` is the number of the cell's path. `measured` (6,) are x, y, axis of the cell's own blob
+    `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
     and their standard deviations; None if the cell has no blob of its own.
     """
 
@@ -40,14 +46,16 @@ class SeenCell:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """Which cell is on which track after cells have met: `identities[i]` is on `tracks[i]` from the
-    time `since_s` [s] on, with the given probability.
+    """Which cell is on which track after cells have met.
+
+    `named` are, for each track, its number, the number of its cell, the probability that it is that
+    cell, and the time [s] since which it is. `asked` are the cells that met, and `probability` is
+    that of the likeliest assignment of them.
     """
 
-    tracks: tuple[int, ...]
-    identities: tuple[int, ...]
-    since_s: float
+    named: tuple[tuple[int, int, float, float], ...]
     probability: float
+    asked: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,43 +75,51 @@ class Born:
     divided: int | None
 
 
-@dataclass(slots=True)
-class FollowedCell:
-    """A cell that the tracker follows.
+@dataclass(slots=True, eq=False)
+class Track:
+    """An object that the tracker follows: a cell, or, before it has swum, a speck.
 
-    `row` is its row in the filter, `long` and `wide` are its usual length and width [um],
-    `missed_s` is the time since it last had a blob [s], and `odd` counts its successive blobs far
-    from the expected position.
+    `path` holds its newest blobs. A cell has a `row` in the filter; a speck has none. `long` and
+    `wide` are the usual length and width [um], `missed_s` is the time since the last blob [s], and
+    `odd` counts successive blobs far from the expected position. `near` is the cell near which a
+    speck was first seen, or None.
     """
 
-    identity: int
-    track: int
-    row: int
-    long: float
-    wide: float
-    certainty: float = 1.0  # probability of its identity, without its open question
+    number: int
+    path: list[Entry]
+    row: int | None = None
+    identity: int = 0
+    certainty: float = 1.0  # probability of the identity, without an open question
+    long: float = math.nan
+    wide: float = math.nan
     missed_s: float = 0.0
     odd: int = 0
-    merge: "Merge | None" = None
+    near: "Track | None" = None
     blob: Blob | None = None
-    merged: bool = False
-    question: Question | None = None
-    place: int = 0  # index of this track in `question`
-    # time [s] and x, y [um] of the cell's first blob; None once the cell has swum far enough
-    begun: tuple[float, float, float] | None = None
+    merged: bool = False  # whether its blob shows other cells, too
+    large: bool = False  # whether its own blob is too large for one cell
+    large_s: float = 0.0  # last time when the blob was not too large
     measured: tuple[float, ...] | None = None
+    # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough
+    begun: tuple[float, float, float] | None = None
+    meeting: "Meeting | None" = None
+    together_s: float = (
+        -math.inf
+    )  # last time when it was too near to another cell to be distinguished
+    question: "Question | None" = None
     last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
-    large: bool = False  # whether its blob in the newest picture is too large for one cell
-    alone: int | None = None  # filter row predicted without measurements while `large`
-    size: tuple[float, float] = (math.nan, math.nan)  # length and width before `large` [um]
-    large_s: float = -math.inf  # last time when the blob was too large [s]
-    met: bool = False  # whether an object that is not followed may have entered its blob
 
+    @property
+    def filter_row(self) -> int:
+        """The cell's row in the filter."""
+        assert self.row is not None, "a speck has no row in the filter"
+        return self.row
 
-@dataclass(slots=True)
-class Merge:
-    """Cells that share a blob; copies of their filter rows are predicted without measurements."""
-
-    cells: list[FollowedCell]
-    coasted: dict[int, int]  # row of each copy, by the cell's number
-    seen: bool = True
+    def ahead(self, seconds: float) -> tuple[float, float]:
+        """Return the position x, y [um] that the last motion predicts for a time [s]."""
+        last = self.path[-1]
+        if len(self.path) < 2 or self.missed_s > 0.1:
+            return last[1], last[2]
+        first = self.path[max(0, len(self.path) - 4)]
+        ratio = (seconds - last[0]) / max(last[0] - first[0], 1e-3)
+        return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio

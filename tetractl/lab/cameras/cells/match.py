@@ -1,30 +1,42 @@
-"""Assigns blobs to cells by the filter's expected positions and by size."""
+"""Assigns the blobs of a picture to tracks, in one assignment of least cost.
 
-import math
+Costs are squared deviations: the negative log-likelihood, doubled. A cell may have a blob of its
+own where the filter expects it, one of its size nearby if it has stopped or turned by itself, or a
+place in a blob that covers it together with other cells; a speck has the blob where its last motion
+leads; and each may have none.
+"""
+
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tetractl.core.poses import Floats
-from tetractl.lab.cameras.cells.cell import FollowedCell
+from tetractl.core.poses import Bools, Floats
+from tetractl.lab.cameras.cells.cell import Track
 from tetractl.lab.cameras.cells.detect_cells import Blob
 
-GATE = 6.0  # largest distance from a cell's expected position, in standard deviations
-GATE_UM = 12.0  # distance within which a blob always matches a cell
-FAR = 100.0  # cost of leaving a cell without a blob
-STOPPED_UM = 45.0  # largest distance of a stopped cell's blob from the expected position
-STOPPED_UM_S = 200.0  # growth of STOPPED_UM per second without a blob
-SIZE_SHARE = 0.15  # relative variation of a cell's blob between pictures
-ALIKE = 0.4  # largest difference of the logarithms of size for a stopped cell
-COVER = 0.6  # largest distance of a cell from a blob it is part of, relative to the cell's width
-FAR_PX = 20.0  # plus the blob's length: largest distance from a blob's middle to a cell in it
-PARTED_UM = 90.0  # largest distance of a cell from the shared blob that it has left
-SPECK_UM = 25.0  # a blob nearer than this to a hidden speck is the speck
-LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
+NONE = 100.0  # cost of leaving a cell without a blob
+# cost of leaving a speck without a blob: that of a new one, and the increase with each of its blobs
+NONE_SPECK, NONE_EACH = 30.0, 14.0
+# a blob within this many deviations, or lengths of a cell, of its expected place is near
+GATE, NEAR = 6.0, 0.23
+SIZE_SHARE, SIZE_MOST = 0.15, 20.0  # relative variation of a cell's blob, and its largest cost
+ALIKE = 0.4  # largest difference of the logarithms of size of a blob away from its expected place
+# cost of a blob of the cell's size at the expected place, and at the largest distance from it
+# [lengths], which grows with the time without a blob [1/s]: after a meeting; of one that stopped
+LEFT = (20.0, 55.0, 1.7, 0.0)
+STOPPED = (50.0, 90.0, 0.86, 3.8)
+LOOKED_S = 0.2  # time without a blob for which it is looked for there
+# cost of a place in a blob that is too large for one cell, or not
+SHARED_LARGE, SHARED = 40.0, 70.0
+COVER = 0.6  # largest distance of a cell from a blob it is in, relative to the cell's width
+SPECK, SPECK_SD = 6.0, 0.115  # least cost of a speck's blob; deviation of its place [lengths]
+REACH, FIRST = 0.48, 0.77  # radius of search for a speck, and for a new one [lengths of a cell]
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
-ROUNDS = 4  # iterations when a blob is divided among cells
-SAMPLED = 200  # number of the blob's pixels that are used
+LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
+# cost of an exchange of their blobs below which two cells are not distinguished
+ALIKE_COST = 25.0
+ROUNDS, SAMPLED = 4, 200  # iterations when a blob is divided among cells; pixels that are used
 
 
 def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
@@ -32,147 +44,120 @@ def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
     picture with `height` rows.
     """
     found = [
-        (
-            (b.x + 0.5) * um_px,
-            (height - 0.5 - b.y) * um_px,
-            -b.axis,
-            b.long * um_px,
-            b.wide * um_px,
-        )
+        ((b.x + 0.5) * um_px, (height - 0.5 - b.y) * um_px, -b.axis, b.long * um_px, b.wide * um_px)
         for b in blobs
     ]
     return np.array(found).reshape(-1, 5)
 
 
-def assigned(
-    cells: Sequence[FollowedCell],
-    expected: Floats,
-    spread: Floats,
-    specks: Floats,
-    places: Floats,
-) -> tuple[dict[int, int], set[int]]:
-    """Return {cell: blob} for cells with a blob of their own, and the set of blobs that are specks.
-
-    The assignment minimises the sum of squared distances in position and size. `expected` (C, 3)
-    are the cells' expected poses, `spread` (C, 2, 2) the covariances of their positions, `specks`
-    (S, 2) the last positions of specks [um], and `places` (B, 5) the blobs, as by `places_of`.
+def squared_distances(expected: Floats, spread: Floats, places: Floats) -> Floats:
+    """Return the squared Mahalanobis distances (C, B) of blobs `places` (B, 5) from the expected
+    positions `expected` (C, 3) of cells, whose covariances are `spread` (C, 2, 2) [um^2].
     """
-    if len(places) == 0 or len(cells) + len(specks) == 0:
-        return {}, set()
-    cost = np.full((len(cells) + len(specks), len(places)), FAR)
-    if len(cells):
-        off = places[None, :, :2] - expected[:, None, :2]
-        inverse = np.linalg.inv(spread + PLACE_UM**2 * np.eye(2))
-        squared = np.einsum("cbi,cij,cbj->cb", off, inverse, off)
-        near = (squared < GATE**2) | (np.hypot(off[..., 0], off[..., 1]) < GATE_UM)
-        sizes = np.array([(cell.long, cell.wide) for cell in cells])
-        ratio = np.log(places[None, :, 3:5] / sizes[:, None]) / SIZE_SHARE
-        total = np.minimum(squared, 4 * GATE**2) + np.minimum(np.square(ratio).sum(-1), 20.0)
-        cost[: len(cells)] = np.where(near, total, FAR)
-    if len(specks):
-        apart = np.linalg.norm(places[None, :, :2] - specks[:, None], axis=-1)
-        cost[len(cells) :] = np.where(apart < 2 * GATE_UM, 6.0 + np.square(apart / 6.0), FAR)
-    own, blob = linear_sum_assignment(cost)
-    pairs = [(int(i), int(j)) for i, j in zip(own, blob, strict=True) if cost[i, j] < FAR]
-    count = len(cells)
-    return {i: j for i, j in pairs if i < count}, {j for i, j in pairs if i >= count}
+    off = places[None, :, :2] - expected[:, None, :2]
+    inverse = np.linalg.inv(spread + PLACE_UM**2 * np.eye(2))
+    return np.einsum("cbi,cij,cbj->cb", off, inverse, off)
 
 
-def stopped(
-    cells: Sequence[FollowedCell],
-    expected: Floats,
-    places: Floats,
-    owner: dict[int, int],
-    specks: set[int],
-) -> list[int]:
-    """Assign free blobs to cells that have stopped or turned by themselves; return these cells.
-
-    Such a cell is near its expected position and as large as the blob. `owner` {cell: blob} is
-    updated.
+def cell_costs(
+    cells: Sequence[Track], expected: Floats, squared: Floats, places: Floats, body_um: float
+) -> tuple[Floats, Bools]:
+    """Return the costs (C, B) of blobs of their own for C cells, which are `body_um` long, and
+    whether (C, B) the blob is not where the filter expects it: the cell has stopped, turned by
+    itself or left another cell.
     """
-    taken = set(owner.values()) | specks
-    free = [j for j in range(len(places)) if j not in taken]
-    found = []
-    for i, cell in enumerate(cells):
-        if i in owner or not free or cell.merged:
-            continue
-        away = np.linalg.norm(places[free, :2] - expected[i, :2], axis=1)
-        ratio = np.abs(np.log(places[free, 3:5] / (cell.long, cell.wide))).max(axis=1)
-        k = int(np.argmin(np.where(ratio < ALIKE, away, np.inf)))
-        if away[k] < STOPPED_UM + STOPPED_UM_S * cell.missed_s and ratio[k] < ALIKE:
-            owner[i] = free.pop(k)
-            found.append(i)
-    return found
+    away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
+    sizes = np.array([(cell.long, cell.wide) for cell in cells]).reshape(-1, 1, 2)
+    ratio = np.abs(np.log(places[None, :, 3:5] / sizes))
+    near = (squared < GATE**2) | (away < NEAR)
+    unlike = np.minimum(np.square(ratio / SIZE_SHARE).sum(-1), SIZE_MOST)
+    cost = np.where(near, np.minimum(squared, 4 * GATE**2) + unlike, NONE)
+    rules = np.array([STOPPED if cell.meeting is None else LEFT for cell in cells]).reshape(-1, 4)
+    missed = np.array([cell.missed_s for cell in cells])
+    reach = np.where(missed < LOOKED_S, rules[:, 2] + rules[:, 3] * missed, 1e-9)[:, None]
+    least, most = rules[:, :1], rules[:, 1:2]
+    allowed = (away < reach) & (ratio.max(axis=-1, initial=0.0) < ALIKE)
+    loose = np.where(allowed, least + (most - least) * np.square(away / reach), NONE)
+    return np.minimum(cost, loose), loose < cost
 
 
-def shared_blobs(
-    cells: Sequence[FollowedCell],
-    pixels: Floats,
-    blobs: Sequence[Blob],
-    owner: dict[int, int],
-    um_px: float,
-) -> dict[int, list[int]]:
-    """Return {blob: cells}; a cell without a blob gets the blob that covers its expected position.
-
-    `pixels` (C, 2) are the cells' expected columns and rows; `owner` {cell: blob} is completed.
+def speck_costs(
+    specks: Sequence[Track], places: Floats, seconds: float, body_um: float
+) -> tuple[Floats, Floats]:
+    """Return the costs (S, B) of blobs for S specks, at their expected places at a time [s], and
+    those of no blob (S,). Cells are `body_um` long.
     """
-    shared: dict[int, list[int]] = {}
-    for i, j in owner.items():
-        shared.setdefault(j, []).append(i)
+    ahead = np.array([speck.ahead(seconds) for speck in specks]).reshape(-1, 1, 2)
+    reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
+    away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / body_um
+    none = np.array([min(NONE, NONE_SPECK + NONE_EACH * len(speck.path)) for speck in specks])
+    cost = np.minimum(SPECK + np.square(away / SPECK_SD), none[:, None] - 1)
+    return np.where(away < reach[:, None], cost, 1e6), none
+
+
+def shared_costs(
+    cells: Sequence[Track], pixels: Floats, blobs: Sequence[Blob], um_px: float
+) -> Floats:
+    """Return the costs (C, B) of a place in a blob that covers the cell's expected column and row,
+    `pixels` (C, 2), for C cells.
+    """
+    cost = np.full((len(cells), len(blobs)), NONE)
+    if not blobs or not cells:
+        return cost
     middles = np.array([(blob.x, blob.y) for blob in blobs])
-    reach = np.array([blob.long + FAR_PX for blob in blobs])
-    for i, cell in enumerate(cells):
-        if i in owner or not blobs:
+    halves = np.array([blob.long / 2 for blob in blobs])
+    reach = COVER * np.array([cell.wide for cell in cells]) / um_px
+    away = np.linalg.norm(pixels[:, None] - middles, axis=-1) - halves[None] - reach[:, None]
+    for i, j in zip(*np.nonzero(away < 0), strict=True):
+        cell, blob = cells[i], blobs[j]
+        large = um_px**2 * blob.long * blob.wide > LARGE * cell.long * cell.wide
+        if cell.missed_s > 0 and not large:  # the cell was outside this blob before
             continue
-        away = np.hypot(*(middles - pixels[i]).T)
-        gaps = np.full(len(blobs), np.inf)
-        for j in np.flatnonzero(away <= reach).tolist():
-            held = [cells[k].long * cells[k].wide for k in shared.get(j, ())]
-            room = um_px**2 * blobs[j].long * blobs[j].wide > LARGE * max(held, default=0.0)
-            if cell.missed_s > 0 and not room:  # the cell was outside this blob before
-                continue
-            gaps[j] = um_px * np.linalg.norm(blobs[j].pixels - pixels[i], axis=1).min()
-        j = int(np.argmin(gaps))
-        if gaps[j] < COVER * cell.wide:
-            owner[i] = j
-            shared.setdefault(j, []).append(i)
-    return shared
+        if np.linalg.norm(blob.pixels - pixels[i], axis=1).min() < reach[i]:
+            cost[i, j] = SHARED_LARGE if large else SHARED
+    return cost
 
 
-def separated(
-    cells: Sequence[FollowedCell],
-    expected: Floats,
-    places: Floats,
-    owner: dict[int, int],
-    shared: dict[int, list[int]],
-    specks: set[int],
-    hidden: Floats,
-) -> None:
-    """Assign free blobs to cells that have left a shared blob nearby; update `owner` and `shared`.
-    The cells may be away from their expected positions. A free blob near `hidden` (S, 2) is a speck
-    that a cell had covered, and is not assigned.
+def assigned(own: Floats, shared: Floats, specks: tuple[Floats, Floats]) -> dict[int, int]:
+    """Return {track: blob}, the assignment of least total cost.
+
+    `own` and `shared` (C, B) are the costs of cells; `specks` are those of S specks, whose numbers
+    follow the cells', as by `speck_costs`. Only cells share a blob: a speck in a cell's blob has
+    none.
     """
-    away = np.linalg.norm(places[:, None, :2] - hidden, axis=2).min(axis=1, initial=np.inf)
-    free = [
-        k for k in range(len(places)) if k not in shared and k not in specks and away[k] > SPECK_UM
-    ]
-    for j in [j for j, owners in shared.items() if len(owners) > 1]:
-        for k in free:
-            owners = shared[j]
-            if len(owners) < 2 or np.linalg.norm(places[k, :2] - places[j, :2]) > PARTED_UM:
-                continue
-            sizes = np.array([(cells[i].long, cells[i].wide) for i in owners])
-            alike = np.abs(np.log(places[k, 3:5] / sizes)).max(axis=1) < ALIKE
-            gaps = np.linalg.norm(expected[owners, None, :2] - places[None, (k, j), :2], axis=2)
-            cost = np.where(alike, gaps[:, 0] - gaps[:, 1], np.inf)
-            if len(owners) == 2:  # the shared blob must not be too large for the cell left in it
-                cost[places[j, 3] * places[j, 4] > LARGE * sizes[::-1].prod(axis=1)] = np.inf
-            if k not in shared and np.isfinite(cost.min()):
-                i = owners.pop(int(cost.argmin()))
-                owner[i], shared[k] = k, [i]
+    (count, blobs), (of_specks, none) = own.shape, specks
+    some = np.flatnonzero((shared < NONE).any(axis=0))
+    places = [np.repeat(some, (shared[:, some] < NONE).sum(axis=0))]
+    column = np.concatenate([np.arange(blobs), *places])
+    cost = np.full((count + len(none), len(column)), 1e6)
+    cost[:count, :blobs], cost[:count, blobs:] = own, shared[:, column[blobs:]]
+    cost[count:, :blobs] = of_specks
+    none = np.concatenate([np.full(count, NONE), none])
+    cost[cost >= none[:, None]] = 1e6
+    nothing = np.full((len(cost), len(cost)), 1e6)
+    np.fill_diagonal(nothing, none)
+    rows, at = linear_sum_assignment(np.concatenate([cost, nothing], axis=1))
+    found = {int(i): int(column[j]) for i, j in zip(rows, at, strict=True) if j < len(column)}
+    of_cells = {j for i, j in found.items() if i < count}
+    return {i: j for i, j in found.items() if i < count or j not in of_cells}
 
 
-def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:
+def exchangeable(squared: Floats, owner: dict[int, int]) -> list[tuple[int, int]]:
+    """Return pairs of cells that might have exchanged their blobs: their squared distances
+    `squared` (C, B) say too little about which blob belongs to which. `owner` is {cell: blob}.
+    """
+    cells = np.array([i for i in owner if i < len(squared)], int)
+    if len(cells) < 2:
+        return []
+    blobs = np.array([owner[i] for i in cells.tolist()])
+    table = squared[np.ix_(cells, blobs)]
+    own = np.diagonal(table)
+    costs = table + table.T - own[:, None] - own[None]
+    pairs = np.argwhere(np.triu((costs < ALIKE_COST) & (blobs[:, None] != blobs), 1))
+    return [(int(cells[i]), int(cells[j])) for i, j in pairs]
+
+
+def parted(owners: Sequence[Track], expected: Floats, points: Floats) -> Floats:
     """Return the middles (K, 2) [um] of the K cells in a shared blob, whose pixels are at `points`
     (M, 2) [um].
 
@@ -193,17 +178,3 @@ def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> 
         total = np.maximum(shares.sum(axis=1), 1e-9)
         middles = (shares @ points) / total[:, None]
     return middles
-
-
-def second_best(squared: Floats, best: float) -> float:
-    """Return the least sum of squared distances among all assignments of tracks to cells except the
-    best, whose sum is `best`; `squared` (K, K) are the squared distances.
-    """
-    track, cell = linear_sum_assignment(squared)
-    least = math.inf
-    for t, c in zip(track, cell, strict=True):
-        other = squared.copy()
-        other[t, c] = 1e6
-        i, j = linear_sum_assignment(other)
-        least = min(least, float(other[i, j].sum()))
-    return least if least > best else best

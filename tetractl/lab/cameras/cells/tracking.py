@@ -1,73 +1,54 @@
-"""Tracks cells through a sequence of pictures: assigns blobs to cells and updates their states.
+"""Tracks cells through a sequence of pictures: assigns blobs to tracks and updates their states.
 
-A blob is assigned to the cell that the filter, given the known signal, expects at its place. Cells
-that touch share one blob; once they separate, `identity` decides which is which. An object that
-does not swim is a speck, not a cell.
+Every object is a track. A blob is assigned to the track that is expected at its place; cells are
+expected by the filter, given the known signal. An object that does not swim is a speck, not a cell.
+Cells that touch share one blob; once they separate, `names` decides which is which.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from tetractl.core.poses import Floats, Grey
-from tetractl.lab.cameras.cells.cell import Born, CellAnswer, FollowedCell, SeenCell
+from tetractl.lab.cameras.cells import match
+from tetractl.lab.cameras.cells.cell import Born, CellAnswer, Entry, SeenCell, Track
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
-from tetractl.lab.cameras.cells.lost_cells import ENTERED, NEW, LostCells
-from tetractl.lab.cameras.cells.match import (
-    LARGE,
-    assigned,
-    parted,
-    places_of,
-    separated,
-    shared_blobs,
-    stopped,
-)
-from tetractl.lab.cameras.cells.merges import Merges
-from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks, straight
+from tetractl.lab.cameras.cells.match import LARGE
+from tetractl.lab.cameras.cells.names import FROM, Names
+from tetractl.lab.cameras.cells.specks import BORN, NEAR, NEAR_BORN, straight, swims
 from tetractl.model.organisms import TETRAHYMENA, Organism
 
 TOGETHER = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
-CELLS = 64  # largest number of cells that are followed
-LOST_S = 0.7  # time without a blob after which a cell is lost
+LOST_S = 0.5  # time without a blob after which a cell is lost
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
-GONE_S = 0.1  # time without a blob after which a cell near the picture's edge has left
+GONE_S = 0.1  # the same for a cell near the picture's edge, or one that has just been found
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
-STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far in this time is not a cell
+STARTED, STARTED_S = 1.15, 1.0  # a track that has not swum so many lengths by then is not a cell
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
-ODD = (8.0, 8.0, 0.5)  # deviations of x, y [um], axis [rad] for a blob cut off or too large
-MERGED = (7.0, 7.0, 10.0)  # deviations for a cell in a shared blob
-HIDDEN = (30.0, 30.0, 10.0)  # deviations if the shared blob is only as large as one of its cells
+# deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
+# shared blob; and in a shared blob that is only as large as one of its cells
+ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
 ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
-ASTRAY_UM = 35.0  # distance of a cell's state from its own blob above which the state is wrong
-ENTERED_UM = 120.0  # a new cell nearer than this to the picture's edge has swum into the picture
-EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
-DOUBT = 0.75  # probability of a cell's identity while another cell may have been in its blob
+ASTRAY = 0.67  # distance of a cell's state from its own blob above which the state is wrong
+ENTERED = 2.3  # a new cell nearer than this to the picture's edge has swum into the picture
+ENTER, APPEAR = 10.0, 0.3  # cells that are expected to appear: at the edge, and anywhere
 OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
+GROWN_S = 1.0  # time for which a cell's blob is too large, after which that is the cell's size
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
+PATH = 15  # number of newest blobs of a track that are kept
+SPECK_S, HIDDEN_SPECK_S = 0.1, 3.0  # time for which a speck is kept: a new one, an old one
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
 """Function that returns the field between two times [s] as pieces of constant field."""
 
 
-@dataclass(slots=True)
-class _Reading:
-    """A cell's x, y [um] and axis [rad] measured from its blob, with their standard deviations;
-    `merged` if cells share the blob.
-    """
-
-    cell: FollowedCell
-    values: tuple[float, ...]
-    deviations: tuple[float, ...]
-    merged: bool
-
-
 class CellTracker:
     """Follows the cells in pictures with the scale `um_px` [um/px]; `known`: whether the field is
-    known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells.
+    known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells, `splits`:
+    whether a cell whose name is too uncertain after a meeting gets a new name.
 
     Pictures must be given in order of time. Column c and row r become x = (c + 1/2) um_px and, with
     y upwards, y = (height - 1/2 - r) um_px [um].
@@ -80,17 +61,17 @@ class CellTracker:
         bright: bool | None = None,
         near_wall: NearWall = open_water,
         organism: Organism = TETRAHYMENA,
+        splits: bool = False,
     ) -> None:
         self.um_px = um_px
         least, most = organism.outline_um2
         self.finder = BlobFinder(least / um_px**2, TOGETHER * most / um_px**2, bright)
         self.bank = HelixFilter(known, near_wall)
         self.born: list[Born] = []  # cells recognised in the newest picture
-        self._cells: list[FollowedCell] = []
-        self._specks = Specks(organism)
-        self._merges = Merges(self.bank)
-        self._lost = LostCells(self.bank)
-        self._next = 1
+        self._organism, self._body_um = organism, organism.body_um[0]
+        self._tracks: list[Track] = []
+        self._last_track = self._last_name = 0
+        self._names = Names(self.bank, self._name, self._body_um, splits)
         self._time: float | None = None
         self._height = self._width = 0
 
@@ -104,13 +85,13 @@ class CellTracker:
         return self.finder.light
 
     @property
-    def closed(self) -> Sequence[CellAnswer]:
+    def answers(self) -> Sequence[CellAnswer]:
         """The answers to questions of identity that the newest picture decided."""
-        return self._merges.closed
+        return self._names.answers
 
     def blob(self, track: int) -> Blob | None:
         """Return the blob of a track in the newest picture, None if it has none."""
-        return next((cell.blob for cell in self._cells if cell.track == track), None)
+        return next((cell.blob for cell in self._tracks if cell.number == track), None)
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
         """Return the cells in a picture taken at a time [s]; `field` gives the field that acted
@@ -119,211 +100,289 @@ class CellTracker:
         passed = 0.0 if self._time is None else seconds - self._time
         pieces = () if self._time is None else field(self._time, seconds)
         self._time, (self._height, self._width) = seconds, picture.shape
-        self.born, self._merges.closed = [], []
+        self.born, self._names.answers = [], []
         self.bank.predict(pieces)
-        blobs = self.finder.find(picture)
-        if self.finder.light.lost:
-            for cell in self._cells:
-                cell.blob, cell.merged, cell.measured = None, False, None
-                cell.missed_s += passed
-        else:
-            self._match(blobs, seconds, passed)
-        self._give_up()
-        self.finder.follow(self._kept())
-        return self._shown([cell for cell in self._cells if cell.missed_s < HIDDEN_S])
+        blobs = [] if (found := self.finder.find(picture)) and self.light.lost else found
+        self._shift(*self.light.shift_px)
+        self._match(blobs, seconds, passed)
+        self._give_up(seconds)
+        cells = self._cells()
+        self.finder.follow(self._kept(cells))
+        return self._shown([cell for cell in cells if cell.missed_s < HIDDEN_S])
+
+    def finish(self) -> None:
+        """Answer all questions of identity: there are no further pictures."""
+        self._names.answers = []
+        self._names.finish(self._time or 0.0)
+
+    def _shift(self, columns: float, rows: float) -> None:
+        """Move all objects with a picture whose content was shifted by a knock."""
+        if columns or rows:
+            x, y = columns * self.um_px, -rows * self.um_px
+            self.bank.mean[:, :2] += x, y
+            for track in self._tracks:
+                track.path = [(e[0], e[1] + x, e[2] + y, e[3], e[4], e[5]) for e in track.path]
+                track.last = track.last + np.array((x, y))
+                if track.begun is not None:
+                    track.begun = track.begun[0] + x, track.begun[1] + y, track.begun[2]
+
+    def _cells(self) -> list[Track]:
+        return [track for track in self._tracks if track.row is not None]
+
+    def _name(self) -> int:
+        self._last_name += 1
+        return self._last_name
 
     def _match(self, blobs: Sequence[Blob], seconds: float, passed: float) -> None:
-        """Assign each cell its blob, and update the cell's state."""
-        cells, places = self._cells, places_of(blobs, self.um_px, self._height)
+        """Assign each track its blob, and update the cells' states."""
+        cells, places = self._cells(), match.places_of(blobs, self.um_px, self._height)
+        specks = [track for track in self._tracks if track.row is None]
         rows = np.array([cell.row for cell in cells], int)
         expected, slopes = self.bank.seen(rows)
         spread = slopes[:, :2] @ self.bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
-        owner, specks = assigned(cells, expected, spread, self._specks.places, places)
-        for i in stopped(cells, expected, places, owner, specks):
-            self.bank.loosen([cells[i].row])
-        shared = shared_blobs(cells, self._pixels(expected), blobs, owner, self.um_px)
-        separated(cells, expected, places, owner, shared, specks, self._specks.hidden)
-        for i, cell in enumerate(cells):
+        squared = match.squared_distances(expected, spread, places)
+        own, loose = match.cell_costs(cells, expected, squared, places, self._body_um)
+        shared = match.shared_costs(cells, self._pixels(expected), blobs, self.um_px)
+        owner = match.assigned(
+            own, shared, match.speck_costs(specks, places, seconds, self._body_um)
+        )
+        owners: dict[int, list[int]] = {}
+        for i, track in enumerate([*cells, *specks]):
             j = owner.get(i)
-            cell.blob = None if j is None else blobs[j]
-            cell.measured = None
-            cell.merged = j is not None and len(shared[j]) > 1
-            cell.missed_s = 0.0 if j is not None else cell.missed_s + passed
-        for owners in shared.values():
-            if len(owners) > 1:
-                self._merges.join([cells[i] for i in owners], cells)
-        self._update(self._readings(shared, expected, places))
-        for i, j in owner.items():
-            cells[i].last = places[j, :2]
-        own = {cell.track: places[owner[i], :3] for i, cell in enumerate(cells) if i in owner}
-        self._merges.part(own, seconds)
-        self._merges.answer(cells, seconds)
-        free = [j for j in range(len(blobs)) if j not in shared]
-        here = np.array([self.bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
-        tracks = [cell.track for cell in cells]
-        for speck in self._specks.follow(places[free], here, tracks, seconds):
-            if len(self._cells) < CELLS:
-                self._begin(speck)
+            track.missed_s = 0.0 if j is not None else track.missed_s + passed
+            track.blob = None if j is None else blobs[j]
+            track.measured, track.merged, track.large = None, False, False
+            if j is not None and i < len(cells):
+                owners.setdefault(j, []).append(i)
+                if loose[i, j]:
+                    self.bank.loosen([cells[i].filter_row])
+        self._meet(cells, owners, match.exchangeable(squared, owner), seconds)
+        self._update(cells, owners, expected, places, seconds)
+        for j, those in owners.items():
+            for i in those:
+                cells[i].last = places[j, :2]
+        at = {cells[i].number: places[j, :3] for j, those in owners.items() for i in those}
+        new = [t.near for t in specks if t.near is not None and len(t.path) <= NEAR_BORN]
+        self._names.part(at, new, seconds)
+        self._names.answer(seconds)
+        found = {j: specks[i - len(cells)] for i, j in owner.items() if i >= len(cells)}
+        self._follow_specks(found, owners, blobs, places)
 
-    def _readings(
-        self, shared: dict[int, list[int]], expected: Floats, places: Floats
-    ) -> list[_Reading]:
-        """Return the measurement of each cell, taken from its blob; update the cells' usual
-        sizes."""
-        found = []
-        least = POSITION_UM + POSITION_PX * self.um_px
-        for j, owners in shared.items():
-            cells = [self._cells[i] for i in owners]
-            blob = cells[0].blob
-            assert blob is not None
-            if len(cells) > 1:
-                most = max(each.long * each.wide for each in cells)
-                deviations = HIDDEN if places[j, 3] * places[j, 4] < LARGE * most else MERGED
-                middles = parted(cells, expected[owners], self._points(blob))
-                for cell, i, (x, y) in zip(cells, owners, middles.tolist(), strict=True):
-                    found.append(_Reading(cell, (x, y, expected[i, 2]), deviations, True))
-                continue
-            cell, (x, y, axis, long, wide) = cells[0], places[j].tolist()
-            larger = long * wide / (cell.long * cell.wide)
-            odd = larger > LARGE or larger < 1 / LARGE**2 or blob.at_edge
-            large = larger > LARGE
-            cell.large = large
-            self._merges.watch(cell, large, large and self._meets(cell), self._time or 0.0)
-            off = max(ODD[0], OFF_SHARE * (long - cell.long))
-            usual = least, least, AXIS / max(1 - wide / long, 0.05)
-            deviations = (off, off, ODD[2]) if odd else usual
-            cell.measured = (x, y, axis, *deviations)
-            if cell.question is not None and not blob.at_edge:
-                cell.question.add_size(cell.place, (long, wide))
-            found.append(_Reading(cell, (x, y, axis), deviations, False))
-            if not odd:
-                cell.long += SHAPE_SHARE * (long - cell.long)
-                cell.wide += SHAPE_SHARE * (wide - cell.wide)
-        return found
+    def _meet(
+        self,
+        cells: Sequence[Track],
+        owners: dict[int, list[int]],
+        pairs: Iterable[tuple[int, int]],
+        seconds: float,
+    ) -> None:
+        """Note which cells share a blob, or are too near to each other to be distinguished."""
+        for those in [*(each for each in owners.values() if len(each) > 1), *pairs]:
+            some = [cells[i] for i in those]
+            self._names.meet(some, seconds, any(map(self._meets, some)))
+        for those in owners.values():
+            for i in those:
+                cells[i].merged = len(those) > 1
 
-    def _update(self, readings: Sequence[_Reading]) -> None:
-        """Update the filter by the readings; a track with an open question has one row for each
+    def _update(
+        self,
+        cells: Sequence[Track],
+        owners: dict[int, list[int]],
+        expected: Floats,
+        places: Floats,
+        seconds: float,
+    ) -> None:
+        """Update the filter by the cells' blobs; a track with an open question has one row for each
         cell that it may be.
         """
+        readings: list[tuple[Track, tuple[float, ...], tuple[float, ...]]] = []
+        for j, those in owners.items():
+            if len(those) == 1:
+                readings.append(self._reading(cells[those[0]], expected[those[0]], places[j]))
+                continue
+            some = [cells[i] for i in those]
+            blob = some[0].blob
+            assert blob is not None
+            most = max(each.long * each.wide for each in some)
+            sd, turn = HIDDEN if places[j, 3] * places[j, 4] < LARGE * most else MERGED
+            deviations = sd * self._body_um, sd * self._body_um, turn
+            middles = match.parted(some, expected[those], self._points(blob)).tolist()
+            for cell, i, (x, y) in zip(some, those, middles, strict=True):
+                readings.append((cell, (x, y, float(expected[i, 2])), deviations))
         if not readings:
             return
-        rows = [
-            [one.cell.row] if one.cell.question is None else one.cell.question.rows[one.cell.place]
-            for one in readings
-        ]
+        rows = []
+        for cell, _, _ in readings:
+            asked = cell.question
+            rows.append([cell.row] if asked is None else asked.rows[asked.tracks.index(cell)])
         counts = [len(each) for each in rows]
         likelihood, distance = self.bank.update(
             np.concatenate(rows).astype(int),
-            np.repeat([one.values for one in readings], counts, axis=0),
-            np.repeat([one.deviations for one in readings], counts, axis=0),
+            np.repeat([values for _, values, _ in readings], counts, axis=0),
+            np.repeat([deviations for _, _, deviations in readings], counts, axis=0),
         )
         at = 0
-        for one, count in zip(readings, counts, strict=True):
-            cell = one.cell
+        for (cell, values, deviations), count in zip(readings, counts, strict=True):
             if cell.question is not None:
-                cell.question.add(cell.place, likelihood[at : at + count])
-            elif not one.merged:
-                cell.odd = cell.odd + 1 if distance[at] > ODD_DISTANCE else 0
-                x, y = self.bank.mean[cell.row, :2].tolist()
-                away = math.hypot(one.values[0] - x, one.values[1] - y)
-                if away > ASTRAY_UM and one.deviations[2] < ODD[2]:
-                    self._put_back(cell, *one.values)
-                elif cell.odd >= ODD_RUN:
-                    self.bank.loosen([cell.row])
-                    cell.odd = 0
+                whole = cell.blob is not None and not cell.blob.at_edge and not cell.merged
+                size = cell.path[-1][4:] if whole else None
+                cell.question.add(cell, likelihood[at : at + count], size)
+            elif not cell.merged:
+                self._check(cell, values, deviations, float(distance[at]))
             at += count
 
-    def _put_back(self, cell: FollowedCell, x: float, y: float, axis: float) -> None:
-        """Move a cell's state to its blob, since the filter predicted the cell far from it."""
-        vx, vy = x - cell.last[0], y - cell.last[1]
-        backwards = math.cos(axis) * vx + math.sin(axis) * vy < 0
-        row = self.bank.moved(cell.row, x, y, axis + math.pi * backwards)
-        self.bank.drop(cell.row)
-        cell.row, cell.odd = row, 0
-
-    def _begin(self, speck: Speck) -> None:
-        """Start to follow a speck as a cell, since it swims."""
-        path = np.array(speck.path)
-        last = path[-BORN:]
-        (vx, vy), fitted = straight(last)
-        x, y = fitted[-1].tolist()
-        heading = math.atan2(vy, vx)
-        long, wide = np.median(path[:, 4:6], axis=0).tolist()
-        now, beside = float(path[-1, 0]), self._beside(speck)
-        near_edge = self._near_edge(*path[0, 1:3].tolist())
-        lost = self._lost.found(path[-1, 1:3], (long, wide), now, self._density(near_edge, beside))
-        if lost is None:
-            row = self.bank.add(x, y, heading, math.hypot(vx, vy))
-            identity, certainty, begun = self._next, 1.0, (now, x, y)
+    def _reading(
+        self, cell: Track, expected: Floats, place: Floats
+    ) -> tuple[Track, tuple[float, ...], tuple[float, ...]]:
+        """Return a cell's x, y [um] and axis [rad] measured from its own blob, with their standard
+        deviations; update the cell's usual size. A blob that is too large shows something else,
+        too, on the other side of its middle.
+        """
+        (x, y, axis, long, wide), seconds = place.tolist(), self._time or 0.0
+        assert cell.blob is not None
+        cell.path = [*cell.path[1 - PATH :], (seconds, x, y, axis, long, wide)]
+        larger = long * wide / (cell.long * cell.wide)
+        cell.large_s = cell.large_s if larger > LARGE else seconds
+        if seconds - cell.large_s > GROWN_S:  # nothing else has left the blob: the cell is larger
+            cell.long, cell.wide = np.median(np.array(cell.path)[:, 4:6], axis=0).tolist()
+            larger = 1.0
+        cell.large = larger > LARGE
+        if cell.large and cell.question is None:
+            self._names.meet([cell], seconds, self._meets(cell))
+        off = max(ODD[0] * self._body_um, OFF_SHARE * (long - cell.long))
+        least = POSITION_UM + POSITION_PX * self.um_px
+        deviations = least, least, AXIS / max(1 - wide / long, 0.05)
+        if cell.large and not cell.blob.at_edge:
+            pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
+            x, y = match.parted([cell, cell], pair, self._points(cell.blob))[0].tolist()
+            off = MERGED[0] * self._body_um
+        if cell.large or larger < 1 / LARGE**2 or cell.blob.at_edge:
+            deviations = off, off, ODD[1]
         else:
-            old, probability = lost
-            row, identity = self.bank.moved(old.row, x, y, heading), old.identity
-            certainty = old.certainty * probability
-            self.bank.drop(old.row)
-            begun = None
-        new = FollowedCell(identity, self._next, row, long, wide, certainty, begun=begun)
-        self._cells.append(new)
-        divided = None
-        if beside is not None and beside.alone is not None and beside.met:
-            seen, _ = self.bank.seen(np.array([beside.row, row]))
-            self._merges.ask(beside, new, seen, float(path[0, 0]), self._cells)
-        elif beside is not None and lost is None and not near_edge:
-            beside.certainty *= EITHER
-            divided = beside.identity if beside.merge is None else None
-        # keep the path after the last blob too large for this cell: another cell was in that blob
-        other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
-        path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
-        self.born.append(Born(identity, self._next, path[:, :4], certainty, divided))
-        self._next += 1
+            cell.long += SHAPE_SHARE * (long - cell.long)
+            cell.wide += SHAPE_SHARE * (wide - cell.wide)
+        cell.measured = (x, y, axis, *deviations)
+        return cell, (x, y, axis), deviations
 
-    def _beside(self, speck: Speck) -> FollowedCell | None:
-        """Return the cell next to which a speck was first seen, None if no cell was near."""
-        return next((cell for cell in self._cells if cell.track == speck.beside), None)
+    def _check(
+        self,
+        cell: Track,
+        values: tuple[float, ...],
+        deviations: tuple[float, ...],
+        distance: float,
+    ) -> None:
+        """Make the filter uncertain of a cell that is often far from where it is expected, and move
+        its state to its blob if the two are far apart.
+        """
+        cell.odd = cell.odd + 1 if distance > ODD_DISTANCE else 0
+        (x, y), away = self.bank.mean[cell.row, :2].tolist(), ASTRAY * self._body_um
+        if math.hypot(values[0] - x, values[1] - y) > away and deviations[2] < ODD[1]:
+            vx, vy = values[0] - cell.last[0], values[1] - cell.last[1]
+            backwards = math.cos(values[2]) * vx + math.sin(values[2]) * vy < 0
+            axis = values[2] + math.pi * backwards
+            row = self.bank.moved(cell.filter_row, values[0], values[1], axis)
+            self.bank.drop(cell.filter_row)
+            cell.row, cell.odd = row, 0
+        elif cell.odd >= ODD_RUN:
+            self.bank.loosen([cell.filter_row])
+            cell.odd = 0
 
-    def _density(self, near_edge: bool, beside: FollowedCell | None) -> float:
-        """Return the density [1/um^2] of cells that appear at a place without having been lost."""
-        if beside is not None and beside.alone is not None:
-            return EITHER / (math.pi * FROM_UM**2)
+    def _follow_specks(
+        self,
+        found: dict[int, Track],
+        owners: dict[int, list[int]],
+        blobs: Sequence[Blob],
+        places: Floats,
+    ) -> None:
+        """Give specks and new objects the blobs that no cell has; a speck that swims is a cell."""
+        cells, seconds = self._cells(), self._time or 0.0
+        here = np.array([self.bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
+        for j, place in enumerate(places):
+            if j in owners:
+                continue
+            entry: Entry = (seconds, *place.tolist())
+            if blobs[j].at_edge:
+                entry = (*entry[:4], math.nan, math.nan)
+            gaps = np.linalg.norm(here - place[:2], axis=1)
+            nearest = float(gaps.min(initial=np.inf))
+            if j not in found:
+                near = cells[int(gaps.argmin())] if nearest < FROM * self._body_um else None
+                self._last_track += 1
+                self._tracks.append(Track(self._last_track, [entry], near=near))
+                continue
+            speck = found[j]
+            hidden = seconds - speck.path[-1][0] > SPECK_S
+            speck.path = [entry] if hidden else [*speck.path[1 - PATH :], entry]
+            needed = NEAR_BORN if nearest < NEAR * self._body_um else BORN
+            if swims(speck.path, needed, self._organism):
+                self._begin(speck)
+
+    def _begin(self, track: Track) -> None:
+        """Start to follow a speck as a cell, since it swims."""
+        path, near = np.array(track.path), track.near
+        (vx, vy), fitted = straight(path[-BORN:])
+        x, y = fitted[-1].tolist()
+        track.long, track.wide = np.nanmedian(path[:, 4:6], axis=0).tolist()
+        track.large_s = self._time or 0.0
+        track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
+        track.identity, track.begun = self._name(), (x, y, float(path[-1, 0]))
+        track.last = path[-1, 1:3]
+        if near is not None and near not in self._tracks:
+            track.near = near = None
+        entered = self._near_edge(*path[0, 1:3].tolist())
         area = self._width * self._height * self.um_px**2
-        return (ENTERED if near_edge else NEW) / area
+        density = (ENTER if entered else APPEAR) / area
+        place = np.array([x, y, math.atan2(vy, vx)])
+        divided = self._names.appear(track, place, float(path[0, 0]), density, entered)
+        # keep the path after the last blob too large for this cell: another cell was in that blob
+        other = path[:-1, 4:6].prod(axis=1) > LARGE * track.long * track.wide
+        path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
+        certainty = self._names.probability(track)
+        self.born.append(Born(track.identity, track.number, path[:, :4], certainty, divided))
+        track.near = None
 
-    def _meets(self, cell: FollowedCell) -> bool:
+    def _meets(self, cell: Track) -> bool:
         """Return whether an object that is not followed may be about to enter a cell's blob."""
         x, y = self.bank.mean[cell.row, :2].tolist()
-        near = np.linalg.norm(self._specks.places - (x, y), axis=1) < FROM_UM
-        return bool(near.any()) or cell.begun is not None or self._near_edge(x, y)
+        near = any(
+            math.dist(each.path[-1][1:3], (x, y)) < FROM * self._body_um
+            for each in self._tracks
+            if each.row is None and each.missed_s < SPECK_S
+        )
+        return near or cell.begun is not None or self._near_edge(x, y)
 
     def _near_edge(self, x: float, y: float) -> bool:
         """Return whether a cell at a position [um] may just have swum into the picture."""
         right, top = self._width * self.um_px, self._height * self.um_px
-        return min(x, y, right - x, top - y) < ENTERED_UM
+        return min(x, y, right - x, top - y) < ENTERED * self._body_um
 
-    def _give_up(self) -> None:
-        """Drop cells that have not been seen for long, have left the picture, or never swam."""
+    def _give_up(self, seconds: float) -> None:
+        """Drop objects that have not been seen for long, have left the picture, or never swam."""
         right, top = self._width * self.um_px, self._height * self.um_px
-        self._lost.forget(self._time or 0.0)
-        for cell in list(self._cells):
-            (x, y), rim = self.bank.mean[cell.row, :2].tolist(), OUTSIDE * cell.long
+        kept = []
+        for track in self._tracks:
+            if track.row is None:
+                old = len(track.path) == PATH
+                if track.missed_s <= (HIDDEN_SPECK_S if old else SPECK_S):
+                    kept.append(track)
+                continue
+            (x, y), rim = self.bank.mean[track.row, :2].tolist(), OUTSIDE * track.long
             outside = min(x, y, right - x, top - y) < rim
-            late = cell.missed_s > (GONE_S if outside else LOST_S)
-            if late or not math.isfinite(x + y) or self._stays(cell):
-                self._merges.forget(cell, self._cells)
-                self._cells.remove(cell)
-                if late and not outside and cell.begun is None and self._time is not None:
-                    self._lost.add(cell, self._time)
-                else:
-                    self.bank.drop(cell.row)
+            late = track.missed_s > (GONE_S if outside or track.begun is not None else LOST_S)
+            if late or not math.isfinite(x + y) or self._stays(track, seconds):
+                self._names.give_up(track, seconds, late and not outside and track.begun is None)
+            else:
+                kept.append(track)
+        self._tracks = kept
 
-    def _stays(self, cell: FollowedCell) -> bool:
+    def _stays(self, track: Track, seconds: float) -> bool:
         """Return whether a tracked object does not swim, so that it is not a cell."""
-        if cell.begun is None or self._time is None:
+        if track.begun is None:
             return False
-        began, x, y = cell.begun
-        now = self.bank.mean[cell.row]
-        if math.hypot(now[0] - x, now[1] - y) > STARTED_UM:
-            cell.begun = None
+        x, y, began = track.begun
+        if math.dist(track.last.tolist(), (x, y)) > STARTED * self._body_um:
+            track.begun = None
             return False
-        return self._time - began > STARTED_S
+        return seconds - began > STARTED_S
 
     def _pixels(self, places: Floats) -> Floats:
         """Return columns and rows (N, 2) of positions [um]."""
@@ -336,44 +395,37 @@ class CellTracker:
         up = self._height - 0.5 - pixels[:, 1]
         return np.column_stack([pixels[:, 0] + 0.5, up]) * self.um_px
 
-    def _kept(self) -> list[tuple[int, int, int, int]]:
+    def _kept(self, cells: Sequence[Track]) -> list[tuple[int, int, int, int]]:
         """Return rectangles [px] around the cells, in which the background is not updated."""
-        rows = [cell.row for cell in self._cells]
-        found = []
+        rows, found = [cell.filter_row for cell in cells], []
         for cell, (column, row) in zip(
-            self._cells, self._pixels(self.bank.mean[rows, :2]).tolist(), strict=True
+            cells, self._pixels(self.bank.mean[rows, :2]).tolist(), strict=True
         ):
             reach = 0.8 * cell.long / self.um_px + 4
             left, top = round(column - reach), round(row - reach)
             found.append((left, top, round(column + reach), round(row + reach)))
         return found
 
-    def _shown(self, cells: Sequence[FollowedCell]) -> list[SeenCell]:
+    def _shown(self, cells: Sequence[Track]) -> list[SeenCell]:
         rows = np.array([cell.row for cell in cells], int)
         seen, _ = self.bank.seen(rows)
         means, covariances = self.bank.mean[rows], self.bank.covariance[rows]
-        found, next_to = [], self._specks.next_to
-        for i, cell in enumerate(cells):
-            x, y, axis = seen[i].tolist()
-            doubtful = cell.merge is not None or cell.track in next_to
-            doubtful |= cell.alone is not None and cell.met
-            open_share = 1.0 if cell.question is None else cell.question.best()[1]
-            found.append(
-                SeenCell(
-                    identity=cell.identity,
-                    x=x,
-                    y=y,
-                    axis=axis,
-                    heading=float(means[i, HEADING]),
-                    mean=means[i],
-                    covariance=covariances[i],
-                    probability=cell.certainty * open_share * (DOUBT if doubtful else 1.0),
-                    found=cell.blob is not None,
-                    merged=cell.merged or (cell.blob is not None and cell.large),
-                    long_um=cell.long,
-                    wide_um=cell.wide,
-                    track=cell.track,
-                    measured=cell.measured,
-                )
+        return [
+            SeenCell(
+                identity=cell.identity,
+                x=x,
+                y=y,
+                axis=axis,
+                heading=float(means[i, HEADING]),
+                mean=means[i],
+                covariance=covariances[i],
+                probability=self._names.probability(cell),
+                found=cell.blob is not None,
+                merged=cell.merged or cell.large,
+                long_um=cell.long,
+                wide_um=cell.wide,
+                track=cell.number,
+                measured=cell.measured,
             )
-        return found
+            for i, (cell, (x, y, axis)) in enumerate(zip(cells, seen.tolist(), strict=True))
+        ]

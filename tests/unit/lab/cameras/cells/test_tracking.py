@@ -8,8 +8,6 @@ from support.dish_films import Score, film, followed
 
 from tetractl.film.field_file import no_field
 from tetractl.lab.cameras.cells.detect_cells import BLOBS, BlobFinder
-from tetractl.lab.cameras.cells.helix import HelixFilter
-from tetractl.lab.cameras.cells.identity import opened
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 
@@ -87,17 +85,3 @@ def test_light_that_changes_makes_no_blobs():
     for level in (60, 100, 150, 200):
         assert finder.find(np.full((128, 128), level, np.uint8)) == []
         assert finder.light.gain == pytest.approx(level / 120, rel=0.02)
-
-
-def test_cells_of_other_sizes_are_distinguished_by_them():
-    bank, sizes = HelixFilter(known=True), np.array([(60.0, 26.0), (48.0, 29.0)])
-    rows = [bank.add(0.0, 0.0, 0.0, 400.0) for _ in sizes]
-    places = np.array([(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)])
-    question = opened(bank, (7, 8), rows, places, sizes, 0.0)
-    assert question.best()[1] == pytest.approx(0.5, abs=0.01)
-    for _ in range(20):
-        for track in range(2):
-            question.add_size(track, sizes[1 - track])
-    assert question.best()[0] == (1, 0)
-    assert 0.95 < question.best()[1] < 0.9999
-    assert not question.closed(0.1)

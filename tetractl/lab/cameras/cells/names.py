@@ -1,0 +1,437 @@
+"""Infers which cell is which after cells have met, was lost, or came out of another one's blob.
+
+While cells share a blob, copies of their filter rows are predicted without measurements. Where the
+cells then are says which is which with some probability, which the question begins with: each track
+is followed by one filter row per cell that it may be, with that cell's turning rate, bias, speed
+and helix, and the likelihoods of later measurements, above all of the response to the field, give
+the probability of each assignment. A question ends once one assignment is certain, or after a time.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.lab.cameras.cells.cell import CellAnswer, Track
+from tetractl.lab.cameras.cells.helix import HEADING, SPEED, HelixFilter
+from tetractl.lab.cameras.cells.questions import (
+    TAIL,
+    Known,
+    Meeting,
+    Question,
+    normalised,
+    orders,
+)
+
+TOGETHER = 4  # most tracks whose identities are resolved together, with one cell more
+CLEAR = 0.9995  # probability of the places alone above which no question is asked
+ASSERTED = 0.95  # least probability with which a film's table goes on with a name
+FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
+FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
+PLACE, MERGED = 0.06, 0.13  # deviations of places, apart and in a shared blob [lengths of a cell]
+FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
+TURNS = 0.2  # probability that a cell has turned by itself while it was with others
+EITHER = 0.5  # probability that something unknown has been in a blob that it may have entered
+APART_S = 2.0  # time apart after which a track leaves a meeting whose other tracks are together
+REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
+LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
+AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
+REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
+SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
+RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
+NEVER = -700.0  # logarithm of a probability of 0
+
+
+class Names:
+    """Knows which tracks are together, which questions are open, and which cells are lost.
+
+    `bank` is the filter, `number` returns a new number, a cell is `body_um` long. If a film's table
+    `splits` names, a track whose cell is too uncertain when a question ends gets a new name instead
+    of an asserted one.
+    """
+
+    def __init__(
+        self, bank: HelixFilter, number: Callable[[], int], body_um: float, splits: bool
+    ) -> None:
+        self._bank, self._number, self._body_um, self._splits = bank, number, body_um, splits
+        self._meetings: list[Meeting] = []
+        self._questions: list[Question] = []
+        self._lost: list[Known] = []
+        self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
+
+    def meet(self, together: Sequence[Track], seconds: float, met: bool) -> None:
+        """Record that tracks are not distinguished at a time [s]: they share a blob, or might have
+        exchanged their blobs; or that the blob of a single one is too large. `met` is whether
+        something unknown may be with them.
+        """
+        before = self._suspended(together)
+        meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
+        meeting = meetings[0] if meetings else Meeting([], [], met, before)
+        if not meetings:
+            self._meetings.append(meeting)
+        for other in meetings[1:]:
+            self._lapse(other)
+            meeting.tracks += other.tracks
+            meeting.cells += other.cells
+            meeting.met |= other.met
+            self._meetings.remove(other)
+        meeting.met |= met
+        for track in together:
+            track.together_s = seconds
+            if track not in meeting.tracks:
+                if meetings:
+                    self._lapse(meeting)
+                meeting.tracks.append(track)
+                row, size = self._bank.copied(track.filter_row), (track.long, track.wide)
+                meeting.cells.append(Known(track.identity, row, track.certainty, size))
+        for track in meeting.tracks:
+            track.meeting = meeting
+
+    def part(self, places: dict[int, Floats], awaited: Sequence[Track], seconds: float) -> None:
+        """End the meetings of tracks that are apart again; `places` gives x, y [um] and axis [rad]
+        of the blob of each track. Something new, which may prove to be a cell, was first seen near
+        the tracks `awaited`.
+        """
+        for meeting in list(self._meetings):
+            tracks = meeting.tracks
+            waits = len(tracks) == 1 or any(track in awaited for track in tracks)
+            wait_s = REMEMBERED_S if waits else 0.0
+            apart = [t for t in tracks if t.number in places and t.together_s < seconds - wait_s]
+            if len(tracks) <= TOGETHER and not meeting.before:
+                shares = self._stay(meeting)
+                for track, share in zip(list(tracks), shares.tolist(), strict=True):
+                    if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
+                        share = min(share, CLEAR)
+                    late = seconds - track.together_s > APART_S
+                    if track in apart and (share > CLEAR or late or len(shares) == 1):
+                        self._leave(meeting, track)
+                        if share < CLEAR:
+                            self._doubt(track, share)
+            if not tracks:
+                self._forget(meeting)
+            elif all(track in apart for track in tracks):
+                if len(tracks) <= TOGETHER:
+                    self._part(meeting, np.array([places[t.number] for t in tracks]), seconds)
+                else:
+                    self._forget(meeting)
+                    for track in tracks:
+                        self._doubt(track, 1 / len(tracks))
+
+    def appear(
+        self, track: Track, place: Floats, since_s: float, expected: float, entered: bool
+    ) -> int | None:
+        """Name a new cell, first seen at a time [s], that is at x, y [um] and axis [rad] (3,).
+
+        The cell may be a lost one, or one that was in the blob of `track.near`; `expected` [1/um^2]
+        is the density of cells that appear there otherwise. Unless the cell may have `entered` the
+        picture, the number of the cell that has divided there is returned; None if none has.
+        """
+        near, new = track.near, Known(track.identity, None)
+        meeting = None if near is None else near.meeting
+        if near is not None and meeting is not None and meeting.met:
+            if len(meeting.tracks) > 1:  # it is asked when all are apart
+                self._lapse(meeting)
+                meeting.tracks.append(track)
+                meeting.cells.append(new)
+                track.meeting, track.together_s = meeting, since_s
+                return None
+            if near.question is not None:
+                self._end(near.question)
+        else:
+            meeting = None
+        size = np.array([track.long, track.wide])
+        weights = [self._weight(one, place[:2], size, since_s) for one in self._lost]
+        likely = sorted(range(len(weights)), key=lambda i: -weights[i])[:2]
+        lost = [self._lost[i] for i in likely if weights[i] > 1e-3 * expected]
+        if meeting is None and not lost:
+            if entered or near is None or near.question is not None:
+                return None
+            if near.meeting is not None and len(near.meeting.tracks) > 1:
+                return None
+            divided = near.identity
+            near.together_s = since_s
+            self._doubt(near, 0.5)
+            return divided
+        tracks, places, cells = [track], place[None], [*lost, new]
+        track.together_s = since_s
+        table = np.log([[*(self._weight(one, place[:2], size, since_s) for one in lost), expected]])
+        if near is not None and meeting is not None:
+            here, _ = self._bank.seen(np.array([near.filter_row]))
+            tracks, places = [near, track], np.concatenate([here, places])
+            cells = [*meeting.cells, *cells]
+            of_near = self._table(meeting.cells, places, np.full(2, PLACE))
+            unknown = [[NEVER] * len(lost) + [self._unknown()], [*table[0, :-1], self._unknown()]]
+            table = np.concatenate([of_near, unknown], axis=1)
+            meeting.cells = []
+            self._forget(meeting)
+        self._lost = [one for one in self._lost if one not in lost]
+        order = orders(len(tracks), len(cells))
+        prior = table[np.arange(len(tracks)), order].sum(axis=1)
+        self._ask(tracks, cells, prior, places, since_s)
+        return None
+
+    def answer(self, seconds: float) -> None:
+        """Give tracks their names by the likeliest answers; end the questions that are decided, and
+        forget cells that were lost too long ago.
+        """
+        while self._lost and (len(self._lost) > LOST or seconds - self._lost[0].lost_s > LOST_S):
+            self._drop([self._lost.pop(0)])
+        for question in list(self._questions):
+            order, _ = question.best()
+            for t, track in enumerate(question.tracks):
+                track.identity = question.cells[order[t]].name
+                track.row = int(question.rows[t, order[t]])
+            if question.ends(seconds):
+                self._end(question)
+
+    def finish(self, seconds: float) -> None:
+        """End all meetings and questions: there are no pictures after this time [s]."""
+        for meeting in list(self._meetings):
+            if len(meeting.tracks) > 1:
+                for track in meeting.tracks:
+                    if track.together_s < seconds:
+                        self._doubt(track, self.probability(track))
+            self._forget(meeting)
+        for question in list(self._questions):
+            self._end(question)
+
+    def probability(self, track: Track) -> float:
+        """Return the probability that a track has the right name."""
+        if track.question is not None:
+            order, shares = track.question.best()
+            t = track.question.tracks.index(track)
+            return float(shares[t] * track.question.cells[order[t]].certainty)
+        meeting = track.meeting
+        if meeting is None or len(meeting.tracks) == 1:
+            return track.certainty
+        if len(meeting.tracks) > TOGETHER:
+            return track.certainty / len(meeting.tracks)
+        return track.certainty * float(self._stay(meeting)[meeting.tracks.index(track)])
+
+    def give_up(self, track: Track, seconds: float, may_return: bool) -> None:
+        """Forget a track at a time [s]; its cell is lost if it `may_return`."""
+        if track.question is not None:
+            self._end(track.question)
+        if track.meeting is not None:
+            self._lapse(track.meeting)
+            self._leave(track.meeting, track)
+        lost = Known(
+            track.identity, track.filter_row, track.certainty, (track.long, track.wide), track,
+            seconds - track.missed_s,
+        )  # fmt: skip
+        if may_return:
+            self._lost.append(lost)
+        else:
+            self._drop([lost])
+
+    def _suspended(self, together: Sequence[Track]) -> Question | None:
+        """End the open questions of tracks that meet, except one that is open among just these,
+        which is returned: what it has found counts when they part again.
+        """
+        asked = list({id(t.question): t.question for t in together if t.question}.values())
+        for question in asked:
+            if len(asked) > 1 or set(question.tracks) != set(together) or len(together) == 1:
+                self._end(question)
+                continue
+            order, shares = question.best()
+            for t, track in enumerate(question.tracks):
+                track.row, track.question = self._bank.copied(track.filter_row), None
+                track.certainty = float(shares[t]) * question.cells[order[t]].certainty
+            self._questions.remove(question)
+            return question
+        return None
+
+    def _part(self, meeting: Meeting, places: Floats, seconds: float) -> None:
+        """Ask which cell is on which track after a meeting, by where the tracks are."""
+        tracks, cells, before = meeting.tracks, meeting.cells, meeting.before
+        table = self._table(cells, places, np.full(len(tracks), PLACE))
+        moves = orders(len(tracks), len(cells))  # of each track, the number of its cell before
+        prior = table[np.arange(len(tracks)), moves].sum(axis=1)
+        if before is not None:
+            at = [tracks.index(track) for track in before.tracks]
+            inverse, old = np.argsort(at), np.log(np.maximum(before.probabilities(), 1e-12))
+            index = {tuple(order): i for i, order in enumerate(before.orders.tolist())}
+            mixed = np.full(len(before.orders), -np.inf)
+            for move, log in zip(moves, prior, strict=True):
+                where = inverse[move[at]]  # of each track of the question, its number before
+                for i, order in enumerate(before.orders):
+                    j = index[tuple(order[where].tolist())]
+                    mixed[j] = np.logaddexp(mixed[j], old[i] + log)
+            own = before.likelihood.argmax(axis=0)
+            self._drop(cells)
+            for n, cell in enumerate(before.cells):
+                cell.row = self._bank.copied(int(before.rows[own[n], n]))
+            for row in before.rows.ravel().tolist():
+                self._bank.drop(row)
+            tracks, cells, prior, places = before.tracks, before.cells, mixed, places[at]
+            meeting.before = None
+        meeting.cells = []
+        self._forget(meeting)
+        self._ask(tracks, cells, prior, places, seconds)
+
+    def _ask(
+        self,
+        tracks: Sequence[Track],
+        cells: Sequence[Known],
+        prior: Floats,
+        places: Floats,
+        since_s: float,
+    ) -> None:
+        """Open a question about tracks at `places` (K, 3): x, y [um], axis [rad]. The cells' filter
+        rows are copied for each track; one far from the track is moved to the track.
+        """
+        heading, places = self._bank.mean[[t.filter_row for t in tracks], HEADING], places.copy()
+        places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
+        rows = np.zeros((len(tracks), len(cells)), int)
+        for t, place in enumerate(places):
+            speed = float(self._bank.mean[tracks[t].filter_row, SPEED])
+            x, y, turn = place.tolist()
+            for n, cell in enumerate(cells):
+                rows[t, n] = (
+                    self._bank.add(x, y, turn, speed)
+                    if cell.row is None
+                    else self._bank.copied(cell.row)
+                )
+            values = np.tile(place, (len(cells), 1)), np.tile(FIRST, (len(cells), 1))
+            _, distance = self._bank.update(rows[t], *values)
+            backwards = np.cos(self._bank.mean[rows[t], HEADING] - place[2]) < 0
+            for n in np.flatnonzero((distance > FAR) | backwards).tolist():
+                moved = self._bank.moved(int(rows[t, n]), *place.tolist())
+                self._bank.drop(int(rows[t, n]))
+                rows[t, n] = moved
+        question = Question(tuple(tracks), tuple(cells), rows, prior, since_s)
+        self._drop([cell for cell in cells if cell.lost is None])
+        self._questions.append(question)
+        order, _ = question.best()
+        for t, track in enumerate(tracks):
+            self._bank.drop(track.filter_row)
+            track.question, track.identity = question, cells[order[t]].name
+            track.row = int(rows[t, order[t]])
+
+    def _end(self, question: Question) -> None:
+        """Settle a question by its likeliest answer."""
+        order, shares = question.best()
+        probability = float(question.probabilities().max())
+        asked = tuple(cell.name for cell in question.cells)
+        for t, track in enumerate(question.tracks):
+            cell = question.cells[order[t]]
+            track.question, track.row = None, int(question.rows[t, order[t]])
+            track.identity = cell.name
+            if np.isfinite(cell.size).all():
+                track.long, track.wide = cell.size
+            self._certain(track, float(shares[t]) * cell.certainty)
+        kept = {track.row for track in question.tracks}
+        for row in question.rows.ravel().tolist():
+            if row not in kept:
+                self._bank.drop(row)
+        used = [question.cells[n] for n in order]
+        lost = [cell for cell in question.cells if cell.lost is not None]
+        self._drop([cell for cell in lost if cell in used])
+        self._lost = [*(cell for cell in lost if cell not in used), *self._lost]
+        self._questions.remove(question)
+        self._tell(question.tracks, probability, asked)
+
+    def _doubt(self, track: Track, probability: float) -> None:
+        """Lower the certainty of a track's name to a share, since it was last together."""
+        asked = track.identity
+        self._certain(track, track.certainty * probability)
+        self._tell([track], probability, (asked,))
+
+    def _certain(self, track: Track, certainty: float) -> None:
+        """Set the certainty of a track's name, or give the track a new name."""
+        track.certainty = certainty
+        if self._splits and certainty < ASSERTED:
+            track.identity, track.certainty = self._number(), 1.0
+
+    def _tell(self, tracks: Sequence[Track], probability: float, asked: tuple[int, ...]) -> None:
+        named = tuple((t.number, t.identity, t.certainty, t.together_s) for t in tracks)
+        self.answers.append(CellAnswer(named, probability, asked))
+
+    def _stay(self, meeting: Meeting) -> Floats:
+        """Return the probability (K,) that each of the tracks of a meeting still follows the cell
+        that it did before, by where the cells are.
+        """
+        tracks, cells = meeting.tracks, meeting.cells
+        now, _ = self._bank.seen(np.array([track.filter_row for track in tracks]))
+        deviations = [MERGED if track.merged else PLACE for track in tracks]
+        order = orders(len(tracks), len(cells))
+        table = self._table(cells, now, np.array(deviations))
+        shares = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
+        return shares @ (order == np.arange(len(tracks)))
+
+    def _leave(self, meeting: Meeting, track: Track) -> None:
+        """Take a track, and the cell that it follows, out of a meeting."""
+        at = meeting.tracks.index(track)
+        meeting.tracks.pop(at)
+        self._drop([meeting.cells.pop(at)])
+        track.meeting = None
+        if not meeting.tracks:
+            self._forget(meeting)
+
+    def _forget(self, meeting: Meeting) -> None:
+        """End a meeting."""
+        if meeting in self._meetings:
+            self._meetings.remove(meeting)
+        self._drop(meeting.cells)
+        self._lapse(meeting)
+        for track in meeting.tracks:
+            track.meeting = None
+
+    def _lapse(self, meeting: Meeting) -> None:
+        """End the question that was open before a meeting: what it has found no longer counts."""
+        question, meeting.before = meeting.before, None
+        if question is not None:
+            for row in question.rows.ravel().tolist():
+                self._bank.drop(row)
+            for track in question.tracks:
+                self._doubt(track, 1.0)
+
+    def _drop(self, cells: Iterable[Known]) -> None:
+        """Free the filter's rows of cells."""
+        for cell in cells:
+            if cell.row is not None:
+                self._bank.drop(cell.row)
+                cell.row = None
+
+    def _unknown(self) -> float:
+        """Return the log-density [1/um^2] of something unknown that comes out of a blob."""
+        return math.log(EITHER / (math.pi * (FROM * self._body_um) ** 2))
+
+    def _table(self, cells: Sequence[Known], places: Floats, deviations: Floats) -> Floats:
+        """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further
+        standard deviations (K,) of the places [lengths of a cell].
+        """
+        found = np.full((len(places), len(cells)), self._unknown())
+        known = [n for n, cell in enumerate(cells) if cell.row is not None]
+        rows = np.array([cells[n].row for n in known], int)
+        expected, slopes = self._bank.seen(rows)
+        spread = slopes[:, :2] @ self._bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
+        spread = spread + np.square(self._body_um * deviations)[:, None, None, None] * np.eye(2)
+        off = places[:, None, :2] - expected[None, :, :2]
+        squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)
+        logs = -(TAIL + 2) / 2 * np.log1p(squared / TAIL) - math.log(math.tau)
+        logs -= 0.5 * np.linalg.slogdet(spread)[1]
+        found[:, known] = np.logaddexp(logs, self._unknown() + math.log(TURNS))
+        return found
+
+    def _weight(self, cell: Known, place: Floats, size: Floats, now: float) -> float:
+        """Return the probability density [1/um^2] that a lost cell reappears at a time [s] at
+        `place` (2,), with the length and width `size` [um].
+
+        The cell has swum on as the signal predicts, rests at its last place, or has turned by
+        itself.
+        """
+        assert cell.row is not None and cell.lost is not None, "the cell is a lost one"
+        away_um, reach = AWAY * self._body_um, REACH * self._body_um
+        off = place - self._bank.mean[cell.row, :2]
+        spread = self._bank.covariance[cell.row, :2, :2] + away_um**2 * np.eye(2)
+        ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
+        ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
+        away = float(np.linalg.norm(place - cell.lost.last))
+        rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
+        reach += max(0.0, float(self._bank.mean[cell.row, SPEED])) * (now - cell.lost_s)
+        within = (away < reach) / (math.pi * reach**2)
+        apart = float(np.square(np.log(size / cell.size)).sum())
+        alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
+        return RETURNS * (ahead + rests + within) * alike

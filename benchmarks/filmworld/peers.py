@@ -6,6 +6,7 @@ how long it may be missed, how large it is; what does not move away from where i
 
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -20,13 +21,16 @@ BLUR_PX = 1.2
 SIGMAS = 5.0  # threshold over the robust noise of the blurred difference
 AREA_UM2 = 250.0, 6000.0  # of a detection
 RANGE_UM = 32.0  # way between two pictures: 960 um/s at 30 Hz
-MISSED = 5  # pictures for which a cell may be missed
+MISSED = 2  # pictures for which a cell may be missed
 SHORTEST, MOVED_UM = 15, 80.0  # pictures and way of a track that is kept
 
 
-def detections(film: Path, um_px: float) -> pd.DataFrame:
-    """Return frame, x, y (down) [px] of what differs from the film's median."""
-    pictures = []
+@cache
+def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
+    """Return frame, x, y (down) [px] of what differs from the film's median, and the processor time
+    [s] of finding it.
+    """
+    began, pictures = cpu_s(), []
     reader = cv2.VideoCapture(str(film))
     while (read := reader.read())[0]:
         pictures.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
@@ -46,7 +50,7 @@ def detections(film: Path, um_px: float) -> pd.DataFrame:
         area = stats[:, cv2.CC_STAT_AREA]
         fit = [i for i in range(1, count) if low <= area[i] <= high]
         rows += [(k, *middles[i]) for i in fit]
-    return pd.DataFrame(rows, columns=["frame", "x", "y"])
+    return pd.DataFrame(rows, columns=["frame", "x", "y"]), cpu_s() - began
 
 
 def trackpy_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
@@ -79,10 +83,10 @@ def laptrack_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
 
 
 def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, um_px: float):
+    found, spent = detections(folder / "film.avi", um_px)
     began = cpu_s()
-    found = detections(folder / "film.avi", um_px)
-    tracks = link(found, um_px) if len(found) else found.assign(particle=[])
-    spent = cpu_s() - began
+    tracks = link(found.copy(), um_px) if len(found) else found.assign(particle=[])
+    spent += cpu_s() - began
     kept = []
     for _, track in tracks.groupby("particle"):
         way = np.hypot(track.x - track.x.iloc[0], track.y - track.y.iloc[0]).max() * um_px

@@ -22,6 +22,7 @@ from .truth import FilmTruth
 
 SIDE_PX, UM_PX = 1024, 2.3
 CELLS, STRANGERS = 20, 4
+BRIGHT_FIELD = 150.0  # grey level of the medium
 
 
 @dataclass
@@ -114,9 +115,14 @@ class WideFilm(SyntheticFilm):
         angle = random.uniform(-math.pi, math.pi)
         kinds = (0.0, 0.0), (random.uniform(0.2, 0.5), 0.0), (0.2, random.uniform(0.8, 1.3))
         halo, hollow = kinds[random.integers((1, 2, 3)[at])]
+        look = _look(random, level)
+        if hollow and look.bright:  # outlines are what a bright field shows
+            brighter = BRIGHT_FIELD / look.light
+            contrast = look.contrast * brighter
+            look = replace(look, light=BRIGHT_FIELD, contrast=contrast)
         return cls(
             FilmScript(seconds=seconds, strangers=STRANGERS, events=not easy, crossings=6.0),
-            _look(random, level),
+            look,
             seed,
             cells,
             level=level,

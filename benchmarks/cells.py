@@ -25,7 +25,7 @@ from support.synthetic_film import FilmScript, SyntheticFilm
 from support.tampering import noticed, tamperings
 
 from tetractl.emulate.dish.picture import PictureLook
-from tetractl.lab.cameras.cells.cell import Track
+from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.names import Names
 from tetractl.log.format import channels
@@ -75,7 +75,7 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     bank, deviation = HelixFilter(True), np.tile((0.86, 0.86, 0.04), (2, 1))
     rows = np.array([bank.add(0.0, 0.0, cells.heading[i], cells.speed[i]) for i in range(2)])
     tracks = [
-        Track(i, [], int(rows[i]), i, long=cells.length[i], wide=cells.width[i]) for i in (0, 1)
+        CellTrack(i, [], int(rows[i]), i, long=cells.length[i], wide=cells.width[i]) for i in (0, 1)
     ]
     names = Names(bank, lambda: -1, 52.3, splits=False)
     direction, left, frame, merged = 0.0, 0.0, 0, False
@@ -109,7 +109,7 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
             many = np.tile(blob, (len(each), 1)), np.tile(deviation[0], (len(each), 1))
             likelihood, _ = bank.update(np.array(each, int), *many)
             if asked is not None:
-                asked.add(track, likelihood, None)
+                asked.add(track, likelihood, None, t)
     question = tracks[0].question
     assert question is not None
     order, shares = question.best()

@@ -10,7 +10,7 @@ from tetractl.control.cost import evaluate
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers.pso import Swarm
-from tetractl.core.kernels.options import ENTRY_FAST, inlined
+from tetractl.core.kernels.kernel_options import ENTRY_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.model.motion.polynomials import horner
 

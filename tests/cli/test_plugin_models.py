@@ -144,7 +144,7 @@ def test_checks_plant_log_and_pictures_honour_them(installed):
 
 def test_an_edited_motion_is_compiled_again(installed):
     folder, run = installed
-    kept = "from tetractl.core.kernels.cache import folder; print(folder())"
+    kept = "from tetractl.core.kernels.kernel_cache import folder; print(folder())"
     before = run("-c", kept).stdout.strip()
     module = folder / "site" / "pivot.py"
     module.write_text(module.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")

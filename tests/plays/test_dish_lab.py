@@ -32,7 +32,7 @@ FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
 EVERY_DAY = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
 
 
-def play(folder, script="", sets=(), seed=2):
+def play(folder, script="", sets=(), seed=1):
     """Run a trial; return its log and the cells as they truly are then."""
     with virtual_dish(folder, seed, (*SMALL, *sets), FEW + script) as dish:
         run_trial(dish.spec, folder, 0, [], Interrupt(lambda number: None))
@@ -72,7 +72,7 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
     """Wrong pictures never steer: there is no trial, or it is aborted, and the field is off."""
     script = f"faults: [{{fault: {fault}, at: {at}}}]"
     sets = (*SMALL, "controller.accept_error=0.1")
-    with virtual_dish(tmp_path, 2, sets, FEW + script) as dish:
+    with virtual_dish(tmp_path, 1, sets, FEW + script) as dish:
         if at == 2:  # before the choice
             with pytest.raises(AbortError, match=says):
                 run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
@@ -130,7 +130,7 @@ def test_check_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(told, t
 
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
-    with virtual_dish(tmp_path, 1, SMALL, FEW) as dish:
+    with virtual_dish(tmp_path, 2, SMALL, FEW) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
         survey = ("lab", "survey", DISH, "--yes", "--plans", "4", *words)
         done = tetractl(tmp_path, *survey, "-o", "found.yaml").ok()
@@ -143,8 +143,8 @@ def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_ag
     assert sum(cell["magnetised"] for cell in items["cells"]) >= len(items["choices"][0]["cells"])
     errors = [choice["error"] for choice in items["choices"] if choice["error"] is not None]
     assert errors == sorted(errors)
-    listed = re.findall(r"cell \d+: a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s$",
-                        done.stdout, re.MULTILINE)  # fmt: skip
+    listed = re.findall(r"cell \d+: a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s"
+                        r"(?:, was near .*)?$", done.stdout, re.MULTILINE)  # fmt: skip
     assert len(listed) >= 2
     gaps = np.abs(np.array(listed, float)[:, None] / magnets - 1).min(axis=1)
     assert gaps.max() < 0.1

@@ -14,9 +14,11 @@ from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.organism_of import recognised
 from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, SeenCell
+from tetractl.lab.cameras.cells.cells_health import faint_line
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.names import ASSERTED
-from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
+from tetractl.lab.cameras.cells.readings import AXIS, POSITION_UM
+from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.model.organisms import Organism
 
 BACKGROUND = 25  # number of pictures for the background
@@ -111,20 +113,22 @@ def follow(
         for answer in tracker.answers:
             _rename(shown, times, answer)
         answers += tracker.answers
-        if tracker.light.contrast is not None:
-            lights.append((tracker.light.contrast, tracker.light.noise))
+        lights.append(tracker.light)
         on_picture(number)
     tracker.finish()
     for answer in tracker.answers:
         _rename(shown, times, answer)
     answers += tracker.answers
     _split(shown, times)
-    contrast, noise = np.median(lights, axis=0) if lights else (0.0, tracker.light.noise)
+    seen = [light.contrast for light in lights if light.contrast is not None]
+    contrast = float(np.median(seen)) if seen else None
+    limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
+    faint = faint_line(contrast, limit)
     background = tracker.finder.background
     assert background is not None and tracker.finder.size is not None
     height, width = tracker.finder.size
     return Followed(
-        paths=tuple(_paths(shown, frames, times)),
+        paths=tuple(_paths(shown, frames, times, seen_as.organism.slowest_um_s)),
         pictures=len(frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -132,10 +136,10 @@ def follow(
         um_px=seen_as.um_px,
         guessed_scale=seen_as.guessed,
         organism=seen_as.organism,
-        remarks=seen_as.remarks,
+        remarks=(*seen_as.remarks, *([f"warning: {faint}"] if faint else [])),
         bright=bool(tracker.finder.bright),
-        contrast=float(contrast),
-        noise=float(noise),
+        contrast=contrast or 0.0,
+        noise=noise,
         background=background,
         doubtful=tuple(
             (tuple(sorted(each.asked)), each.probability)
@@ -167,7 +171,7 @@ def _fill_back(
     """Add a newly recognised cell to the earlier pictures in which it was already seen."""
     path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
-    for seconds, x, y, axis in path[:-1].tolist():
+    for seconds, x, y, axis, long in path[:-1].tolist():
         at = int(np.searchsorted(times, seconds))
         if at >= len(times) or times[at] != seconds:
             continue
@@ -187,7 +191,7 @@ def _fill_back(
             long_um=np.nan,
             wide_um=np.nan,
             track=born.track,
-            measured=(x, y, axis, POSITION_UM, POSITION_UM, 2 * AXIS),
+            measured=None if math.isnan(long) else (x, y, axis, POSITION_UM, POSITION_UM, 2 * AXIS),
         )
 
 
@@ -220,9 +224,14 @@ def _split(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> None
 
 
 def _paths(
-    shown: Sequence[dict[int, SeenCell]], frames: Sequence[int], seconds: Sequence[float]
+    shown: Sequence[dict[int, SeenCell]],
+    frames: Sequence[int],
+    seconds: Sequence[float],
+    slowest_um_s: float,
 ) -> Iterator[CellPath]:
-    """Yield the cells in the order of their numbers, except those whose path is too short."""
+    """Yield the cells in the order of their numbers, except those whose path is too short, or that
+    move more slowly than `slowest_um_s` for most of the time: debris that a cell has touched.
+    """
     by_cell: dict[int, list[tuple[int, float, SeenCell]]] = {}
     for frame, second, cells in zip(frames, seconds, shown, strict=True):
         for cell in cells.values():
@@ -232,5 +241,9 @@ def _paths(
         times = np.array([second for _, second, _ in entries])
         path = CellPath(identity, times, numbers, tuple(cell for _, _, cell in entries))
         way = path.places - path.places[0]
-        if times[-1] - times[0] >= SHORTEST_S and np.linalg.norm(way, axis=1).max() >= SHORTEST_UM:
+        if times[-1] - times[0] < SHORTEST_S or np.linalg.norm(way, axis=1).max() < SHORTEST_UM:
+            continue
+        later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
+        moved = np.linalg.norm(path.places[later] - path.places, axis=1)[: later.argmax() + 1]
+        if np.median(moved) >= slowest_um_s * SHORTEST_S:
             yield path

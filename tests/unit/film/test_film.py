@@ -166,11 +166,11 @@ def test_velocities_are_those_of_casa():
     assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
 
 
-def test_what_is_seen_too_briefly_or_does_not_move_is_no_cell():
+def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     def seen(k):
-        places = {"moves": (4.0 * k, 0.0), "stays": (5.0, 5.0), "brief": (90.0 * k, 9.0)}
+        places = {"moves": (4.0 * k, 0), "stays": (5, 5), "drifts": (k, 50), "brief": (90.0 * k, 9)}
         cells = [SimpleNamespace(identity=name, x=x, y=y) for name, (x, y) in places.items()]
-        return {cell.identity: cell for cell in cells[: 3 if k < 3 else 2]}
+        return {cell.identity: cell for cell in cells[: 4 if k < 3 else 3]}
 
-    found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0)
+    found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, 60.0)
     assert [path.identity for path in found] == ["moves"]

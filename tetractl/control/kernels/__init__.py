@@ -11,6 +11,6 @@ A kernel is compiled once for each class of constants of a motion (`tetractl.mod
 Obstacles are numbers: every shape runs the same code.
 
 A kernel depends on all files of folders named `kernels` and of motions. Each version of these
-files has a separate cache (`core.kernels.cache`), so that no outdated code runs after an edit or an
-upgrade.
+files has a separate cache (`core.kernels.kernel_cache`), so that no outdated code runs after an
+edit or an upgrade.
 """

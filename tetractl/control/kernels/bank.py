@@ -10,8 +10,8 @@ from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter import likeliest
 from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import ASSUMED, GRID, MISFIT, SLOTS, STUCK
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
 
 @compiled(**ENTRY_FAST)

@@ -14,8 +14,8 @@ from tetractl.control.kernels.obstacles import (
     TOP,
     touches,
 )
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY, INLINE_EXACT
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 
 ROOM = 0.98  # fraction of the available distance that a margin takes
 

@@ -8,8 +8,8 @@ import numpy as np
 from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import ASSUMED, FOLLOWS, MOVED, SIZE, SLOTS
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.model.motion.polynomials import wrap
 
 _wrap = inlined(wrap)

@@ -21,8 +21,8 @@ from tetractl.control.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import INLINE_FAST
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import INLINE_FAST
 
 
 @compiled(**INLINE_FAST)

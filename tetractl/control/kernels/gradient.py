@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.control.kernels.motion import derivatives, turned
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import INLINE_FAST, inlined
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 

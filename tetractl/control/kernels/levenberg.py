@@ -23,8 +23,8 @@ from tetractl.control.kernels.gradient import Trace, backward, trace, width, wor
 from tetractl.control.kernels.motion import flat
 from tetractl.control.kernels.obstacles import count_hits, find_deepest, outward
 from tetractl.control.kernels.rollout import count_meetings
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import INLINE_FAST, inlined
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials

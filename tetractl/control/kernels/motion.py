@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from tetractl.core.kernels.options import INLINE_FAST, entries, inlined
+from tetractl.core.kernels.kernel_options import INLINE_FAST, entries, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS

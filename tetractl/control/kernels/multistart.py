@@ -9,8 +9,8 @@ import numpy as np
 from tetractl.control.kernels.levenberg import Integers, judge, polish
 from tetractl.control.kernels.rollout import costs
 from tetractl.control.kernels.update import drawn
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 

@@ -6,8 +6,8 @@ shapes and then the walls. Every shape runs the same code.
 
 import math
 
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import INLINE_FAST
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import INLINE_FAST
 
 RADIUS, CORNERS, LEFT, BOTTOM, RIGHT, TOP, FIRST = range(7)  # columns of a row
 

@@ -1,7 +1,7 @@
 """Cells in B simulations: `tetractl.model.motion.swimming.swim`, compiled, with the same bits."""
 
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY, exact, with_parts
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY, exact, with_parts
 from tetractl.model.motion import swimming
 
 swim = compiled(**ENTRY)(with_parts(swimming.swim, exact))

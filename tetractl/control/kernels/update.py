@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from tetractl.control.rng import FACTORS, GOLDEN
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
 STEP, MIX_1, MIX_2 = (np.uint64(number) for number in (GOLDEN, *FACTORS))
 S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))

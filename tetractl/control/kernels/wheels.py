@@ -5,8 +5,8 @@ The bits are those of the plain loops, `tetractl.model.motion.rolling`, for one 
 
 import math
 
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY, exact, with_parts
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY, exact, with_parts
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion import rolling
 

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.shapes import SHAPES
 
-from tetractl.control.kernels import clearance, options
+from tetractl.control.kernels import clearance
+from tetractl.core.kernels import kernel_options as options
 from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 

@@ -108,7 +108,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return FoundCell(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Track the cells with these numbers as the robots of a setup from now on."""
+        """CellTrack the cells with these numbers as the robots of a setup from now on."""
         self._setup, self._identities = setup, list(numbers)
         self.divided.clear()
 

@@ -62,7 +62,8 @@ class CellAnswer:
 class Born:
     """A cell that appears on a new track.
 
-    `path` (M, 4) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad].
+    `path` (M, 5) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad]
+    and length [um], NaN for a blob cut off by the picture's edge.
     `certainty` is the probability of `identity`, below 1 for a lost cell that was found again.
     `divided` is the number of the cell from whose blob it separated, if no other cell had entered
     that blob; otherwise None.
@@ -76,7 +77,7 @@ class Born:
 
 
 @dataclass(slots=True, eq=False)
-class Track:
+class CellTrack:
     """An object that the tracker follows: a cell, or, before it has swum, a speck.
 
     `path` holds its newest blobs. A cell has a `row` in the filter; a speck has none. `long` and
@@ -94,7 +95,7 @@ class Track:
     wide: float = math.nan
     missed_s: float = 0.0
     odd: int = 0
-    near: "Track | None" = None
+    near: "CellTrack | None" = None
     blob: Blob | None = None
     merged: bool = False  # whether its blob shows other cells, too
     large: bool = False  # whether its own blob is too large for one cell

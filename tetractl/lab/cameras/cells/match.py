@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Bools, Floats
-from tetractl.lab.cameras.cells.cell import Track
+from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.detect_cells import Blob
 
 NONE = 100.0  # cost of leaving a cell without a blob
@@ -60,7 +60,11 @@ def squared_distances(expected: Floats, spread: Floats, places: Floats) -> Float
 
 
 def cell_costs(
-    cells: Sequence[Track], expected: Floats, squared: Floats, places: Floats, body_um: float
+    cells: Sequence[CellTrack],
+    expected: Floats,
+    squared: Floats,
+    places: Floats,
+    body_um: float,
 ) -> tuple[Floats, Bools]:
     """Return the costs (C, B) of blobs of their own for C cells, which are `body_um` long, and
     whether (C, B) the blob is not where the filter expects it: the cell has stopped, turned by
@@ -82,7 +86,7 @@ def cell_costs(
 
 
 def speck_costs(
-    specks: Sequence[Track], places: Floats, seconds: float, body_um: float
+    specks: Sequence[CellTrack], places: Floats, seconds: float, body_um: float
 ) -> tuple[Floats, Floats]:
     """Return the costs (S, B) of blobs for S specks, at their expected places at a time [s], and
     those of no blob (S,). Cells are `body_um` long.
@@ -96,7 +100,7 @@ def speck_costs(
 
 
 def shared_costs(
-    cells: Sequence[Track], pixels: Floats, blobs: Sequence[Blob], um_px: float
+    cells: Sequence[CellTrack], pixels: Floats, blobs: Sequence[Blob], um_px: float
 ) -> Floats:
     """Return the costs (C, B) of a place in a blob that covers the cell's expected column and row,
     `pixels` (C, 2), for C cells.
@@ -157,7 +161,7 @@ def exchangeable(squared: Floats, owner: dict[int, int]) -> list[tuple[int, int]
     return [(int(cells[i]), int(cells[j])) for i, j in pairs]
 
 
-def parted(owners: Sequence[Track], expected: Floats, points: Floats) -> Floats:
+def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
     """Return the middles (K, 2) [um] of the K cells in a shared blob, whose pixels are at `points`
     (M, 2) [um].
 

@@ -13,15 +13,16 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.lab.cameras.cells.cell import CellAnswer, Track
+from tetractl.lab.cameras.cells.cell import CellAnswer, CellTrack
 from tetractl.lab.cameras.cells.helix import HEADING, SPEED, HelixFilter
 from tetractl.lab.cameras.cells.questions import (
-    TAIL,
     Known,
     Meeting,
     Question,
+    log_densities,
     normalised,
     orders,
+    return_density,
 )
 
 TOGETHER = 4  # most tracks whose identities are resolved together, with one cell more
@@ -31,15 +32,10 @@ FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a ques
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 PLACE, MERGED = 0.06, 0.13  # deviations of places, apart and in a shared blob [lengths of a cell]
 FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
-TURNS = 0.2  # probability that a cell has turned by itself while it was with others
 EITHER = 0.5  # probability that something unknown has been in a blob that it may have entered
 APART_S = 2.0  # time apart after which a track leaves a meeting whose other tracks are together
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
 LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
-AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
-REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
-SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
-RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
 NEVER = -700.0  # logarithm of a probability of 0
 
 
@@ -60,7 +56,7 @@ class Names:
         self._lost: list[Known] = []
         self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
 
-    def meet(self, together: Sequence[Track], seconds: float, met: bool) -> None:
+    def meet(self, together: Sequence[CellTrack], seconds: float, met: bool) -> None:
         """Record that tracks are not distinguished at a time [s]: they share a blob, or might have
         exchanged their blobs; or that the blob of a single one is too large. `met` is whether
         something unknown may be with them.
@@ -88,7 +84,7 @@ class Names:
         for track in meeting.tracks:
             track.meeting = meeting
 
-    def part(self, places: dict[int, Floats], awaited: Sequence[Track], seconds: float) -> None:
+    def part(self, places: dict[int, Floats], awaited: Sequence[CellTrack], seconds: float) -> None:
         """End the meetings of tracks that are apart again; `places` gives x, y [um] and axis [rad]
         of the blob of each track. Something new, which may prove to be a cell, was first seen near
         the tracks `awaited`.
@@ -98,7 +94,7 @@ class Names:
             waits = len(tracks) == 1 or any(track in awaited for track in tracks)
             wait_s = REMEMBERED_S if waits else 0.0
             apart = [t for t in tracks if t.number in places and t.together_s < seconds - wait_s]
-            if len(tracks) <= TOGETHER and not meeting.before:
+            if meeting.before is None:
                 shares = self._stay(meeting)
                 for track, share in zip(list(tracks), shares.tolist(), strict=True):
                     if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
@@ -113,13 +109,14 @@ class Names:
             elif all(track in apart for track in tracks):
                 if len(tracks) <= TOGETHER:
                     self._part(meeting, np.array([places[t.number] for t in tracks]), seconds)
-                else:
-                    self._forget(meeting)
-                    for track in tracks:
-                        self._doubt(track, 1 / len(tracks))
+                    continue
+                shares = self._stay(meeting)
+                self._forget(meeting)
+                for track, share in zip(tracks, shares.tolist(), strict=True):
+                    self._doubt(track, share)
 
     def appear(
-        self, track: Track, place: Floats, since_s: float, expected: float, entered: bool
+        self, track: CellTrack, place: Floats, since_s: float, expected: float, entered: bool
     ) -> int | None:
         """Name a new cell, first seen at a time [s], that is at x, y [um] and axis [rad] (3,).
 
@@ -140,10 +137,11 @@ class Names:
                 self._end(near.question)
         else:
             meeting = None
-        size = np.array([track.long, track.wide])
-        weights = [self._weight(one, place[:2], size, since_s) for one in self._lost]
+        seen = place[:2], np.array([track.long, track.wide]), since_s, self._body_um
+        weights = [return_density(self._bank, one, *seen) for one in self._lost]
         likely = sorted(range(len(weights)), key=lambda i: -weights[i])[:2]
-        lost = [self._lost[i] for i in likely if weights[i] > 1e-3 * expected]
+        likely = [i for i in likely if weights[i] > 1e-3 * expected]
+        lost = [self._lost[i] for i in likely]
         if meeting is None and not lost:
             if entered or near is None or near.question is not None:
                 return None
@@ -155,7 +153,7 @@ class Names:
             return divided
         tracks, places, cells = [track], place[None], [*lost, new]
         track.together_s = since_s
-        table = np.log([[*(self._weight(one, place[:2], size, since_s) for one in lost), expected]])
+        table = np.log([[*(weights[i] for i in likely), expected]])
         if near is not None and meeting is not None:
             here, _ = self._bank.seen(np.array([near.filter_row]))
             tracks, places = [near, track], np.concatenate([here, places])
@@ -196,7 +194,7 @@ class Names:
         for question in list(self._questions):
             self._end(question)
 
-    def probability(self, track: Track) -> float:
+    def probability(self, track: CellTrack) -> float:
         """Return the probability that a track has the right name."""
         if track.question is not None:
             order, shares = track.question.best()
@@ -205,27 +203,23 @@ class Names:
         meeting = track.meeting
         if meeting is None or len(meeting.tracks) == 1:
             return track.certainty
-        if len(meeting.tracks) > TOGETHER:
-            return track.certainty / len(meeting.tracks)
         return track.certainty * float(self._stay(meeting)[meeting.tracks.index(track)])
 
-    def give_up(self, track: Track, seconds: float, may_return: bool) -> None:
+    def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
         """Forget a track at a time [s]; its cell is lost if it `may_return`."""
         if track.question is not None:
             self._end(track.question)
         if track.meeting is not None:
             self._lapse(track.meeting)
             self._leave(track.meeting, track)
-        lost = Known(
-            track.identity, track.filter_row, track.certainty, (track.long, track.wide), track,
-            seconds - track.missed_s,
-        )  # fmt: skip
+        size, since_s = (track.long, track.wide), seconds - track.missed_s
+        lost = Known(track.identity, track.filter_row, track.certainty, size, track, since_s)
         if may_return:
             self._lost.append(lost)
         else:
             self._drop([lost])
 
-    def _suspended(self, together: Sequence[Track]) -> Question | None:
+    def _suspended(self, together: Sequence[CellTrack]) -> Question | None:
         """End the open questions of tracks that meet, except one that is open among just these,
         which is returned: what it has found counts when they part again.
         """
@@ -272,7 +266,7 @@ class Names:
 
     def _ask(
         self,
-        tracks: Sequence[Track],
+        tracks: Sequence[CellTrack],
         cells: Sequence[Known],
         prior: Floats,
         places: Floats,
@@ -281,18 +275,15 @@ class Names:
         """Open a question about tracks at `places` (K, 3): x, y [um], axis [rad]. The cells' filter
         rows are copied for each track; one far from the track is moved to the track.
         """
-        heading, places = self._bank.mean[[t.filter_row for t in tracks], HEADING], places.copy()
+        bank, places = self._bank, places.copy()
+        heading = bank.mean[[track.filter_row for track in tracks], HEADING]
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
-        rows = np.zeros((len(tracks), len(cells)), int)
+        rows, add, copied = np.zeros((len(tracks), len(cells)), int), bank.add, bank.copied
         for t, place in enumerate(places):
             speed = float(self._bank.mean[tracks[t].filter_row, SPEED])
             x, y, turn = place.tolist()
             for n, cell in enumerate(cells):
-                rows[t, n] = (
-                    self._bank.add(x, y, turn, speed)
-                    if cell.row is None
-                    else self._bank.copied(cell.row)
-                )
+                rows[t, n] = add(x, y, turn, speed) if cell.row is None else copied(cell.row)
             values = np.tile(place, (len(cells), 1)), np.tile(FIRST, (len(cells), 1))
             _, distance = self._bank.update(rows[t], *values)
             backwards = np.cos(self._bank.mean[rows[t], HEADING] - place[2]) < 0
@@ -332,21 +323,21 @@ class Names:
         self._questions.remove(question)
         self._tell(question.tracks, probability, asked)
 
-    def _doubt(self, track: Track, probability: float) -> None:
+    def _doubt(self, track: CellTrack, probability: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
         asked = track.identity
         self._certain(track, track.certainty * probability)
         self._tell([track], probability, (asked,))
 
-    def _certain(self, track: Track, certainty: float) -> None:
+    def _certain(self, track: CellTrack, certainty: float) -> None:
         """Set the certainty of a track's name, or give the track a new name."""
         track.certainty = certainty
         if self._splits and certainty < ASSERTED:
             track.identity, track.certainty = self._number(), 1.0
 
-    def _tell(self, tracks: Sequence[Track], probability: float, asked: tuple[int, ...]) -> None:
+    def _tell(self, tracks: Sequence[CellTrack], probability: float, asked: Sequence[int]) -> None:
         named = tuple((t.number, t.identity, t.certainty, t.together_s) for t in tracks)
-        self.answers.append(CellAnswer(named, probability, asked))
+        self.answers.append(CellAnswer(named, probability, tuple(asked)))
 
     def _stay(self, meeting: Meeting) -> Floats:
         """Return the probability (K,) that each of the tracks of a meeting still follows the cell
@@ -355,13 +346,17 @@ class Names:
         tracks, cells = meeting.tracks, meeting.cells
         now, _ = self._bank.seen(np.array([track.filter_row for track in tracks]))
         deviations = [MERGED if track.merged else PLACE for track in tracks]
-        order = orders(len(tracks), len(cells))
         table = self._table(cells, now, np.array(deviations))
+        if len(tracks) > TOGETHER:  # only exchanges of two cells are counted
+            own = np.diagonal(table)
+            exchanged = np.exp(np.minimum(table + table.T - own[:, None] - own, 50.0))
+            return 1 / (exchanged.sum(axis=1))
+        order = orders(len(tracks), len(cells))
         shares = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
         return shares @ (order == np.arange(len(tracks)))
 
-    def _leave(self, meeting: Meeting, track: Track) -> None:
-        """Take a track, and the cell that it follows, out of a meeting."""
+    def _leave(self, meeting: Meeting, track: CellTrack) -> None:
+        """Take a track and its cell out of a meeting."""
         at = meeting.tracks.index(track)
         meeting.tracks.pop(at)
         self._drop([meeting.cells.pop(at)])
@@ -402,36 +397,5 @@ class Names:
         """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further
         standard deviations (K,) of the places [lengths of a cell].
         """
-        found = np.full((len(places), len(cells)), self._unknown())
-        known = [n for n, cell in enumerate(cells) if cell.row is not None]
-        rows = np.array([cells[n].row for n in known], int)
-        expected, slopes = self._bank.seen(rows)
-        spread = slopes[:, :2] @ self._bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
-        spread = spread + np.square(self._body_um * deviations)[:, None, None, None] * np.eye(2)
-        off = places[:, None, :2] - expected[None, :, :2]
-        squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)
-        logs = -(TAIL + 2) / 2 * np.log1p(squared / TAIL) - math.log(math.tau)
-        logs -= 0.5 * np.linalg.slogdet(spread)[1]
-        found[:, known] = np.logaddexp(logs, self._unknown() + math.log(TURNS))
-        return found
-
-    def _weight(self, cell: Known, place: Floats, size: Floats, now: float) -> float:
-        """Return the probability density [1/um^2] that a lost cell reappears at a time [s] at
-        `place` (2,), with the length and width `size` [um].
-
-        The cell has swum on as the signal predicts, rests at its last place, or has turned by
-        itself.
-        """
-        assert cell.row is not None and cell.lost is not None, "the cell is a lost one"
-        away_um, reach = AWAY * self._body_um, REACH * self._body_um
-        off = place - self._bank.mean[cell.row, :2]
-        spread = self._bank.covariance[cell.row, :2, :2] + away_um**2 * np.eye(2)
-        ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
-        ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
-        away = float(np.linalg.norm(place - cell.lost.last))
-        rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
-        reach += max(0.0, float(self._bank.mean[cell.row, SPEED])) * (now - cell.lost_s)
-        within = (away < reach) / (math.pi * reach**2)
-        apart = float(np.square(np.log(size / cell.size)).sum())
-        alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
-        return RETURNS * (ahead + rests + within) * alike
+        sd_um = self._body_um * deviations
+        return log_densities(self._bank, cells, places, sd_um, self._unknown())

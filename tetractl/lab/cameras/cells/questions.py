@@ -8,15 +8,22 @@ from itertools import permutations
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.lab.cameras.cells.cell import Track
+from tetractl.lab.cameras.cells.cell import CellTrack
+from tetractl.lab.cameras.cells.helix import SPEED, HelixFilter
 
 SURE = 0.998  # probability at which a question ends
-LEAST_S, PATIENCE_S = 0.25, 10.0  # shortest and longest time for which a question is open
+LEAST_S, PATIENCE_S = 0.5, 10.0  # shortest and longest time for which a question is open
+SETTLED_S = 0.3  # time after which the rows of a question have settled on their tracks
 # exponent of likelihoods, since errors of successive pictures are not independent, and the most
 # that one picture says against a cell
 TEMPER, WORSE = 0.4, 4.0
 TAIL = 4.0  # degrees of freedom (Student's t) of places and of the logarithms of sizes
 SIZE_SD, SIZED = 0.1, 6  # scale of the log of a size; number of pictures in which sizes count
+AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
+REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
+SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
+RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
+TURNS = 0.2  # probability that a cell has turned by itself while it was with others
 
 
 @dataclass(slots=True, eq=False)
@@ -32,7 +39,7 @@ class Known:
     row: int | None
     certainty: float = 1.0
     size: tuple[float, float] = (math.nan, math.nan)
-    lost: Track | None = None
+    lost: CellTrack | None = None
     lost_s: float = 0.0
 
 
@@ -42,7 +49,7 @@ class Meeting:
     unknown may have joined them. `before` is a question that was open among just these tracks.
     """
 
-    tracks: list[Track]
+    tracks: list[CellTrack]
     cells: list[Known]
     met: bool
     before: "Question | None" = None
@@ -57,7 +64,7 @@ class Question:
     (P, K) when the question was asked.
     """
 
-    tracks: tuple[Track, ...]
+    tracks: tuple[CellTrack, ...]
     cells: tuple[Known, ...]
     rows: np.ndarray
     prior: Floats
@@ -71,12 +78,16 @@ class Question:
         self.orders = orders(*self.rows.shape)
         self._sized = np.zeros(len(self.tracks), int)
 
-    def add(self, track: Track, likelihood: Floats, size: Sequence[float] | None) -> None:
+    def add(
+        self, track: CellTrack, likelihood: Floats, size: Sequence[float] | None, seconds: float
+    ) -> None:
         """Add the log-likelihoods (M,), one per cell, of a track's measurement in one picture, and
-        length and width [um] of the blob, unless it is cut off.
+        length and width [um] of the blob, unless it is cut off. Measurements count once the rows of
+        the filter have settled on the track: where it begins is in the prior.
         """
         t = self.tracks.index(track)
-        self.likelihood[t] += TEMPER * np.maximum(likelihood - likelihood.max(), -WORSE)
+        if seconds - self.since_s > SETTLED_S:
+            self.likelihood[t] += TEMPER * np.maximum(likelihood - likelihood.max(), -WORSE)
         if size is not None and self._sized[t] < SIZED:
             self._sized[t] += 1
             sizes = np.array([cell.size for cell in self.cells])
@@ -112,3 +123,48 @@ def normalised(logs: Floats) -> Floats:
     """Return probabilities from their logarithms up to a constant."""
     shares = np.exp(logs - logs.max())
     return shares / shares.sum()
+
+
+def return_density(
+    bank: HelixFilter, cell: Known, place: Floats, size: Floats, now: float, body_um: float
+) -> float:
+    """Return the probability density [1/um^2] that a lost cell reappears at a time [s] at
+    `place` (2,), with the length and width `size` [um]; a cell is `body_um` long.
+
+    The cell has swum on as the signal predicts, rests at its last place, or has turned by
+    itself.
+    """
+    assert cell.row is not None and cell.lost is not None, "the cell is a lost one"
+    away_um, reach = AWAY * body_um, REACH * body_um
+    off = place - bank.mean[cell.row, :2]
+    spread = bank.covariance[cell.row, :2, :2] + away_um**2 * np.eye(2)
+    ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
+    ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
+    away = float(np.linalg.norm(place - cell.lost.last))
+    rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
+    reach += max(0.0, float(bank.mean[cell.row, SPEED])) * (now - cell.lost_s)
+    within = (away < reach) / (math.pi * reach**2)
+    apart = float(np.square(np.log(size / cell.size)).sum())
+    alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
+    return RETURNS * (ahead + rests + within) * alike
+
+
+def log_densities(
+    bank: HelixFilter, cells: Sequence[Known], places: Floats, sd_um: Floats, unknown: float
+) -> Floats:
+    """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further standard
+    deviations (K,) of the places. `unknown` is that of a cell that may have been anywhere, or has
+    turned by itself.
+    """
+    found = np.full((len(places), len(cells)), unknown)
+    known = [n for n, cell in enumerate(cells) if cell.row is not None]
+    rows = np.array([cells[n].row for n in known], int)
+    expected, slopes = bank.seen(rows)
+    spread = slopes[:, :2] @ bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
+    spread = spread + np.square(sd_um)[:, None, None, None] * np.eye(2)
+    off = places[:, None, :2] - expected[None, :, :2]
+    squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)
+    logs = -(TAIL + 2) / 2 * np.log1p(squared / TAIL) - math.log(math.tau)
+    logs -= 0.5 * np.linalg.slogdet(spread)[1]
+    found[:, known] = np.logaddexp(logs, unknown + math.log(TURNS))
+    return found

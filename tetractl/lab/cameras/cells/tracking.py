@@ -12,11 +12,19 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Grey
 from tetractl.lab.cameras.cells import match
-from tetractl.lab.cameras.cells.cell import Born, CellAnswer, Entry, SeenCell, Track
+from tetractl.lab.cameras.cells.cell import Born, CellAnswer, CellTrack, Entry, SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl.lab.cameras.cells.match import LARGE
 from tetractl.lab.cameras.cells.names import FROM, Names
+from tetractl.lab.cameras.cells.readings import (
+    ODD,
+    PATH,
+    Reading,
+    note_size,
+    own_reading,
+    shared_readings,
+)
 from tetractl.lab.cameras.cells.specks import BORN, NEAR, NEAR_BORN, straight, swims
 from tetractl.model.organisms import TETRAHYMENA, Organism
 
@@ -26,19 +34,11 @@ HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
 GONE_S = 0.1  # the same for a cell near the picture's edge, or one that has just been found
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
 STARTED, STARTED_S = 1.15, 1.0  # a track that has not swum so many lengths by then is not a cell
-POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
-# deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
-# shared blob; and in a shared blob that is only as large as one of its cells
-ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
 ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
 ASTRAY = 0.67  # distance of a cell's state from its own blob above which the state is wrong
 ENTERED = 2.3  # a new cell nearer than this to the picture's edge has swum into the picture
 ENTER, APPEAR = 10.0, 0.3  # cells that are expected to appear: at the edge, and anywhere
-OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
-GROWN_S = 1.0  # time for which a cell's blob is too large, after which that is the cell's size
-SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
-PATH = 15  # number of newest blobs of a track that are kept
 SPECK_S, HIDDEN_SPECK_S = 0.1, 3.0  # time for which a speck is kept: a new one, an old one
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
@@ -69,7 +69,7 @@ class CellTracker:
         self.bank = HelixFilter(known, near_wall)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]
-        self._tracks: list[Track] = []
+        self._tracks: list[CellTrack] = []
         self._last_track = self._last_name = 0
         self._names = Names(self.bank, self._name, self._body_um, splits)
         self._time: float | None = None
@@ -126,7 +126,7 @@ class CellTracker:
                 if track.begun is not None:
                     track.begun = track.begun[0] + x, track.begun[1] + y, track.begun[2]
 
-    def _cells(self) -> list[Track]:
+    def _cells(self) -> list[CellTrack]:
         return [track for track in self._tracks if track.row is not None]
 
     def _name(self) -> int:
@@ -157,7 +157,7 @@ class CellTracker:
                 if loose[i, j]:
                     self.bank.loosen([cells[i].filter_row])
         self._meet(cells, owners, match.exchangeable(squared, owner), seconds)
-        self._update(cells, owners, expected, places, seconds)
+        self._update(cells, owners, expected, blobs, places, seconds)
         for j, those in owners.items():
             for i in those:
                 cells[i].last = places[j, :2]
@@ -170,7 +170,7 @@ class CellTracker:
 
     def _meet(
         self,
-        cells: Sequence[Track],
+        cells: Sequence[CellTrack],
         owners: dict[int, list[int]],
         pairs: Iterable[tuple[int, int]],
         seconds: float,
@@ -185,29 +185,27 @@ class CellTracker:
 
     def _update(
         self,
-        cells: Sequence[Track],
+        cells: Sequence[CellTrack],
         owners: dict[int, list[int]],
         expected: Floats,
+        blobs: Sequence[Blob],
         places: Floats,
         seconds: float,
     ) -> None:
         """Update the filter by the cells' blobs; a track with an open question has one row for each
         cell that it may be.
         """
-        readings: list[tuple[Track, tuple[float, ...], tuple[float, ...]]] = []
+        readings: list[Reading] = []
         for j, those in owners.items():
-            if len(those) == 1:
-                readings.append(self._reading(cells[those[0]], expected[those[0]], places[j]))
+            some, place, points = [cells[i] for i in those], places[j], self._points(blobs[j])
+            if len(some) > 1:
+                readings += shared_readings(some, expected[those], place, points, self._body_um)
                 continue
-            some = [cells[i] for i in those]
-            blob = some[0].blob
-            assert blob is not None
-            most = max(each.long * each.wide for each in some)
-            sd, turn = HIDDEN if places[j, 3] * places[j, 4] < LARGE * most else MERGED
-            deviations = sd * self._body_um, sd * self._body_um, turn
-            middles = match.parted(some, expected[those], self._points(blob)).tolist()
-            for cell, i, (x, y) in zip(some, those, middles, strict=True):
-                readings.append((cell, (x, y, float(expected[i, 2])), deviations))
+            note_size(some[0], place, seconds)
+            if some[0].large and some[0].question is None:
+                self._names.meet(some, seconds, self._meets(some[0]))
+            own = expected[those[0]], place, points
+            readings.append(own_reading(some[0], *own, self.um_px, self._body_um))
         if not readings:
             return
         rows = []
@@ -225,47 +223,14 @@ class CellTracker:
             if cell.question is not None:
                 whole = cell.blob is not None and not cell.blob.at_edge and not cell.merged
                 size = cell.path[-1][4:] if whole else None
-                cell.question.add(cell, likelihood[at : at + count], size)
+                cell.question.add(cell, likelihood[at : at + count], size, seconds)
             elif not cell.merged:
                 self._check(cell, values, deviations, float(distance[at]))
             at += count
 
-    def _reading(
-        self, cell: Track, expected: Floats, place: Floats
-    ) -> tuple[Track, tuple[float, ...], tuple[float, ...]]:
-        """Return a cell's x, y [um] and axis [rad] measured from its own blob, with their standard
-        deviations; update the cell's usual size. A blob that is too large shows something else,
-        too, on the other side of its middle.
-        """
-        (x, y, axis, long, wide), seconds = place.tolist(), self._time or 0.0
-        assert cell.blob is not None
-        cell.path = [*cell.path[1 - PATH :], (seconds, x, y, axis, long, wide)]
-        larger = long * wide / (cell.long * cell.wide)
-        cell.large_s = cell.large_s if larger > LARGE else seconds
-        if seconds - cell.large_s > GROWN_S:  # nothing else has left the blob: the cell is larger
-            cell.long, cell.wide = np.median(np.array(cell.path)[:, 4:6], axis=0).tolist()
-            larger = 1.0
-        cell.large = larger > LARGE
-        if cell.large and cell.question is None:
-            self._names.meet([cell], seconds, self._meets(cell))
-        off = max(ODD[0] * self._body_um, OFF_SHARE * (long - cell.long))
-        least = POSITION_UM + POSITION_PX * self.um_px
-        deviations = least, least, AXIS / max(1 - wide / long, 0.05)
-        if cell.large and not cell.blob.at_edge:
-            pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
-            x, y = match.parted([cell, cell], pair, self._points(cell.blob))[0].tolist()
-            off = MERGED[0] * self._body_um
-        if cell.large or larger < 1 / LARGE**2 or cell.blob.at_edge:
-            deviations = off, off, ODD[1]
-        else:
-            cell.long += SHAPE_SHARE * (long - cell.long)
-            cell.wide += SHAPE_SHARE * (wide - cell.wide)
-        cell.measured = (x, y, axis, *deviations)
-        return cell, (x, y, axis), deviations
-
     def _check(
         self,
-        cell: Track,
+        cell: CellTrack,
         values: tuple[float, ...],
         deviations: tuple[float, ...],
         distance: float,
@@ -288,7 +253,7 @@ class CellTracker:
 
     def _follow_specks(
         self,
-        found: dict[int, Track],
+        found: dict[int, CellTrack],
         owners: dict[int, list[int]],
         blobs: Sequence[Blob],
         places: Floats,
@@ -307,7 +272,7 @@ class CellTracker:
             if j not in found:
                 near = cells[int(gaps.argmin())] if nearest < FROM * self._body_um else None
                 self._last_track += 1
-                self._tracks.append(Track(self._last_track, [entry], near=near))
+                self._tracks.append(CellTrack(self._last_track, [entry], near=near))
                 continue
             speck = found[j]
             hidden = seconds - speck.path[-1][0] > SPECK_S
@@ -316,7 +281,7 @@ class CellTracker:
             if swims(speck.path, needed, self._organism):
                 self._begin(speck)
 
-    def _begin(self, track: Track) -> None:
+    def _begin(self, track: CellTrack) -> None:
         """Start to follow a speck as a cell, since it swims."""
         path, near = np.array(track.path), track.near
         (vx, vy), fitted = straight(path[-BORN:])
@@ -337,10 +302,10 @@ class CellTracker:
         other = path[:-1, 4:6].prod(axis=1) > LARGE * track.long * track.wide
         path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
         certainty = self._names.probability(track)
-        self.born.append(Born(track.identity, track.number, path[:, :4], certainty, divided))
+        self.born.append(Born(track.identity, track.number, path[:, :5], certainty, divided))
         track.near = None
 
-    def _meets(self, cell: Track) -> bool:
+    def _meets(self, cell: CellTrack) -> bool:
         """Return whether an object that is not followed may be about to enter a cell's blob."""
         x, y = self.bank.mean[cell.row, :2].tolist()
         near = any(
@@ -374,7 +339,7 @@ class CellTracker:
                 kept.append(track)
         self._tracks = kept
 
-    def _stays(self, track: Track, seconds: float) -> bool:
+    def _stays(self, track: CellTrack, seconds: float) -> bool:
         """Return whether a tracked object does not swim, so that it is not a cell."""
         if track.begun is None:
             return False
@@ -395,7 +360,7 @@ class CellTracker:
         up = self._height - 0.5 - pixels[:, 1]
         return np.column_stack([pixels[:, 0] + 0.5, up]) * self.um_px
 
-    def _kept(self, cells: Sequence[Track]) -> list[tuple[int, int, int, int]]:
+    def _kept(self, cells: Sequence[CellTrack]) -> list[tuple[int, int, int, int]]:
         """Return rectangles [px] around the cells, in which the background is not updated."""
         rows, found = [cell.filter_row for cell in cells], []
         for cell, (column, row) in zip(
@@ -406,7 +371,7 @@ class CellTracker:
             found.append((left, top, round(column + reach), round(row + reach)))
         return found
 
-    def _shown(self, cells: Sequence[Track]) -> list[SeenCell]:
+    def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         rows = np.array([cell.row for cell in cells], int)
         seen, _ = self.bank.seen(rows)
         means, covariances = self.bank.mean[rows], self.bank.covariance[rows]

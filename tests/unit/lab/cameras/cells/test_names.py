@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tetractl.lab.cameras.cells.cell import Track
+from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.names import ASSERTED, LOST_S, Names
 from tetractl.lab.cameras.cells.questions import Known, Question, orders
@@ -24,7 +24,7 @@ class Dish:
         self.tracks = itertools.count(1)
 
     def track(self, x, y, size=(50.0, 25.0), heading=0.0):
-        track = Track(next(self.tracks), [], self.bank.add(x, y, heading, 400.0))
+        track = CellTrack(next(self.tracks), [], self.bank.add(x, y, heading, 400.0))
         track.identity, (track.long, track.wide) = next(self.numbers), size
         track.last = np.array([x, y])
         return track
@@ -113,14 +113,14 @@ def test_each_meeting_lowers_the_certainty_of_who_is_who():
 
 
 def test_cells_of_other_sizes_are_distinguished_by_them():
-    tracks = Track(1, []), Track(2, [])
+    tracks = CellTrack(1, []), CellTrack(2, [])
     sizes = (60.0, 26.0), (48.0, 29.0)
     cells = tuple(Known(name, None, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
     question = Question(tracks, cells, np.zeros((2, 2), int), np.zeros(2), 0.0)
     assert question.probabilities() == pytest.approx([0.5, 0.5])
     for _ in range(20):
         for track, size in zip(tracks, sizes[::-1], strict=True):
-            question.add(track, np.zeros(2), size)
+            question.add(track, np.zeros(2), size, 1.0)
     assert question.best()[0] == (1, 0)
     assert 0.95 < question.probabilities().max() < 0.9999
     assert not question.ends(0.1)

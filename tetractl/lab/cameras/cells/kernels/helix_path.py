@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY, INLINE_EXACT
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 from tetractl.lab.cameras.cells.kernels.helix_steps import STATES, correct, move, reverse, switch
 
 LOOSE = 5.0, 5.0, 0.3, 120.0, 4.0, 4.0

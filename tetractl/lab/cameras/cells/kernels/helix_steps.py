@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from tetractl.core.kernels.cache import compiled
-from tetractl.core.kernels.options import ENTRY, INLINE_EXACT
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 
 X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY = range(15)
 STATES = 15

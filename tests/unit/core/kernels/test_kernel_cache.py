@@ -8,7 +8,7 @@ import pytest
 from support.durable import small_disk
 from support.paths import ROOT
 
-from tetractl.core.kernels import cache
+from tetractl.core.kernels import kernel_cache as cache
 
 SEARCH = """
 import hashlib, sys
@@ -88,7 +88,7 @@ def test_compiling_and_loading_give_the_same_bits(tmp_path, script, kernels):
 
 SMALL = """
 import sys
-from tetractl.core.kernels.cache import compiled, folder
+from tetractl.core.kernels.kernel_cache import compiled, folder
 
 @compiled(nogil=True)
 def double(x):

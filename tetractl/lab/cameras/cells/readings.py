@@ -1,0 +1,79 @@
+"""What a blob says of the cell, or of the cells, that it shows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.lab.cameras.cells import match
+from tetractl.lab.cameras.cells.cell import CellTrack
+from tetractl.lab.cameras.cells.match import LARGE
+
+POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
+# deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
+# shared blob; and in a shared blob that is only as large as one of its cells
+ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
+OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
+GROWN_S = 1.0  # time for which a cell's blob is too large, after which that is the cell's size
+SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
+PATH = 15  # number of newest blobs of a track that are kept
+
+Reading = tuple[CellTrack, tuple[float, ...], tuple[float, ...]]
+"""A cell's x, y [um] and axis [rad], and their standard deviations."""
+
+
+def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
+    """Add a cell's own blob in `place` (5,), as by `match.places_of`, to its path, and note whether
+    the blob is too large for the cell, or the cell larger than was thought.
+    """
+    x, y, axis, long, wide = place.tolist()
+    cell.path = [*cell.path[1 - PATH :], (seconds, x, y, axis, long, wide)]
+    if long * wide <= LARGE * cell.long * cell.wide:
+        cell.large_s = seconds
+    elif seconds - cell.large_s > GROWN_S:  # nothing else has left the blob: the cell is larger
+        cell.long, cell.wide = np.nanmedian(np.array(cell.path)[:, 4:6], axis=0).tolist()
+    cell.large = long * wide > LARGE * cell.long * cell.wide
+
+
+def own_reading(
+    cell: CellTrack,
+    expected: Floats,
+    place: Floats,
+    points: Floats,
+    um_px: float,
+    body_um: float,
+) -> Reading:
+    """Return what a cell's own blob says, whose pixels are at `points` (M, 2) [um]; update the
+    cell's usual size. A blob that is too large shows something else, too, on the other side of its
+    middle from where the cell is `expected` (3,).
+    """
+    x, y, axis, long, wide = place.tolist()
+    assert cell.blob is not None
+    cut, smaller = cell.blob.at_edge, long * wide < cell.long * cell.wide / LARGE**2
+    off = max(ODD[0] * body_um, OFF_SHARE * (long - cell.long))
+    least = POSITION_UM + POSITION_PX * um_px
+    deviations = least, least, AXIS / max(1 - wide / long, 0.05)
+    if cell.large and not cut:
+        pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
+        x, y = match.parted([cell, cell], pair, points)[0].tolist()
+        off = MERGED[0] * body_um
+    if cell.large or smaller or cut:
+        deviations = off, off, ODD[1]
+    else:
+        cell.long += SHAPE_SHARE * (long - cell.long)
+        cell.wide += SHAPE_SHARE * (wide - cell.wide)
+    cell.measured = (x, y, axis, *deviations)
+    return cell, (x, y, axis), deviations
+
+
+def shared_readings(
+    cells: Sequence[CellTrack], expected: Floats, place: Floats, points: Floats, body_um: float
+) -> list[Reading]:
+    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there."""
+    most = max(cell.long * cell.wide for cell in cells)
+    sd, turn = HIDDEN if place[3] * place[4] < LARGE * most else MERGED
+    middles = match.parted(cells, expected, points).tolist()
+    return [
+        (cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))
+        for cell, axis, (x, y) in zip(cells, expected[:, 2], middles, strict=True)
+    ]

@@ -266,12 +266,11 @@ class _Fit:
         """
         states = self.states
         cos, sin = np.cos(states[:, HEADING]), np.sin(states[:, HEADING])
-        tilt = np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED])
         poses = np.column_stack(
             [
                 states[:, X] - states[:, C] * sin,
                 states[:, Y] + states[:, C] * cos,
-                states[:, HEADING] - states[:, SWAY] * tilt,
+                states[:, HEADING] - _sway(states),
             ]
         )
         shown = np.array([(cell.x, cell.y, cell.axis, *SHARED) for cell in path.seen])
@@ -286,6 +285,11 @@ class _Fit:
             for cell, (x, y, axis, heading), state in zip(path.seen, rows, states, strict=True)
         )
         return replace(path, seen=seen)
+
+
+def _sway(states: Floats) -> Floats:
+    """Return the angle (K,) from the body's axis to the heading in each state (K, n) [rad]."""
+    return states[:, SWAY] * np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED])
 
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
@@ -305,15 +309,9 @@ def _summary(
         states, way = fit.states, float(fit.mean[WAY])
         squares, parts = fit.misfit
         wider = math.sqrt(max(1.0, (USUAL_BLOCKS * usual + squares) / (USUAL_BLOCKS + parts)))
-        mean = way / between
-        half = NORMAL * math.hypot(wider * fit.sd[WAY] / between, SPEED_ERROR * mean)
-        speed, spread = (
-            SampleInterval(mean, mean - half, mean + half),
-            float(states[:, SPEED].std()),
-        )
-        sway = math.sqrt(2) * float(
-            np.std(states[:, SWAY] * np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED]))
-        )
+        speed = _interval(way / between, wider * fit.sd[WAY] / between, SPEED_ERROR)
+        spread = float(states[:, SPEED].std())
+        sway = math.sqrt(2) * float(np.std(_sway(states)))
         hz = float(np.median(states[:, RATE])) / (2 * math.pi)
         radius = float(np.median(np.hypot(states[:, C], states[:, S])))
         if known:

@@ -165,6 +165,14 @@ class HelixFilter:
         helix_steps.seen(self.mean, rows, expected, slopes)
         return expected, slopes
 
+    def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
+        """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and the covariances
+        of its position (M, 2, 2) [um^2].
+        """
+        expected, slopes = self.seen(rows)
+        places = slopes[:, :2]
+        return expected, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
+
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
     ) -> tuple[Floats, Floats]:

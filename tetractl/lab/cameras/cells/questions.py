@@ -159,8 +159,7 @@ def log_densities(
     found = np.full((len(places), len(cells)), unknown)
     known = [n for n, cell in enumerate(cells) if cell.row is not None]
     rows = np.array([cells[n].row for n in known], int)
-    expected, slopes = bank.seen(rows)
-    spread = slopes[:, :2] @ bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
+    expected, spread = bank.expected(rows)
     spread = spread + np.square(sd_um)[:, None, None, None] * np.eye(2)
     off = places[:, None, :2] - expected[None, :, :2]
     squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)

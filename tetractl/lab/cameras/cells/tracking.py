@@ -102,9 +102,9 @@ class CellTracker:
         self._time, (self._height, self._width) = seconds, picture.shape
         self.born, self._names.answers = [], []
         self.bank.predict(pieces)
-        blobs = [] if (found := self.finder.find(picture)) and self.light.lost else found
+        blobs = self.finder.find(picture)
         self._shift(*self.light.shift_px)
-        self._match(blobs, seconds, passed)
+        self._match([] if self.light.lost else blobs, seconds, passed)
         self._give_up(seconds)
         cells = self._cells()
         self.finder.follow(self._kept(cells))
@@ -138,8 +138,7 @@ class CellTracker:
         cells, places = self._cells(), match.places_of(blobs, self.um_px, self._height)
         specks = [track for track in self._tracks if track.row is None]
         rows = np.array([cell.row for cell in cells], int)
-        expected, slopes = self.bank.seen(rows)
-        spread = slopes[:, :2] @ self.bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
+        expected, spread = self.bank.expected(rows)
         squared = match.squared_distances(expected, spread, places)
         own, loose = match.cell_costs(cells, expected, squared, places, self._body_um)
         shared = match.shared_costs(cells, self._pixels(expected), blobs, self.um_px)

@@ -1,6 +1,5 @@
 """The field's direction over time, from a CSV file."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import read_csv
+from tetractl.core.table.table_files import read_numbers
 from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.handedness import EXPLAINED, handedness
 from tetractl.replay.identification.fit import NORMAL
@@ -76,22 +75,11 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     fractions of the reference field, 1 by default. UsageError if a column or a valid value is
     missing.
     """
-    times, x, y = [], [], []
-    for line, row in enumerate(read_csv(path), 2):
-        if TIME not in row or DIRECTION not in row:
-            raise UsageError(f"{path}: has no columns {TIME} and {DIRECTION}")
-        try:
-            time, direction = float(row[TIME]), float(row[DIRECTION])
-            strength = float(row.get(STRENGTH) or 1.0)
-        except ValueError:
-            raise UsageError(f"{path}, line {line}: is not a number") from None
-        if not all(map(math.isfinite, (time, direction, strength))):
-            raise UsageError(f"{path}, line {line}: is not finite")
-        if times and time < times[-1]:
-            raise UsageError(f"{path}, line {line}: the time is earlier than in the line before")
-        times.append(time)
-        x.append(strength * math.cos(direction))
-        y.append(strength * math.sin(direction) * (-1 if upside_down else 1))
-    if not times:
-        raise UsageError(f"{path}: has no rows")
-    return FieldRecord(np.array(times), np.array(x), np.array(y))
+    names, defaults = (TIME, DIRECTION, STRENGTH), {STRENGTH: 1.0}
+    times, direction, strength = read_numbers(path, names, defaults).T
+    (earlier,) = np.nonzero(np.diff(times) < 0)
+    if len(earlier):
+        said = f"{path}, line {earlier[0] + 3}: the time is earlier than in the line before"
+        raise UsageError(said)
+    y = strength * np.sin(direction)
+    return FieldRecord(times, strength * np.cos(direction), -y if upside_down else y)

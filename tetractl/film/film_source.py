@@ -3,11 +3,12 @@
 `nd2` and `pylibCZIrw` are the libraries on which bioio's readers of ND2 and CZI are built.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,22 +16,19 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
 
-PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
 SAMPLED = 25  # number of pictures that give a film's range of grey levels
 SPREAD_LEAST = 32  # least span of a film's grey levels after conversion, of 256
 SPREAD = 200  # span of the grey levels of a film that is stretched
 SHARE = 0.1  # percentage of the darkest and of the brightest pixels that stretching may cut off
 JPEG = b"\xff\xd8\xff"  # first bytes; a bare sequence of JPEG pictures states no rate
 AXES = {"C": "channels", "Z": "slices", "P": "positions", "R": "positions"}
-UM = {"nm": 1e-3, "um": 1, "µm": 1, "μm": 1, "\\u00b5m": 1, "micron": 1, "microns": 1, "mm": 1e3}
+MICRONS = ("um", "µm", "μm", "\\u00b5m", "micron", "microns")
+UNITS = {"nm": 1e-3, "mm": 1e3, "m": 1e6, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0}
+"""Units of lengths in um, of times in s."""
 Raw = np.ndarray | None
-"""A picture (height, width) of any type, or (height, width, 3) with red, green and blue; None if it
-cannot be read.
-"""
-SECONDS = {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3, "s": 1, "sec": 1, "min": 60}
+"""A picture (height, width) of any type, or (height, width, 3) in colour; None if it is damaged."""
 
 
 @dataclass(slots=True)
@@ -49,22 +47,25 @@ class FilmSource:
     times: list[float] | None = None
     remarks: list[str] = field(default_factory=list)
 
-    def pictures(self, most: int | None = None) -> Iterator[Raw]:
-        """Yield the pictures in order, or `most` of them spread evenly over the film."""
-        end = self.count or 0
-        chosen = np.linspace(0, end - 1, min(most or end, end)).astype(int)
-        yield from map(self._picture, chosen.tolist())
-        while self.count is most is None and (picture := self.read(0)) is not None:
+    def pictures(self) -> Iterator[Raw]:
+        """Yield the pictures in order."""
+        for index in itertools.count() if self.count is None else range(self.count):
+            picture = self._picture(index)
+            if picture is self.count is None:
+                return
             yield picture
 
+    def sample(self) -> Iterator[Raw]:
+        """Yield SAMPLED pictures that are spread over the film; none of a film of 8 bits."""
+        end = self.count or 0
+        yield from map(self._picture, range(0, end, max(1, end // SAMPLED)))
+
     def _picture(self, index: int) -> Raw:
-        try:
+        with suppress(Exception):  # the libraries do not document what they raise
             picture = self.read(index)
-            return picture if picture is not None and picture.dtype.kind in "buif" else None
-        except Exception as error:  # the libraries do not document what they raise
-            if index == 0 and isinstance(error, UsageError):
-                raise  # too large; later ones that are, are damaged
-            return None
+            if picture is not None and picture.dtype.kind in "buif":
+                return picture
+        return None
 
     def over_time(self, axes: str, shape: Sequence[int]) -> list[int]:
         """Return the indices of the pictures of a film among planes with these axes and lengths.
@@ -82,23 +83,17 @@ class FilmSource:
     def add_times(self, times: Sequence[float | None]) -> None:
         """Add the times of the pictures [s], if all are known and increase."""
         known = [t for t in times if t is not None]
-        if 1 < len(known) == len(times) and all(a < b for a, b in pairwise(known)):
+        if 1 < len(known) == len(times) and all(a < b for a, b in itertools.pairwise(known)):
             self.times = [t - known[0] for t in known]
 
 
-def scaled(value: Any, unit: Any, units: dict[str, float]) -> float | None:
-    """Return a value of a tag in the base unit, None if it is missing or its unit unknown."""
+def scaled(value: Any, unit: Any) -> float | None:
+    """Return the value of a tag in um or s; None if it is missing, or its unit unknown."""
+    unit = str(unit).lower()
     try:
-        return float(value) * units[str(unit).lower()]
+        return float(value) * (1.0 if unit in MICRONS else UNITS[unit])
     except (TypeError, ValueError, KeyError):
         return None
-
-
-def check_size(name: str, width: int, height: int) -> None:
-    """Raise UsageError if a picture is too large to be decoded."""
-    if width * height > PIXELS_MAX:
-        said = f"{name}: a picture of {width} x {height} px; at most 4096 x 4096 px are read"
-        raise UsageError(said, "crop the film, or bin its pixels")
 
 
 def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
@@ -127,9 +122,7 @@ def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
 def grey_levels(picture: np.ndarray, low: float, step: float) -> Grey:
     """Return a picture with 8 bits; one that has 8 bits already keeps its grey levels."""
     if picture.ndim == 3:
-        colour = np.ascontiguousarray(picture[..., :3])
-        exact = picture.shape[2] > 2 and picture.dtype in (np.uint8, np.uint16, np.float32)
-        picture = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY) if exact else colour[..., 0]
+        picture = picture[..., :3].mean(axis=-1).astype(picture.dtype)
     if picture.dtype == np.uint8:
         return picture
     levels = (picture.astype(np.float32) - low) / step
@@ -139,18 +132,14 @@ def grey_levels(picture: np.ndarray, low: float, step: float) -> Grey:
 def video_film(path: Path) -> FilmSource:
     """Open a film that OpenCV reads, which converts it to 8 bits."""
     capture = cv2.VideoCapture(str(path))
-    sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-    check_size(path.name, *(int(capture.get(side)) for side in sides))
-    if not capture.isOpened() or not capture.grab():
-        hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
-        raise UsageError(f"{path}: OpenCV cannot read this film", hint)
     with path.open("rb") as file:
         own = None if file.read(len(JPEG)) == JPEG else float(capture.get(cv2.CAP_PROP_FPS))
-    capture.open(str(path))  # from the first picture again
 
     def read(_: int) -> Raw:
         found, pixels = capture.read()
-        return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if found and pixels.ndim == 3 else pixels
+        if not found:
+            return None
+        return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
 
     return FilmSource(read, rate_hz=own)
 
@@ -159,7 +148,6 @@ def nd2_film(path: Path) -> FilmSource:
     """Open an ND2 file, whose frames have the times that the microscope noted."""
     file: Any = import_module("nd2").ND2File(path)
     sizes = file.sizes
-    check_size(path.name, sizes["X"], sizes["Y"])
 
     def read(index: int) -> np.ndarray:
         pixels = np.asarray(file.read_frame(chosen[index]))
@@ -182,21 +170,18 @@ def czi_film(path: Path) -> FilmSource:
     from pylibCZIrw.czi import CziReader
 
     file: Any = CziReader(str(path))
-    whole, box = file.total_bounding_rectangle, file.total_bounding_box
-    check_size(path.name, whole.w, whole.h)
+    box = file.total_bounding_box
     begins = {axis: box[axis][0] for axis in "TZC" if axis in box}
     lengths = [box[axis][1] - begin for axis, begin in begins.items()]
 
     def read(index: int) -> np.ndarray:
         at = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
         pixels = file.read(plane={axis: begin + int(at[axis]) for axis, begin in begins.items()})
-        return pixels[..., 0] if pixels.shape[-1] == 1 else pixels[..., ::-1]  # blue comes first
+        return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
 
     xml = ElementTree.fromstring(file.raw_metadata)
     metres = xml.findtext(".//Scaling/Items/Distance[@Id='X']/Value")
-    step_s = scaled(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s", SECONDS)
-    source = FilmSource(
-        read, um_px=scaled(metres, "m", {"m": 1e6}), rate_hz=1 / (step_s or math.inf)
-    )
+    step_s = scaled(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s")
+    source = FilmSource(read, um_px=scaled(metres, "m"), rate_hz=1 / (step_s or math.inf))
     chosen = source.over_time("".join(begins), lengths)
     return source

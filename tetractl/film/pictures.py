@@ -1,12 +1,13 @@
 """The pictures of a film in order, as grey levels; a process of their own, `decode`, reads them."""
 
+import itertools
 import json
 import math
 import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -14,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any
 from weakref import finalize
 
 from tetractl.core.errors import AbortError, UsageError
-from tetractl.core.table.table_files import read_csv
+from tetractl.core.table.table_files import read_numbers
 
 if TYPE_CHECKING:
     from tetractl.core.poses import Grey
@@ -25,6 +26,7 @@ DIFFERENT = 0.01  # relative difference of a given value from the film's own tha
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
 TIMES_FILE, TIME = "times.csv", "time_s"
+END = object()  # of the pictures
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -32,57 +34,62 @@ class FilmPictures:
     """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
     or the film's own; so is the scale `um_px`, None if it is unknown.
 
-    `times` are the pictures' times [s], None if they follow from the rate. The grey levels are
-    (value - low) / step with `levels`. `remarks` are lines on the film's tags. `damaged` is the
-    number of pictures in the last iteration that could not be read, or differed in size from the
-    first one read.
+    `times` are the pictures' times [s], None if they follow from the rate. `remarks` are lines on
+    the film's tags. `damaged` is the number of pictures so far that could not be read, or differed
+    in size from the first one read.
     """
 
     path: Path
     rate_hz: float
-    um_px: float | None = None
-    times: Sequence[float] | None = None
-    levels: tuple[float, float] = (0.0, 1.0)
-    remarks: list[str] = field(default_factory=list)
+    um_px: float | None
+    times: Sequence[float] | None
+    remarks: list[str]
+    _stream: Iterator[Any]  # pictures that are not decoded yet
     damaged: int = 0
-    _kept: tuple[int, list[int], tuple[int, int]] | None = None  # file, numbers and shape
+    _next: int = 0  # number of the picture that the stream gives next
+    _file: IO[bytes] = field(default_factory=lambda: TemporaryFile(buffering=0))  # noqa: SIM115
+    _kept: list[int] = field(default_factory=list)  # places of pictures in the file; -1: damaged
+    _shape: tuple[int, ...] = (0, 0)
 
-    def __iter__(self) -> Iterator[tuple[int, "Grey"]]:
+    def __post_init__(self) -> None:
+        finalize(self, self._file.close)
+
+    def __iter__(self) -> "Iterator[tuple[int, Grey]]":
         """Yield number and grey levels (height, width) of each picture that can be read.
 
-        A film is decoded once: its pictures are kept in a file, unless they exceed KEPT_MAX.
+        A film is decoded once: its pictures are kept in a file, except those beyond KEPT_MAX.
         """
         import numpy as np
 
-        if self._kept is not None:
-            file, numbers, shape = self._kept
-            size = shape[0] * shape[1]
-            for k, number in enumerate(numbers):
-                pixels = os.pread(file, size, k * size)
-                yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
-            return
-        self.damaged, shape, number, numbers, room = 0, None, 0, list[int](), KEPT_MAX
-        with (
-            _decoder(self.path, *self.levels) as (_, stream),
-            TemporaryFile(buffering=0) as kept,
-        ):
-            while head := stream.read(8):
-                sides = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
-                pixels = stream.read(sides[0] * sides[1])
-                if not sides[0] or sides != (shape or sides) or len(pixels) < sides[0] * sides[1]:
-                    self.damaged += 1
-                else:
-                    shape, room = sides, room - len(pixels)
-                    numbers.append(number)
-                    if room >= 0:
-                        with suppress(OSError):  # the disk may be full
-                            kept.write(pixels)
-                    yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
-                number += 1
-            size = os.fstat(kept.fileno()).st_size
-            if shape is not None and size == len(numbers) * shape[0] * shape[1]:
-                self._kept = os.dup(kept.fileno()), numbers, shape
-                finalize(self, os.close, self._kept[0])
+        for number in itertools.count():
+            if number < len(self._kept):
+                if self._kept[number] >= 0:
+                    size = math.prod(self._shape)
+                    pixels = os.pread(self._file.fileno(), size, self._kept[number])
+                    yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
+                continue
+            if number < self._next:
+                self._stream = itertools.islice(_decoded(self.path), number + 1, None)
+                self.damaged = self._kept.count(-1)
+            self._next = number + 1
+            picture = next(self._stream, END)
+            if picture is END:
+                return
+            if number == len(self._kept):
+                self._keep(picture)
+            if picture is None:
+                self.damaged += 1
+            else:
+                self._shape = picture.shape
+                yield number, picture
+
+    def _keep(self, picture: "Grey | None") -> None:
+        """Keep the next picture in the file, if there is room."""
+        place = -1 if picture is None else self._file.tell()
+        if picture is None or place + picture.size <= KEPT_MAX:
+            with suppress(OSError):  # the disk may be full
+                if picture is None or self._file.write(picture.data) == picture.size:
+                    self._kept.append(place)
 
     def seconds(self, number: int) -> float:
         """Return the time of a picture [s]."""
@@ -95,12 +102,11 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
     UsageError if there are no pictures, or no rate.
     """
     opencv()
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or folder")
     if not path.is_dir() and not path.is_file():
-        raise UsageError(f"{path}: is not a regular file")
-    with _decoder(path) as (own, _):
-        pass
+        said = "is not a regular file" if path.exists() else "no such file or folder"
+        raise UsageError(f"{path}: {said}")
+    stream = _decoded(path)
+    own = next(stream)
     times, remarks = own["times"], own["remarks"]
     if (path / TIMES_FILE).exists():
         times = _times(path / TIMES_FILE, own["count"])
@@ -110,10 +116,10 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
     if rate is None:
         hint = "give --rate HZ" + f", or {TIMES_FILE} in the folder" * path.is_dir()
         raise UsageError(f"{path}: states no rate", hint)
-    times = None if rate_hz is not None else times
-    if times is not None and all(abs(t * rate - k) < EVEN for k, t in enumerate(times)):
-        times = None
-    return FilmPictures(path, rate, scale, times, own["levels"], remarks)
+    uneven = times is not None and any(abs(t * rate - k) >= EVEN for k, t in enumerate(times))
+    return FilmPictures(
+        path, rate, scale, times if uneven and not rate_hz else None, remarks, stream
+    )
 
 
 def opencv():
@@ -130,35 +136,45 @@ def opencv():
     return cv2
 
 
-@contextmanager
-def _decoder(path: Path, *levels: float) -> Iterator[tuple[dict[str, Any], IO[bytes]]]:
-    """Start a process that decodes a film; yield what the film states, and the stream of its
-    pictures. TetractlError if the film cannot be decoded.
+def _decoded(path: Path) -> Iterator[Any]:
+    """Decode a film in another process: yield what it states, then its pictures (height, width), or
+    None for one that is damaged or not as large as the first. TetractlError if it is no film.
     """
+    import numpy as np
+
     process = subprocess.Popen(
         # without -P, a file such as cv2.py in the present folder would be run
-        [sys.executable, "-P", "-m", "tetractl.film.decode", str(path), *map(repr, levels)],
+        [sys.executable, "-P", "-m", "tetractl.film.decode", str(path)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # each thread would take memory
     )
     died = UsageError(f"{path}: cannot be decoded in 20 s and 320 MB", "is the film damaged?")
-    assert process.stdout is not None
+    stream, shape = process.stdout, None
+    assert stream is not None
     try:
-        said = json.loads(process.stdout.readline() or "null")
+        said = json.loads(stream.readline() or "null")
         if said is None:
             raise died
         if "error" in said:
             kind = UsageError if said["exit"] == UsageError.exit else AbortError
             raise kind(said["error"], said["hint"])
-        yield said, process.stdout
+        yield said
+        while head := stream.read(8):
+            sides = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
+            pixels = stream.read(sides[0] * sides[1])
+            if sides == (shape or sides) and 0 < len(pixels) == sides[0] * sides[1]:
+                shape = sides
+                yield np.frombuffer(pixels, np.uint8).reshape(shape)
+            else:
+                yield None
         if process.wait():
             raise died
     finally:
         process.kill()
         process.wait()
-        process.stdout.close()
+        stream.close()
 
 
 def _preferred(
@@ -174,14 +190,10 @@ def _preferred(
 
 def _times(path: Path, count: int) -> list[float]:
     """Return the times of a folder's pictures [s] from its file of times."""
-    times = [-math.inf]
-    for line, row in enumerate(read_csv(path), 2):
-        try:
-            times.append(float(row[TIME]))
-        except (KeyError, ValueError):
-            raise UsageError(f"{path}, line {line}: has no number in column {TIME}") from None
-        if not times[-2] < times[-1] < math.inf:
+    times = read_numbers(path, (TIME,), {})[:, 0].tolist()
+    for line, (before, after) in enumerate(itertools.pairwise(times), 3):
+        if after <= before:
             raise UsageError(f"{path}, line {line}: the time is not after that before")
-    if len(times) - 1 != count or count < 2:
-        raise UsageError(f"{path}: has {len(times) - 1} times for {count} pictures")
-    return times[1:]
+    if len(times) != count or count < 2:
+        raise UsageError(f"{path}: has {len(times)} times for {count} pictures")
+    return times

@@ -11,11 +11,10 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-from PIL import Image
-from tifffile import TiffFile
+from tifffile import TiffFile, memmap
 
 from tetractl.core.errors import UsageError
-from tetractl.film.film_source import SECONDS, UM, FilmSource, Raw, check_size, scaled
+from tetractl.film.film_source import FilmSource, Raw, scaled
 
 TIFF = frozenset({".tif", ".tiff"})
 PICTURES = TIFF | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
@@ -28,16 +27,14 @@ def tiff_film(path: Path) -> FilmSource:
     """Open a TIFF file, and those that its tags name, as a film."""
     tif = TiffFile(path)
     series: Any = tif.series[0]
-    page, inside = series.keyframe, len(series.keyframe.shape)
+    inside = len(series.keyframe.shape)
+    planes: Any = series
+    if series.is_truncated:  # ImageJ above 4 GB describes the first page only
+        planes = memmap(path, mode="r").reshape(-1, *series.keyframe.shape)
 
     def read(index: int) -> Raw:
-        if series.is_truncated:  # ImageJ above 4 GB describes the first page only
-            check_size(path.name, page.imagewidth, page.imagelength)
-            shape = (math.prod(series.shape[:-inside]), *page.shape)
-            kind = tif.byteorder + page.dtype.char
-            stack = tif.filehandle.memmap_array(kind, shape, series.dataoffset)
-            return np.array(stack[chosen[index]])
-        return None if _absent(series[chosen[index]]) else _pixels(series[chosen[index]])
+        plane = planes[chosen[index]]
+        return np.array(plane) if series.is_truncated else _pixels(plane)
 
     source = FilmSource(read)
     chosen = source.over_time(series.axes[:-inside], series.shape[:-inside])
@@ -72,8 +69,6 @@ def folder_film(folder: Path) -> FilmSource:
         if path.suffix.lower() in TIFF:
             with TiffFile(path) as tif:
                 return _pixels(tif.pages[page])
-        with Image.open(path) as header:  # reads no pixels yet
-            check_size(path.name, *header.size)
         return cv2.imread(str(path), ANY_GREY)
 
     source.count = len(pages)
@@ -94,15 +89,16 @@ def _names(folder: Path) -> list[Path]:
     raise UsageError(f"{folder}: contains no pictures", hint)
 
 
-def _pixels(page: Any) -> np.ndarray:
+def _pixels(page: Any) -> Raw:
     """Return the pixels of a page (height, width), or (height, width, samples) in colour."""
-    path, key = page.parent.filehandle.path, page.keyframe
-    check_size(Path(path).name, key.imagewidth, key.imagelength)
+    if _absent(page):
+        return None
     try:
         pixels = page.asarray()
     except ValueError:  # LZW and JPEG need another package, but OpenCV reads them
+        path = page.parent.filehandle.path
         return cv2.imreadmulti(path, page.index, 1, flags=ANY_GREY)[1][0]
-    return np.moveaxis(pixels, 0, -1) if key.axes == "SYX" else pixels
+    return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
 
 
 def _absent(page: Any) -> bool:
@@ -118,25 +114,25 @@ def _add_tags(tif: TiffFile, series: Any, source: FilmSource) -> None:
     pages = list(_page_metadata(series)) if tif.is_micromanager else []
     per_unit, of = series.keyframe.tags["XResolution"].value if "unit" in imagej else (0, 1)
     source.um_px = (
-        scaled(ome.get("PhysicalSizeX"), ome.get("PhysicalSizeXUnit", "um"), UM)
-        or scaled((pages or [{}])[0].get("PixelSizeUm"), "um", UM)
-        or scaled(summary.get("PixelSize_um"), "um", UM)
-        or scaled(of / per_unit if per_unit else None, imagej.get("unit"), UM)
+        scaled(ome.get("PhysicalSizeX"), ome.get("PhysicalSizeXUnit", "um"))
+        or scaled((pages or [{}])[0].get("PixelSizeUm"), "um")
+        or scaled(summary.get("PixelSize_um"), "um")
+        or scaled(of / per_unit if per_unit else None, imagej.get("unit"))
     )
     interval_s = (
-        scaled(ome.get("TimeIncrement"), ome.get("TimeIncrementUnit", "s"), SECONDS)
-        or scaled(summary.get("Interval_ms"), "ms", SECONDS)
-        or scaled(imagej.get("finterval"), imagej.get("tunit", "s"), SECONDS)
+        scaled(ome.get("TimeIncrement"), ome.get("TimeIncrementUnit", "s"))
+        or scaled(summary.get("Interval_ms"), "ms")
+        or scaled(imagej.get("finterval"), imagej.get("tunit", "s"))
     )
     source.rate_hz = 1 / (interval_s or math.inf)
     times: dict[int, float | None] = {}
     for page in pages:
-        at = scaled(page.get("ElapsedTime-ms"), "ms", SECONDS)
+        at = scaled(page.get("ElapsedTime-ms"), "ms")
         times.setdefault(int(page.get("FrameIndex", len(times))), at)
     along = "T" if ome.get("SizeT") != "1" else max("ZC", key=lambda a: int(ome.get(f"Size{a}", 0)))
     for plane in () if xml is None else xml.iterfind("{*}Plane"):
         if all(plane.get(f"The{axis}", "0") == "0" for axis in "TZC" if axis != along):
-            at = scaled(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"), SECONDS)
+            at = scaled(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"))
             times[int(plane.get(f"The{along}", 0))] = at
     source.add_times([times.get(i) for i in range(source.count or 0)])
 

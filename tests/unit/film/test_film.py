@@ -137,9 +137,9 @@ def test_the_field_is_that_of_the_last_row_before(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("a,b\n1,2\n", "has no columns time_s and direction_rad"),
-        ("time_s,direction_rad\n1,north\n", "line 2: is not a number"),
-        ("time_s,direction_rad\n1,nan\n", "line 2: is not finite"),
+        ("a,b\n1,2\n", "line 2: has no finite number in column time_s"),
+        ("time_s,direction_rad\n1,north\n", "line 2: has no finite number in column direction_rad"),
+        ("time_s,direction_rad\n1,nan\n", "line 2: has no finite number in column direction_rad"),
         ("time_s,direction_rad\n2,0\n1,0\n", "line 3: the time is earlier"),
         ("time_s,direction_rad\n", "has no rows"),
     ],

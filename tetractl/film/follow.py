@@ -93,7 +93,7 @@ def follow(
         raise TetractlError(f"{film.path}: no picture of the film can be read")
     seen_as = recognised(film, sample, um_px, organism)
     tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism, splits=True)
-    tracker.learn(sample)
+    tracker.take(seen_as.finder)
     pieces = no_field if field is None else field.pieces
     shown: list[dict[int, SeenCell]] = []  # the cells of each picture, by track
     frames: list[int] = []

@@ -26,7 +26,7 @@ DIFFERENT = 0.01  # relative difference of a given value from the film's own tha
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
 TIMES_FILE, TIME = "times.csv", "time_s"
-END = object()  # of the pictures
+END: Any = object()  # of the pictures
 
 
 @dataclass(slots=True, weakref_slot=True)

@@ -79,6 +79,11 @@ class CellTracker:
         """Compute the background from pictures taken over a second or more."""
         self.finder.learn(pictures)
 
+    def take(self, finder: BlobFinder) -> None:
+        """Go on with a finder that has learned the background."""
+        finder.least_px2, finder.most_px2 = self.finder.least_px2, self.finder.most_px2
+        self.finder = finder
+
     @property
     def light(self) -> Light:
         """Light and noise of the newest picture."""

@@ -1,61 +1,184 @@
 """Films made to hang, crash or fill memory, each followed by `tetractl track`.
 
-The films of tests/support/hostile_films.py, made by hand, come first, then good films with some
-bytes changed. Prints what came of them, and the peak memory.
+The films of tests/support/hostile_films.py, made by hand, come first; then, without end, good films
+with some bytes changed, with odd shapes and values, and with wrong fields, times and options. The
+latter run the command in one process, which decodes them, too; a film that ends this process is
+tried again by itself. Prints what came of them, and the peak memory.
 """
 
 import argparse
+import faulthandler
+import io
+import multiprocessing
 import random
 import resource
+import signal
+import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
+from shutil import rmtree
+from typing import Any
+from unittest import mock
+
+import numpy as np
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support.film_containers import CONTAINERS, imagej, ome  # noqa: E402
-from support.hostile_films import BOMBS, outcome, small  # noqa: E402
+from support.film_containers import CONTAINERS, folder, imagej, ome, stack  # noqa: E402
+from support.hostile import bytes_like  # noqa: E402
+from support.hostile_films import BOMBS, SECONDS_MAX, outcome, small  # noqa: E402
+from support.needs_opencv import cv2, video  # noqa: E402
 
-MEGABYTES_MAX = 500.0
+from tetractl.film import decode  # noqa: E402
+
+MEGABYTES_MAX = 500  # beyond those of the libraries
+DRAWN = 300  # one film in so many is followed with -o, which takes seconds
+FIELD = b"time_s,direction_rad,strength\n" + b"".join(b"%.1f,%d,1\n" % (k / 5, k) for k in range(9))
+SIDES = (1, 2, 3, 7, 16, 17, 64, 250)
+OPTIONS = {
+    "--scale": ("2.3", "8", "0.05", "100", "nan", "1e-300", "-1", "7.7"),
+    "--rate": ("30", "0.1", "2000", "inf", "0", "15"),
+    "--organism": ("tetrahymena", "paramecium", "euglena", "yeti"),
+}
+Files = dict[str, bytes]
 
 
-def films(where: Path, rng: random.Random) -> Iterator[tuple[str, Path]]:
-    """Write each film made by hand, then mutants without end."""
-    for k, (name, make) in enumerate(BOMBS.items()):
-        path = where / f"bomb-{k}"
-        make(path)
-        yield name, path
-    yield from mutants(where, rng)
+def swimming() -> np.ndarray:
+    """Some pictures of three bodies that swim straight, with noise."""
+    rng = np.random.default_rng(5)
+    film = rng.normal(150, 3, (40, 160, 200)).clip(0, 255).astype(np.uint8)
+    for k, picture in enumerate(film):
+        for i in range(3):
+            middle = (30 + 4 * k, 40 + 40 * i)
+            cv2.ellipse(picture, middle, (11, 5), 0, 0, 360, 60 + 10 * i, -1, cv2.LINE_AA)
+    return film
 
 
-def mutants(where: Path, rng: random.Random) -> Iterator[tuple[str, Path]]:
-    """Write good films with some bytes changed, without end."""
-    makers = {name: entry[0] for name, entry in CONTAINERS.items()} | {"imagej": imagej, "ome": ome}
-    for k in range(sys.maxsize):
-        name = rng.choice(sorted(makers))
-        path = makers[name](where / f"mutant-{k} {name}", small())
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
-        for file in rng.sample(files, rng.randint(1, len(files))):
-            data = bytearray(file.read_bytes())
-            tail = len(data) if rng.random() < 0.5 else min(len(data), 2000)
-            for _ in range(rng.choice([1, 1, 2, 4, 16, 64])):
-                # the tags are at the end or at the beginning of most files
-                at = (
-                    rng.randrange(tail)
-                    if rng.random() < 0.5
-                    else len(data) - 1 - rng.randrange(tail)
-                )
-                new = rng.choice(
-                    [rng.randbytes(1), b"\xff\xff\xff\xff", bytes(4), rng.randbytes(4)]
-                )
-                data[at : at + len(new)] = new
-            if rng.random() < 0.15:
-                del data[rng.randrange(len(data)) :]
-            file.write_bytes(data)
-        yield f"mutant {name}", path
+def seeds(where: Path) -> dict[str, Files]:
+    """Return good films: the bytes of their files by name; "" is the name of a film in one file."""
+    makers: dict[str, Any] = {name: entry[0] for name, entry in CONTAINERS.items()}
+    makers |= {"imagej": imagej, "ome": ome}
+    makers |= {
+        f"{code}{end}": lambda path, pictures, code=code: video(path, pictures, 30.0, code)
+        for code, end in (("MJPG", ".avi"), ("mp4v", ".mp4"))
+    }
+    made = {}
+    for film in (small(), swimming()):
+        for name, make in makers.items():
+            path = make(where / f"{len(made)} {name}", film)
+            parts = sorted(path.iterdir()) if path.is_dir() else [path]
+            made[path.name] = {
+                part.name if path.is_dir() else "": part.read_bytes() for part in parts
+            }
+    return made
+
+
+def mutant(files: Files, rng: random.Random) -> Files:
+    """Return a film with some bytes changed in some of its files."""
+    changed = dict(files)
+    for name in rng.sample(sorted(files), rng.randint(1, min(4, len(files)))):
+        data = bytearray(files[name])
+        tail = len(data) if rng.random() < 0.5 else min(len(data), 2000)
+        for _ in range(rng.choice([1, 1, 2, 4, 16, 64])):
+            # the tags are at the end or at the beginning of most files
+            at = rng.randrange(tail) if rng.random() < 0.5 else len(data) - 1 - rng.randrange(tail)
+            new = rng.choice([rng.randbytes(1), b"\xff\xff\xff\xff", bytes(4), rng.randbytes(4)])
+            data[at : at + len(new)] = new
+        if rng.random() < 0.15:
+            del data[rng.randrange(len(data)) :]
+        changed[name] = bytes(data)
+    return changed
+
+
+def odd(path: Path, rng: random.Random) -> None:
+    """Write a film of an odd shape, type and range of values."""
+    shape = rng.choice((1, 2, 5, 20)), rng.choice(SIDES), rng.choice(SIDES)
+    kind = rng.choice(("u1", "u2", "i2", "i4", "f4", "f8"))
+    noise = np.random.default_rng(rng.randrange(2**32)).normal(size=shape)
+    if rng.random() < 0.3:
+        noise = swimming()[: shape[0]] / 25.0
+    pictures = (noise * rng.choice((0, 1, 50, 1e4, 1e30)) + rng.choice((0, 100, -5))).astype("f8")
+    if kind[0] == "f":
+        pictures.flat[:: rng.choice((1, 2, 97))] = rng.choice((np.nan, np.inf, -np.inf, 0.0))
+    else:
+        limits = np.iinfo(kind)
+        pictures = np.clip(pictures, limits.min, limits.max)
+    with np.errstate(over="ignore"):
+        pictures = pictures.astype(kind)
+    if kind in ("u1", "u2") and rng.random() < 0.5:
+        folder(path, pictures, rng.choice(("png", "pgm", "bmp", "tif")))
+    else:
+        stack(path, pictures, compression=rng.choice((None, "zlib")))
+
+
+def written(path: Path, made: dict[str, Files], rng: random.Random) -> tuple[str, list[str]]:
+    """Write a hostile film and its field; return what it is, and options of `track`."""
+    name = rng.choice([*made, "odd", "noise"])
+    if name == "odd":
+        odd(path, rng)
+    elif name == "noise":
+        path.write_bytes(rng.choice((b"", b"II*\0", b"RIFF", b"\xff\xd8\xff")) + rng.randbytes(999))
+    else:
+        files = made[name] if rng.random() < 0.1 else mutant(made[name], rng)
+        if "" not in files:
+            path.mkdir()
+        for part, data in files.items():
+            (path / part if part else path).write_bytes(data)
+        if path.is_dir() and rng.random() < 0.2:
+            times = "".join(f"{k / 9}\n" for k in range(len(files))).encode()
+            (path / "times.csv").write_bytes(bytes_like(b"time_s\n" + times, rng))
+    words = []
+    for option, (usual, *others) in OPTIONS.items():
+        if rng.random() < 0.8:
+            words += [option, usual if rng.random() < 0.8 else rng.choice(others)]
+    if rng.random() < 0.5:
+        (path.parent / "field.csv").write_bytes(
+            FIELD if rng.random() < 0.5 else bytes_like(FIELD, rng)
+        )
+        words += ["--field", "field.csv"]
+    words += [] if rng.randrange(DRAWN) else ["-o", "results"]
+    return name, words
+
+
+class InProcess:
+    """Stands for the process that decodes a film: decodes it in this one."""
+
+    def __init__(self, words: list[str], **_: object) -> None:
+        self.stdout = io.BytesIO()
+        try:
+            with mock.patch.object(faulthandler, "dump_traceback_later"):  # the alarm stands for it
+                decode.main(Path(words[-1]), self.stdout)
+            self.code = 0
+        except Exception:
+            self.code = 1
+        self.stdout.seek(0)
+
+    def wait(self) -> int:
+        return self.code
+
+    def kill(self) -> None:
+        pass
+
+
+def follow_many(first: int, count: int, seed: int, where: Path, out: Connection) -> None:
+    """Follow hostile films by their numbers; send each one's name, end, messages and time [s]."""
+    made = seeds(where)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    data = int(Path("/proc/self/status").read_text().partition("VmData:")[2].split()[0]) * 1024
+    resource.setrlimit(resource.RLIMIT_DATA, (data + MEGABYTES_MAX * 10**6,) * 2)
+    with mock.patch.object(subprocess, "Popen", InProcess):
+        for k in range(first, count):
+            signal.alarm(int(SECONDS_MAX))
+            here = where / f"film-{k}"
+            here.mkdir()
+            name, words = written(here / "film", made, random.Random(f"{seed} {k}"))
+            out.send((name, *outcome(here, here / "film", *words)))
+            rmtree(here)
+    signal.alarm(0)
 
 
 def peak_mb() -> float:
@@ -70,22 +193,50 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    tally, slowest, failed = Counter(), (0.0, ""), 0
+    tally, slowest, failed, ended = Counter(), (0.0, ""), 0, 0
+
+    def note(kind: str, how: str, said: str, seconds: float) -> None:
+        nonlocal slowest, failed
+        tally[how] += 1
+        slowest = max(slowest, (seconds, kind))
+        if not how.startswith("ended"):
+            failed += 1
+            print(f"{kind}: {how}\n{said}\n", flush=True)
+
     with tempfile.TemporaryDirectory() as name:
         where = Path(name)
-        more = films(where, random.Random(given.seed))
-        for _ in range(given.count):
-            kind, path = next(more)
-            how, said, seconds = outcome(where, path)
-            tally[how] += 1
-            slowest = max(slowest, (seconds, kind))
-            if peak_mb() > MEGABYTES_MAX or not how.startswith("ended"):
-                failed += 1
-                print(f"{path.name} ({kind}): {how}, {peak_mb():.0f} MB\n{said}\n", flush=True)
+        for k, (kind, make) in enumerate(list(BOMBS.items())[: given.count]):
+            make(where / f"bomb-{k}")
+            note(kind, *outcome(where, where / f"bomb-{k}"))
+        of_bombs, done = peak_mb(), min(len(BOMBS), given.count)
+        while done < given.count:
+            ours, theirs = multiprocessing.Pipe(duplex=False)
+            scratch = Path(tempfile.mkdtemp(dir=where))
+            words = (done, given.count, given.seed, scratch, theirs)
+            process = multiprocessing.get_context("fork").Process(target=follow_many, args=words)
+            process.start()
+            theirs.close()
+            try:
+                while True:
+                    kind, *how = ours.recv()
+                    note(f"film {done} ({kind})", *how)
+                    done += 1
+            except EOFError:
+                process.join()
+            if done < given.count:  # this film ended the process
+                ended += 1
+                path = where / f"again-{done}" / "film"
+                path.parent.mkdir()
+                rng, made = random.Random(f"{given.seed} {done}"), seeds(scratch / "again")
+                kind, words = written(path, made, rng)
+                note(f"film {done} ({kind})", *outcome(path.parent, path, *words))
+                done += 1
+            rmtree(scratch)
     ends = ", ".join(f"{how}: {number}" for how, number in sorted(tally.items()))
     print(
-        f"{sum(tally.values())} hostile films, seed {given.seed}: {ends}; slowest "
-        f"{slowest[0]:.1f} s ({slowest[1]}); peak memory {peak_mb():.0f} MB"
+        f"{sum(tally.values())} hostile films, seed {given.seed}: {ends}; {ended} of them ended "
+        f"the process that read them; slowest {slowest[0]:.1f} s ({slowest[1]}); peak memory "
+        f"{of_bombs:.0f} MB for films made by hand, {peak_mb():.0f} MB for all"
     )
     return int(failed > 0)
 

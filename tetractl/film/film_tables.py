@@ -18,15 +18,17 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     found = [
         f"{followed.pictures} pictures of {width} x {height} px at {followed.rate_hz:g} Hz, "
         f"{followed.um_px:.3g} um/px; cells {look}, contrast {followed.contrast:.0f} grey levels, "
-        f"noise {followed.noise:.1f}"
+        f"noise {followed.noise:.1f}",
+        *followed.remarks,
     ]
-    found += followed.remarks
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")
-    for pair, probability in followed.doubtful:
-        names = ", ".join(map(str, pair))
+    for names, probability in followed.doubtful:
+        who = f"cells {', '.join(map(str, names))} met"
+        if len(names) == 1:
+            who = f"cell {names[0]} met others"
         found.append(
-            f"warning: cells {names} met and are too similar to be distinguished afterwards: "
+            f"warning: {who} and are too similar to be distinguished afterwards: "
             f"the assignment chosen has a probability of {100 * probability:.0f} %"
         )
     if any(cell.speed is None for cell in cells):
@@ -45,7 +47,6 @@ def as_items(
 
     `field` lists x and y of the field from each of its times [s] on, None without a field.
     """
-    width, height = followed.size
     record = {
         "film": film,
         "pictures": followed.pictures,
@@ -54,20 +55,17 @@ def as_items(
         "um_per_px": followed.um_px,
         "scale_guessed": followed.guessed_scale,
         "organism": followed.organism.name,
-        "width": width,
-        "height": height,
+        "width": followed.size[0],
+        "height": followed.size[1],
         "bright": followed.bright,
         "contrast": followed.contrast,
         "noise": followed.noise,
         "cells": [_cell(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
         "indistinguishable": [
-            {"cells": list(pair), "probability": probability}
-            for pair, probability in followed.doubtful
+            {"cells": names, "probability": probability} for names, probability in followed.doubtful
         ],
         "notes": notes(followed, cells),
-        "field": None
-        if field is None
-        else {"time_s": field.times.tolist(), "x": field.x.tolist(), "y": field.y.tolist()},
+        "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
     }
     return plain(record)
 
@@ -76,7 +74,7 @@ def _cell(cell: CellSummary, path: CellPath) -> dict:
     """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`."""
 
     def value(found: SampleInterval | None) -> dict | None:
-        return None if found is None else {"value": found.value, "ci95": [found.low, found.high]}
+        return found and {"value": found.value, "ci95": [found.low, found.high]}
 
     return {
         "cell": cell.cell,
@@ -84,6 +82,7 @@ def _cell(cell: CellSummary, path: CellPath) -> dict:
         "duration_s": cell.seconds,
         "pictures": cell.pictures,
         "speed_um_s": value(cell.speed),
+        "speed_sd_um_s": cell.spread,
         **velocities(path.times, path.places, cell.helix_hz),
         "path_um": cell.path_um,
         "sway_rad": cell.sway_rad,
@@ -114,6 +113,7 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
     pictures, numbers = [row[0] for row in rows], [row[1] for row in rows]
     cells = [row[3] for row in rows]
     pixels = [pixel(cell.x, cell.y, followed.um_px, followed.size[1]) for cell in cells]
+    y, x = [row for _, row in pixels], [column for column, _ in pixels]
     poses = (
         Column("time", [row[2] for row in rows], "s"),
         Column("picture", pictures),
@@ -126,15 +126,9 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
         Column("found", [cell.found for cell in cells]),
         Column("merged", [cell.merged for cell in cells]),
     )
-    tracks = (
-        Column("id", numbers),
-        Column("t", pictures),
-        Column("y", [y for _, y in pixels]),
-        Column("x", [x for x, _ in pixels]),
-        Column("frame", pictures),
-        Column("particle", numbers),
-    )
-    return Table("Poses", poses), Table("Tracks", tracks)
+    names = ("id", "t", "y", "x", "frame", "particle")
+    values = (numbers, pictures, y, x, pictures, numbers)
+    return Table("Poses", poses), Table("Tracks", tuple(map(Column, names, values)))
 
 
 def pixel(x: float, y: float, um_px: float, height: int) -> tuple[float, float]:

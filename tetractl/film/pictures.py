@@ -11,14 +11,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 from weakref import finalize
 
-from tetractl.core.errors import AbortError, UsageError
-from tetractl.core.table.table_files import read_numbers
+import numpy as np
 
-if TYPE_CHECKING:
-    from tetractl.core.poses import Grey
+from tetractl.core.errors import AbortError, UsageError
+from tetractl.core.poses import Grey
+from tetractl.core.table.table_files import read_numbers
 
 RATES_HZ = (0.1, 2000.0)
 SCALES_UM = (0.05, 100.0)
@@ -54,13 +54,11 @@ class FilmPictures:
     def __post_init__(self) -> None:
         finalize(self, self._file.close)
 
-    def __iter__(self) -> "Iterator[tuple[int, Grey]]":
+    def __iter__(self) -> Iterator[tuple[int, Grey]]:
         """Yield number and grey levels (height, width) of each picture that can be read.
 
         A film is decoded once: its pictures are kept in a file, except those beyond KEPT_MAX.
         """
-        import numpy as np
-
         for number in itertools.count():
             if number < len(self._kept):
                 if self._kept[number] >= 0:
@@ -83,7 +81,7 @@ class FilmPictures:
                 self._shape = picture.shape
                 yield number, picture
 
-    def _keep(self, picture: "Grey | None") -> None:
+    def _keep(self, picture: Grey | None) -> None:
         """Keep the next picture in the file, if there is room."""
         place = -1 if picture is None else self._file.tell()
         if picture is None or place + picture.size <= KEPT_MAX:
@@ -101,7 +99,6 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
 
     UsageError if there are no pictures, or no rate.
     """
-    opencv()
     if not path.is_dir() and not path.is_file():
         said = "is not a regular file" if path.exists() else "no such file or folder"
         raise UsageError(f"{path}: {said}")
@@ -122,26 +119,10 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
     )
 
 
-def opencv():
-    """Import OpenCV, silence its messages, and return it; AbortError if it is not installed."""
-    # FFmpeg's messages are not errors of tetractl
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    try:
-        import cv2
-    except ModuleNotFoundError as error:
-        raise AbortError(
-            "films are read by OpenCV, which is not installed", "pip install 'tetractl[vision]'"
-        ) from error
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    return cv2
-
-
 def _decoded(path: Path) -> Iterator[Any]:
     """Decode a film in another process: yield what it states, then its pictures (height, width), or
     None for one that is damaged or not as large as the first. TetractlError if it is no film.
     """
-    import numpy as np
-
     process = subprocess.Popen(
         # without -P, a file such as cv2.py in the present folder would be run
         [sys.executable, "-P", "-m", "tetractl.film.decode", str(path)],

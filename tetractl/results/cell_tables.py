@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.table.table import NONE, Column, Table, fixed
+from tetractl.log.read.track_log import value_of
 from tetractl.results.estimate import distributions
 
 Record = Mapping[str, Any]
@@ -38,6 +39,7 @@ QUANTITIES = (
     Quantity("duration", "s", "for", 1, averaged=False),
     Quantity("pictures", averaged=False),
     Quantity("speed", "um/s", "speed", interval=True),
+    Quantity("speed_sd", "um/s"),
     Quantity("vcl", "um/s", "VCL"),
     Quantity("vap", "um/s", "VAP"),
     Quantity("vsl", "um/s", "VSL"),
@@ -80,8 +82,8 @@ def _means(cells: list[Record]) -> list[Table]:
     """Return the table of means, none for fewer than two cells."""
     rows = []
     for one in QUANTITIES if len(cells) > 1 else ():
-        entries = (cell.get(one.key) for cell in cells)
-        known = [e["value"] if isinstance(e, Mapping) else e for e in entries if e is not None]
+        entries = (value_of(cell.get(one.key)) for cell in cells)
+        known = [value for value in entries if value is not None]
         if one.averaged and one.heading and known:
             (found,) = distributions(np.array([known], dtype=float))
             show = fixed(one.decimals)
@@ -100,11 +102,8 @@ def cell_data(record: Record) -> Table:
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for one in QUANTITIES:
         entries = [cell.get(one.key) for cell in cells]
-        ends = [each["ci95"] if isinstance(each, Mapping) else None for each in entries]
-        values = [e["value"] if isinstance(e, Mapping) else e for e in entries]
-        columns.append(Column(one.key, values))
-        if one.interval:
-            for k, end in enumerate(("low", "high")):
-                key = Quantity(f"{one.name}_{end}", one.unit).key
-                columns.append(Column(key, [None if e is None else e[k] for e in ends]))
+        columns.append(Column(one.key, list(map(value_of, entries))))
+        for k, end in enumerate(("low", "high") if one.interval else ()):
+            ends = [entry and entry["ci95"][k] for entry in entries]
+            columns.append(Column(Quantity(f"{one.name}_{end}", one.unit).key, ends))
     return Table("Cells", tuple(columns))

@@ -36,9 +36,7 @@ def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, M
     shown: dict[str, Message] = {channels.CROPS: crops}
     for topic, picture in ((channels.PICTURE, film.whole), (channels.BACKGROUND, film.background)):
         if picture is not None:
-            data = _jpeg(picture)
-            image = CompressedImage(timestamp=time, frame_id=LENS, data=data, format="jpeg")
-            shown[topic] = image
+            shown[topic] = jpeg_image(picture, start_ns + seen.sampled_ns)
     low, high, least, most = film.limits
     x, y, axis, long, wide, strength = film.blobs.reshape(-1, 6).T.tolist()
     cells = CellCrops(
@@ -83,9 +81,11 @@ def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm
     )
 
 
-def _jpeg(picture: Grey) -> bytes:
+def jpeg_image(picture: Grey, unix_ns: int) -> CompressedImage:
+    """Encode a whole picture, for display."""
     import cv2  # imported here: logs without films do not need OpenCV
 
     # JPEG quality of whole pictures
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
-    return data.tobytes() if done else b""
+    coded = data.tobytes() if done else b""
+    return CompressedImage(timestamp=stamp(unix_ns), frame_id=LENS, data=coded, format="jpeg")

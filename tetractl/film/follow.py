@@ -99,17 +99,19 @@ def follow(
     frames: list[int] = []
     times: list[float] = []
     answers: list[CellAnswer] = []
-    divisions: list[tuple[int, int]] = []
+    divisions: list[tuple[dict[int, SeenCell], int, int]] = []  # picture and tracks
     lights = []
     for number, picture in film:
         seconds = film.seconds(number)
         cells = tracker.see(picture, seconds, pieces)
-        for born in tracker.born:
-            _fill_back(shown, times, born)
-            divisions += [] if born.divided is None else [(born.divided, born.identity)]
         shown.append({cell.track: cell for cell in cells})
         frames.append(number)
         times.append(seconds)
+        for born in tracker.born:
+            _fill_back(shown, times, born)
+            at = shown[int(np.searchsorted(times, born.path[0, 0]))]
+            mothers = (track for track, cell in at.items() if cell.identity == born.divided)
+            divisions += [(at, mother, born.track) for mother in mothers if born.track in at]
         for answer in tracker.answers:
             _rename(shown, times, answer)
         answers += tracker.answers
@@ -146,7 +148,7 @@ def follow(
             for each in answers
             if each.probability < ASSERTED
         ),
-        divisions=tuple(divisions),
+        divisions=tuple((at[i].identity, at[j].identity) for at, i, j in divisions),
     )
 
 
@@ -234,8 +236,10 @@ def _paths(
     """
     by_cell: dict[int, list[tuple[int, float, SeenCell]]] = {}
     for frame, second, cells in zip(frames, seconds, shown, strict=True):
-        for cell in cells.values():
-            by_cell.setdefault(cell.identity, []).append((frame, second, cell))
+        # a lost cell that was found again may have its name twice: the likelier one counts
+        likelier = sorted(cells.values(), key=lambda cell: (cell.probability, -cell.track))
+        for identity, cell in {cell.identity: cell for cell in likelier}.items():
+            by_cell.setdefault(identity, []).append((frame, second, cell))
     for identity, entries in sorted(by_cell.items()):
         numbers = np.array([frame for frame, _, _ in entries])
         times = np.array([second for _, second, _ in entries])

@@ -166,10 +166,25 @@ def test_velocities_are_those_of_casa():
     assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
 
 
+def test_a_cell_is_in_a_picture_once():
+    """A lost cell that is found again has its name in pictures before, where it may be in use."""
+
+    def cell(x, track, probability=1.0):
+        return SimpleNamespace(identity=7, x=x, y=0.0, track=track, probability=probability)
+
+    pictures = [{1: cell(9.0 * k, 1)} for k in range(30)]
+    pictures[20][2], pictures[21][2] = cell(-500.0, 2), cell(-500.0, 2, 0.3)
+    (path,) = _paths(pictures, range(30), np.arange(30) / 30.0, 60.0)
+    assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
+
+
 def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     def seen(k):
         places = {"moves": (4.0 * k, 0), "stays": (5, 5), "drifts": (k, 50), "brief": (90.0 * k, 9)}
-        cells = [SimpleNamespace(identity=name, x=x, y=y) for name, (x, y) in places.items()]
+        cells = [
+            SimpleNamespace(identity=name, x=x, y=y, track=0, probability=1.0)
+            for name, (x, y) in places.items()
+        ]
         return {cell.identity: cell for cell in cells[: 4 if k < 3 else 3]}
 
     found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, 60.0)

@@ -12,8 +12,9 @@ from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
 from tetractl.film.film_tables import as_items
 from tetractl.film.fit_cell import fit_cells
-from tetractl.film.follow import _paths, follow
+from tetractl.film.follow import _paths, _split, follow
 from tetractl.film.pictures import open_film
+from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.results.kinematics import velocities
 
 
@@ -182,10 +183,28 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     def seen(k):
         places = {"moves": (4.0 * k, 0), "stays": (5, 5), "drifts": (k, 50), "brief": (90.0 * k, 9)}
         cells = [
-            SimpleNamespace(identity=name, x=x, y=y, track=0, probability=1.0)
-            for name, (x, y) in places.items()
+            SimpleNamespace(identity=name, x=x, y=y, track=track, probability=1.0)
+            for track, (name, (x, y)) in enumerate(places.items())
         ]
         return {cell.identity: cell for cell in cells[: 4 if k < 3 else 3]}
 
     found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, 60.0)
     assert [path.identity for path in found] == ["moves"]
+
+
+def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own():
+    def shown(after):
+        state = np.zeros(12)
+        cells = [(3, 1.0, False), (3, 0.6, False), (3, 0.5, True), (3, 0.4, True)]
+        return [
+            {7: SeenCell(name, *[0.0] * 4, state, state, p, True, merged, 50.0, 25.0, 7, None)}
+            for name, p, merged in [*cells, (after, 1.0, False)]
+        ]
+
+    left, stayed = shown(4), shown(3)
+    _split(left)
+    _split(stayed)
+    assert [at[7].identity for at in left] == [3, 5, 6, 6, 4]
+    assert all(at[7].probability == 1.0 for at in left)
+    assert [at[7].identity for at in stayed] == [3] * 5
+    assert [at[7].probability for at in stayed] == [1.0, 0.6, 0.5, 0.4, 1.0]

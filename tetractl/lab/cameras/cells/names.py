@@ -14,7 +14,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.cell import CellAnswer, CellTrack
-from tetractl.lab.cameras.cells.helix import HEADING, SPEED, HelixFilter
+from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter
 from tetractl.lab.cameras.cells.questions import (
     Known,
     Meeting,
@@ -27,12 +27,13 @@ from tetractl.lab.cameras.cells.questions import (
 
 TOGETHER = 4  # most tracks whose identities are resolved together, with one cell more
 CLEAR = 0.9995  # probability of the places alone above which no question is asked
+LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
 ASSERTED = 0.95  # least probability with which a film's table goes on with a name
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 PLACE, MERGED = 0.06, 0.13  # deviations of places, apart and in a shared blob [lengths of a cell]
 FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
-EITHER = 0.5  # probability that something unknown has been in a blob that it may have entered
+EITHER = 0.08  # probability that something unknown has been in a blob that it may have entered
 APART_S = 2.0  # time apart after which a track leaves a meeting whose other tracks are together
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
 LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
@@ -120,54 +121,37 @@ class Names:
     ) -> int | None:
         """Name a new cell, first seen at a time [s], that is at x, y [um] and axis [rad] (3,).
 
-        The cell may be a lost one, or one that was in the blob of `track.near`; `expected` [1/um^2]
-        is the density of cells that appear there otherwise. Unless the cell may have `entered` the
-        picture, the number of the cell that has divided there is returned; None if none has.
+        The cell may be a lost one: `expected` [1/um^2] is the density of cells that appear there
+        otherwise. If it comes out of the blob of `track.near`, it is uncertain which of the two is
+        the cell that was followed. Unless something unknown may have been in that blob, or the cell
+        may have `entered` the picture, the number of the cell that has divided there is returned;
+        None if none has.
         """
-        near, new = track.near, Known(track.identity, None)
+        near, divided = track.near, None
         meeting = None if near is None else near.meeting
-        if near is not None and meeting is not None and meeting.met:
-            if len(meeting.tracks) > 1:  # it is asked when all are apart
-                self._lapse(meeting)
-                meeting.tracks.append(track)
-                meeting.cells.append(new)
-                track.meeting, track.together_s = meeting, since_s
-                return None
-            if near.question is not None:
-                self._end(near.question)
-        else:
-            meeting = None
-        seen = place[:2], np.array([track.long, track.wide]), since_s, self._body_um
-        weights = [return_density(self._bank, one, *seen) for one in self._lost]
-        likely = sorted(range(len(weights)), key=lambda i: -weights[i])[:2]
-        likely = [i for i in likely if weights[i] > 1e-3 * expected]
-        lost = [self._lost[i] for i in likely]
-        if meeting is None and not lost:
-            if entered or near is None or near.question is not None:
-                return None
-            if near.meeting is not None and len(near.meeting.tracks) > 1:
-                return None
-            divided = near.identity
-            near.together_s = since_s
-            self._doubt(near, 0.5)
-            return divided
-        tracks, places, cells = [track], place[None], [*lost, new]
-        track.together_s = since_s
-        table = np.log([[*(weights[i] for i in likely), expected]])
-        if near is not None and meeting is not None:
-            here, _ = self._bank.seen(np.array([near.filter_row]))
-            tracks, places = [near, track], np.concatenate([here, places])
-            cells = [*meeting.cells, *cells]
-            of_near = self._table(meeting.cells, places, np.full(2, PLACE))
-            unknown = [[NEVER] * len(lost) + [self._unknown()], [*table[0, :-1], self._unknown()]]
-            table = np.concatenate([of_near, unknown], axis=1)
-            meeting.cells = []
-            self._forget(meeting)
-        self._lost = [one for one in self._lost if one not in lost]
-        order = orders(len(tracks), len(cells))
-        prior = table[np.arange(len(tracks)), order].sum(axis=1)
-        self._ask(tracks, cells, prior, places, since_s)
-        return None
+        if near is not None and (meeting is None or len(meeting.tracks) == 1):
+            if meeting is not None and meeting.met:
+                here, _ = self._bank.seen(np.array([near.filter_row, track.filter_row]))
+                own, other = self._table(meeting.cells, here, np.full(2, PLACE))[:, 0].tolist()
+                near.together_s = since_s
+                self._forget(meeting)
+                self._doubt(near, 1 / (1 + math.exp(other - own)))
+            elif not entered and near.question is None:
+                divided, near.together_s = near.identity, since_s
+                self._doubt(near, 0.5)
+        if divided is None and self._lost:
+            seen = place[:2], np.array([track.long, track.wide]), since_s, self._body_um
+            weights = [return_density(self._bank, one, *seen) for one in self._lost]
+            i = int(np.argmax(weights))
+            probability = weights[i] / (sum(weights) + expected)
+            if probability > (ASSERTED if self._splits else LIKELIER):
+                lost = self._lost.pop(i)
+                self._bank.drop(track.filter_row)
+                track.row = self._bank.moved(lost.filter_row, *place.tolist())
+                track.identity, track.certainty = lost.name, lost.certainty * probability
+                track.long, track.wide = lost.size
+                self._drop([lost])
+        return divided
 
     def answer(self, seconds: float) -> None:
         """Give tracks their names by the likeliest answers; end the questions that are decided, and
@@ -213,11 +197,17 @@ class Names:
             self._lapse(track.meeting)
             self._leave(track.meeting, track)
         size, since_s = (track.long, track.wide), seconds - track.missed_s
-        lost = Known(track.identity, track.filter_row, track.certainty, size, track, since_s)
+        lost = Known(track.identity, track.row, track.certainty, size, track.last, since_s)
         if may_return:
             self._lost.append(lost)
         else:
             self._drop([lost])
+
+    def shift(self, x: float, y: float) -> None:
+        """Move what is known of lost cells by x, y [um], with the picture's content."""
+        for lost in self._lost:
+            assert lost.last is not None
+            lost.last = lost.last + np.array((x, y))
 
     def _suspended(self, together: Sequence[CellTrack]) -> Question | None:
         """End the open questions of tracks that meet, except one that is open among just these,
@@ -240,7 +230,8 @@ class Names:
         """Ask which cell is on which track after a meeting, by where the tracks are."""
         tracks, cells, before = meeting.tracks, meeting.cells, meeting.before
         table = self._table(cells, places, np.full(len(tracks), PLACE))
-        moves = orders(len(tracks), len(cells))  # of each track, the number of its cell before
+        known = self._known(meeting, table)
+        moves = orders(len(tracks))  # of each track, the number of its cell before
         prior = table[np.arange(len(tracks)), moves].sum(axis=1)
         if before is not None:
             at = [tracks.index(track) for track in before.tracks]
@@ -256,19 +247,22 @@ class Names:
             self._drop(cells)
             for n, cell in enumerate(before.cells):
                 cell.row = self._bank.copied(int(before.rows[own[n], n]))
+            # the least of the tracks' probabilities, since any cell may be on any of them
+            known = np.minimum(before.known, known[at].diagonal().min())
             for row in before.rows.ravel().tolist():
                 self._bank.drop(row)
             tracks, cells, prior, places = before.tracks, before.cells, mixed, places[at]
             meeting.before = None
         meeting.cells = []
         self._forget(meeting)
-        self._ask(tracks, cells, prior, places, seconds)
+        self._ask(tracks, cells, prior, known, places, seconds)
 
     def _ask(
         self,
         tracks: Sequence[CellTrack],
         cells: Sequence[Known],
         prior: Floats,
+        known: Floats,
         places: Floats,
         since_s: float,
     ) -> None:
@@ -278,25 +272,22 @@ class Names:
         bank, places = self._bank, places.copy()
         heading = bank.mean[[track.filter_row for track in tracks], HEADING]
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
-        rows, add, copied = np.zeros((len(tracks), len(cells)), int), bank.add, bank.copied
+        rows = np.zeros((len(tracks), len(cells)), int)
         for t, place in enumerate(places):
-            speed = float(self._bank.mean[tracks[t].filter_row, SPEED])
-            x, y, turn = place.tolist()
-            for n, cell in enumerate(cells):
-                rows[t, n] = add(x, y, turn, speed) if cell.row is None else copied(cell.row)
+            rows[t] = [bank.copied(cell.filter_row) for cell in cells]
             values = np.tile(place, (len(cells), 1)), np.tile(FIRST, (len(cells), 1))
-            _, distance = self._bank.update(rows[t], *values)
-            backwards = np.cos(self._bank.mean[rows[t], HEADING] - place[2]) < 0
+            _, distance = bank.update(rows[t], *values)
+            backwards = np.cos(bank.mean[rows[t], HEADING] - place[2]) < 0
             for n in np.flatnonzero((distance > FAR) | backwards).tolist():
-                moved = self._bank.moved(int(rows[t, n]), *place.tolist())
-                self._bank.drop(int(rows[t, n]))
+                moved = bank.moved(int(rows[t, n]), *place.tolist())
+                bank.drop(int(rows[t, n]))
                 rows[t, n] = moved
-        question = Question(tuple(tracks), tuple(cells), rows, prior, since_s)
-        self._drop([cell for cell in cells if cell.lost is None])
+        question = Question(tuple(tracks), tuple(cells), rows, prior, known, since_s)
+        self._drop(cells)
         self._questions.append(question)
         order, _ = question.best()
         for t, track in enumerate(tracks):
-            self._bank.drop(track.filter_row)
+            bank.drop(track.filter_row)
             track.question, track.identity = question, cells[order[t]].name
             track.row = int(rows[t, order[t]])
 
@@ -316,10 +307,6 @@ class Names:
         for row in question.rows.ravel().tolist():
             if row not in kept:
                 self._bank.drop(row)
-        used = [question.cells[n] for n in order]
-        lost = [cell for cell in question.cells if cell.lost is not None]
-        self._drop([cell for cell in lost if cell in used])
-        self._lost = [*(cell for cell in lost if cell not in used), *self._lost]
         self._questions.remove(question)
         self._tell(question.tracks, probability, asked)
 
@@ -347,13 +334,22 @@ class Names:
         now, _ = self._bank.seen(np.array([track.filter_row for track in tracks]))
         deviations = [MERGED if track.merged else PLACE for track in tracks]
         table = self._table(cells, now, np.array(deviations))
+        own = np.diagonal(table)
+        known = np.diagonal(self._known(meeting, table))
         if len(tracks) > TOGETHER:  # only exchanges of two cells are counted
-            own = np.diagonal(table)
             exchanged = np.exp(np.minimum(table + table.T - own[:, None] - own, 50.0))
-            return 1 / (exchanged.sum(axis=1))
-        order = orders(len(tracks), len(cells))
+            return known / (exchanged.sum(axis=1))
+        order = orders(len(tracks))
         shares = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
-        return shares @ (order == np.arange(len(tracks)))
+        return known * (shares @ (order == np.arange(len(tracks))))
+
+    def _known(self, meeting: Meeting, table: Floats) -> Floats:
+        """Return the probability (K, M) that a cell, rather than something unknown that has joined
+        a meeting, is where its log-density is that of `table`.
+        """
+        if not meeting.met:
+            return np.ones(table.shape)
+        return 1 / (1 + np.exp(np.minimum(self._unknown() - table, 50.0)))
 
     def _leave(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track and its cell out of a meeting."""

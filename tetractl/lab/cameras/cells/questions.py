@@ -16,8 +16,10 @@ LEAST_S, PATIENCE_S = 0.5, 10.0  # shortest and longest time for which a questio
 SETTLED_S = 0.3  # time after which the rows of a question have settled on their tracks
 # exponent of likelihoods, since errors of successive pictures are not independent, and the most
 # that one picture says against a cell
-TEMPER, WORSE = 0.4, 4.0
-TAIL = 4.0  # degrees of freedom (Student's t) of places and of the logarithms of sizes
+TEMPER, WORSE = 0.3, 4.0
+# degrees of freedom (Student's t) of places and of the logarithms of sizes; scale of a place in the
+# filter's standard deviations: how cells swim while they share a blob is known less well than that
+TAIL, WIDER = 2.0, 1.4
 SIZE_SD, SIZED = 0.1, 6  # scale of the log of a size; number of pictures in which sizes count
 AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
 REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
@@ -31,16 +33,22 @@ class Known:
     """A cell that a track may be: its `name`, the probability `certainty` that it is that cell, and
     its length and width `size` [um], NaN if unknown.
 
-    The filter's `row` is predicted without measurements; None for a cell that may have been
-    anywhere. A `lost` cell has been lost at the time `lost_s` [s].
+    The filter's `row` is predicted without measurements, until the cell needs none any more. A
+    lost cell was `last` seen at x, y [um], at the time `lost_s` [s].
     """
 
     name: int
     row: int | None
     certainty: float = 1.0
     size: tuple[float, float] = (math.nan, math.nan)
-    lost: CellTrack | None = None
+    last: Floats | None = None
     lost_s: float = 0.0
+
+    @property
+    def filter_row(self) -> int:
+        """The cell's row in the filter."""
+        assert self.row is not None, "the cell has no row in the filter any more"
+        return self.row
 
 
 @dataclass(slots=True, eq=False)
@@ -61,13 +69,15 @@ class Question:
 
     `rows[t, n]` (K, M) is the filter's row that follows track t as cell n, `likelihood` (K, M) the
     sum of its log-likelihoods. `prior` (P,) is the log-probability of each assignment in `orders`
-    (P, K) when the question was asked.
+    (P, K) when the question was asked, `known` (K, M) the probability that nothing unknown is there
+    instead of the cell.
     """
 
     tracks: tuple[CellTrack, ...]
     cells: tuple[Known, ...]
     rows: np.ndarray
     prior: Floats
+    known: Floats
     since_s: float
     likelihood: Floats = field(init=False)
     orders: np.ndarray = field(init=False)
@@ -75,7 +85,7 @@ class Question:
 
     def __post_init__(self) -> None:
         self.likelihood = np.zeros(self.rows.shape)
-        self.orders = orders(*self.rows.shape)
+        self.orders = orders(len(self.tracks))
         self._sized = np.zeros(len(self.tracks), int)
 
     def add(
@@ -106,7 +116,8 @@ class Question:
         """
         shares = self.probabilities()
         order = self.orders[int(np.argmax(shares))]
-        return tuple(order.tolist()), shares @ (self.orders == order)
+        here = self.known[np.arange(len(order)), order]
+        return tuple(order.tolist()), here * (shares @ (self.orders == order))
 
     def ends(self, now_s: float) -> bool:
         """Return whether the answer is certain enough, or has been waited for long enough."""
@@ -114,9 +125,9 @@ class Question:
         return open_s > PATIENCE_S or (open_s > LEAST_S and self.probabilities().max() > SURE)
 
 
-def orders(tracks: int, cells: int) -> np.ndarray:
-    """Return all assignments (P, tracks) of different cells to tracks."""
-    return np.array(list(permutations(range(cells), tracks)), int).reshape(-1, tracks)
+def orders(tracks: int) -> np.ndarray:
+    """Return all assignments (P, tracks) of as many cells to tracks."""
+    return np.array(list(permutations(range(tracks))), int).reshape(-1, tracks)
 
 
 def normalised(logs: Floats) -> Floats:
@@ -134,15 +145,15 @@ def return_density(
     The cell has swum on as the signal predicts, rests at its last place, or has turned by
     itself.
     """
-    assert cell.row is not None and cell.lost is not None, "the cell is a lost one"
+    assert cell.last is not None, "the cell is a lost one"
     away_um, reach = AWAY * body_um, REACH * body_um
-    off = place - bank.mean[cell.row, :2]
-    spread = bank.covariance[cell.row, :2, :2] + away_um**2 * np.eye(2)
+    off = place - bank.mean[cell.filter_row, :2]
+    spread = bank.covariance[cell.filter_row, :2, :2] + away_um**2 * np.eye(2)
     ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
     ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
-    away = float(np.linalg.norm(place - cell.lost.last))
+    away = float(np.linalg.norm(place - cell.last))
     rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
-    reach += max(0.0, float(bank.mean[cell.row, SPEED])) * (now - cell.lost_s)
+    reach += max(0.0, float(bank.mean[cell.filter_row, SPEED])) * (now - cell.lost_s)
     within = (away < reach) / (math.pi * reach**2)
     apart = float(np.square(np.log(size / cell.size)).sum())
     alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
@@ -153,17 +164,14 @@ def log_densities(
     bank: HelixFilter, cells: Sequence[Known], places: Floats, sd_um: Floats, unknown: float
 ) -> Floats:
     """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further standard
-    deviations (K,) of the places. `unknown` is that of a cell that may have been anywhere, or has
-    turned by itself.
+    deviations (K,) of the places. `unknown` is that of a cell that may have been anywhere: a cell
+    may have turned by itself.
     """
-    found = np.full((len(places), len(cells)), unknown)
-    known = [n for n, cell in enumerate(cells) if cell.row is not None]
-    rows = np.array([cells[n].row for n in known], int)
+    rows = np.array([cell.filter_row for cell in cells], int)
     expected, spread = bank.expected(rows)
-    spread = spread + np.square(sd_um)[:, None, None, None] * np.eye(2)
+    spread = WIDER**2 * (spread + np.square(sd_um)[:, None, None, None] * np.eye(2))
     off = places[:, None, :2] - expected[None, :, :2]
     squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)
     logs = -(TAIL + 2) / 2 * np.log1p(squared / TAIL) - math.log(math.tau)
     logs -= 0.5 * np.linalg.slogdet(spread)[1]
-    found[:, known] = np.logaddexp(logs, unknown + math.log(TURNS))
-    return found
+    return np.logaddexp(logs, unknown + math.log(TURNS))

@@ -125,6 +125,7 @@ class CellTracker:
         if columns or rows:
             x, y = columns * self.um_px, -rows * self.um_px
             self.bank.mean[:, :2] += x, y
+            self._names.shift(x, y)
             for track in self._tracks:
                 track.path = [(e[0], e[1] + x, e[2] + y, e[3], e[4], e[5]) for e in track.path]
                 track.last = track.last + np.array((x, y))

@@ -170,7 +170,7 @@ def true_cells(found: Sequence[FoundCell], dish: VirtualLab) -> dict[int, FoundC
     cells = dish.cells
     x, y, speed = np.array([(cell.pose.x, cell.pose.y, cell.speed) for cell in found]).T
     gaps = np.hypot(x[:, None] - cells.x, y[:, None] - cells.y)
-    gaps += 100 * np.abs(np.log(speed[:, None] / cells.speed))
+    gaps += 100 * np.abs(np.log(np.maximum(speed, 1.0)[:, None] / cells.speed))
     return {
         found[i].number: replace(
             found[i], a=float(cells.a[j]) or found[i].a, speed=float(cells.speed[j])

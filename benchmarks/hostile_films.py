@@ -2,8 +2,8 @@
 
 The films of tests/support/hostile_films.py, made by hand, come first; then, without end, good films
 with some bytes changed, with odd shapes and values, and with wrong fields, times and options. The
-latter run the command in one process, which decodes them, too; a film that ends this process is
-tried again by itself. Prints what came of them, and the peak memory.
+latter run `track` in one process, which decodes them, too; a film that ends this process is tried
+again with a process of its own that decodes it. Prints what came of them, and the peak memory.
 """
 
 import argparse
@@ -16,7 +16,10 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+import traceback
 from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout
 from multiprocessing.connection import Connection
 from pathlib import Path
 from shutil import rmtree
@@ -33,6 +36,8 @@ from support.hostile import bytes_like  # noqa: E402
 from support.hostile_films import BOMBS, SECONDS_MAX, outcome, small  # noqa: E402
 from support.needs_opencv import cv2, video  # noqa: E402
 
+from tetractl.cli.track import track  # noqa: E402
+from tetractl.core.errors import TetractlError  # noqa: E402
 from tetractl.film import decode  # noqa: E402
 
 MEGABYTES_MAX = 500  # beyond those of the libraries
@@ -40,20 +45,20 @@ DRAWN = 300  # one film in so many is followed with -o, which takes seconds
 FIELD = b"time_s,direction_rad,strength\n" + b"".join(b"%.1f,%d,1\n" % (k / 5, k) for k in range(9))
 SIDES = (1, 2, 3, 7, 16, 17, 64, 250)
 OPTIONS = {
-    "--scale": ("2.3", "8", "0.05", "100", "nan", "1e-300", "-1", "7.7"),
-    "--rate": ("30", "0.1", "2000", "inf", "0", "15"),
-    "--organism": ("tetrahymena", "paramecium", "euglena", "yeti"),
+    "scale": (2.3, 8.0, 0.05, 100.0, 7.7),
+    "rate": (30.0, 0.1, 2000.0, 15.0),
+    "organism": ("tetrahymena", "paramecium", "euglena", "yeti"),
 }
 Files = dict[str, bytes]
 
 
 def swimming() -> np.ndarray:
-    """Some pictures of three bodies that swim straight, with noise."""
+    """Some pictures of two bodies that swim straight, with noise."""
     rng = np.random.default_rng(5)
-    film = rng.normal(150, 3, (40, 160, 200)).clip(0, 255).astype(np.uint8)
+    film = rng.normal(150, 3, (20, 70, 130)).clip(0, 255).astype(np.uint8)
     for k, picture in enumerate(film):
-        for i in range(3):
-            middle = (30 + 4 * k, 40 + 40 * i)
+        for i in range(2):
+            middle = (20 + 4 * k, 20 + 30 * i)
             cv2.ellipse(picture, middle, (11, 5), 0, 0, 360, 60 + 10 * i, -1, cv2.LINE_AA)
     return film
 
@@ -115,7 +120,7 @@ def odd(path: Path, rng: random.Random) -> None:
         stack(path, pictures, compression=rng.choice((None, "zlib")))
 
 
-def written(path: Path, made: dict[str, Files], rng: random.Random) -> tuple[str, list[str]]:
+def written(path: Path, made: dict[str, Files], rng: random.Random) -> tuple[str, dict[str, Any]]:
     """Write a hostile film and its field; return what it is, and options of `track`."""
     name = rng.choice([*made, "odd", "noise"])
     if name == "odd":
@@ -131,17 +136,29 @@ def written(path: Path, made: dict[str, Files], rng: random.Random) -> tuple[str
         if path.is_dir() and rng.random() < 0.2:
             times = "".join(f"{k / 9}\n" for k in range(len(files))).encode()
             (path / "times.csv").write_bytes(bytes_like(b"time_s\n" + times, rng))
-    words = []
+    words: dict[str, Any] = {}
     for option, (usual, *others) in OPTIONS.items():
         if rng.random() < 0.8:
-            words += [option, usual if rng.random() < 0.8 else rng.choice(others)]
+            words[option] = usual if rng.random() < 0.8 else rng.choice(others)
     if rng.random() < 0.5:
-        (path.parent / "field.csv").write_bytes(
-            FIELD if rng.random() < 0.5 else bytes_like(FIELD, rng)
-        )
-        words += ["--field", "field.csv"]
-    words += [] if rng.randrange(DRAWN) else ["-o", "results"]
+        words["field"] = path.with_name("field.csv")
+        words["field"].write_bytes(FIELD if rng.random() < 0.5 else bytes_like(FIELD, rng))
+    if rng.randrange(DRAWN) == 0:
+        words["out"] = path.with_name("results")
     return name, words
+
+
+def tracked(path: Path, words: dict[str, Any]) -> tuple[str, str, float]:
+    """Follow a film in this process; return how it ended, what was said, and the time [s]."""
+    began, said, how = time.perf_counter(), io.StringIO(), ""
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
+            how = f"ended with {int(track(path, **words))}"
+    except TetractlError as error:
+        how = f"ended with {int(error.exit)}"
+    except Exception:
+        how, said = "traceback", io.StringIO(traceback.format_exc())
+    return how, said.getvalue(), time.perf_counter() - began
 
 
 class InProcess:
@@ -176,7 +193,7 @@ def follow_many(first: int, count: int, seed: int, where: Path, out: Connection)
             here = where / f"film-{k}"
             here.mkdir()
             name, words = written(here / "film", made, random.Random(f"{seed} {k}"))
-            out.send((name, *outcome(here, here / "film", *words)))
+            out.send((name, *tracked(here / "film", words)))
             rmtree(here)
     signal.alarm(0)
 
@@ -225,11 +242,11 @@ def main() -> int:
                 process.join()
             if done < given.count:  # this film ended the process
                 ended += 1
-                path = where / f"again-{done}" / "film"
+                path, again = where / f"again-{done}" / "film", scratch / "again"
                 path.parent.mkdir()
-                rng, made = random.Random(f"{given.seed} {done}"), seeds(scratch / "again")
-                kind, words = written(path, made, rng)
-                note(f"film {done} ({kind})", *outcome(path.parent, path, *words))
+                again.mkdir()
+                kind, words = written(path, seeds(again), random.Random(f"{given.seed} {done}"))
+                note(f"film {done} ({kind})", *tracked(path, words))
                 done += 1
             rmtree(scratch)
     ends = ", ".join(f"{how}: {number}" for how, number in sorted(tally.items()))

@@ -178,11 +178,11 @@ BOMBS: dict[str, Callable[[Path], object]] = {
 }  # fmt: skip
 
 
-def outcome(folder: Path, path: Path, *words: str) -> tuple[str, str, float]:
+def outcome(folder: Path, path: Path) -> tuple[str, str, float]:
     """Follow a film; return how it ended, what was said, and the time [s]."""
     began = time.perf_counter()
     try:
-        words = words or ("--scale", "2.3", "--rate", "30")
+        words = ("--scale", "2.3", "--rate", "30")
         done = tetractl(folder, "track", path.name, *words)
     except Exception:
         return "traceback", traceback.format_exc(), time.perf_counter() - began

@@ -1,21 +1,19 @@
 """Decodes a film in a process of its own with little memory and time, so that a hostile film can
 neither fill the computer's memory nor hang the command: `python -m tetractl.film.decode FILM`.
 
-Writes a line of JSON: what the film states, or an error. Its pictures come next: height and width
-as two 32-bit numbers, and the grey levels; 0 and 0 for a picture that cannot be read.
+Writes what the film states and an error, one of which is None, and then its pictures: grey levels
+(height, width), or None for one that is damaged, or not as large as the first; all by `pickle`.
 """
 
 import faulthandler
-import json
+import math
 import os
-import struct
+import pickle
 import sys
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
-
-import numpy as np
 
 from tetractl.core.errors import AbortError, TetractlError, UsageError, printable
 from tetractl.film import film_source as films
@@ -23,7 +21,6 @@ from tetractl.film import film_source as films
 MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B]
 PATIENCE_S = 20.0  # longest time to read the tags, or to decode a picture [s]
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
-SIZE = struct.Struct("<II")  # of a picture
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
 
@@ -38,29 +35,26 @@ def main(path: Path, out: BinaryIO) -> None:
         if source.count is first is None:
             hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
             raise UsageError(f"{path}: OpenCV cannot read this film", hint)
-        if first is not None and _large(first):
+        if first is not None and math.prod(first.shape[:2]) > PIXELS_MAX:
             said = f"{path.name}: a picture of {first.shape[1]} x {first.shape[0]} px"
             hint = "crop the film, or bin its pixels"
             raise UsageError(f"{said}; at most 4096 x 4096 px are read", hint)
         low, step = films.grey_scale(chain([first], source.sample()))
     except TetractlError as error:
-        said = {"error": str(error), "hint": error.hint, "exit": error.exit}
-        out.write(json.dumps(said).encode() + b"\n")
+        pickle.dump((None, error), out)
         return
     stated = {name: getattr(source, name) for name in source.__slots__ if name != "read"}
-    out.write(json.dumps(stated).encode() + b"\n")
+    pickle.dump((stated, None), out)
+    size = None
     for picture in chain([first], pictures):
         faulthandler.cancel_dump_traceback_later()  # the command may read slowly
-        if picture is None or _large(picture):
-            out.write(SIZE.pack(0, 0))
+        shape = () if picture is None else picture.shape[:2]
+        if picture is None or shape != (size or shape) or math.prod(shape) > PIXELS_MAX:
+            pickle.dump(None, out)
         else:
-            grey = films.grey_levels(picture, low, step)
-            out.write(SIZE.pack(*grey.shape) + grey.tobytes())
+            size = shape
+            pickle.dump(films.grey_levels(picture, low, step), out)
         faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
-
-
-def _large(picture: np.ndarray) -> bool:
-    return picture.shape[0] * picture.shape[1] > PIXELS_MAX
 
 
 def _opened(path: Path) -> films.FilmSource:

@@ -1,9 +1,9 @@
 """The pictures of a film in order, as grey levels; a process of their own, `decode`, reads them."""
 
 import itertools
-import json
 import math
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from weakref import finalize
 
 import numpy as np
 
-from tetractl.core.errors import AbortError, UsageError
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
 from tetractl.core.table.table_files import read_numbers
 
@@ -131,27 +131,19 @@ def _decoded(path: Path) -> Iterator[Any]:
         stderr=subprocess.DEVNULL,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # each thread would take memory
     )
-    died = UsageError(f"{path}: cannot be decoded in 20 s and 320 MB", "is the film damaged?")
-    stream, shape = process.stdout, None
+    stream = process.stdout
     assert stream is not None
     try:
-        said = json.loads(stream.readline() or "null")
-        if said is None:
-            raise died
-        if "error" in said:
-            kind = UsageError if said["exit"] == UsageError.exit else AbortError
-            raise kind(said["error"], said["hint"])
+        said, error = pickle.load(stream)
+        if error is not None:
+            raise error
         yield said
-        while head := stream.read(8):
-            sides = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
-            pixels = stream.read(sides[0] * sides[1])
-            if sides == (shape or sides) and 0 < len(pixels) == sides[0] * sides[1]:
-                shape = sides
-                yield np.frombuffer(pixels, np.uint8).reshape(shape)
-            else:
-                yield None
+        while True:
+            yield pickle.load(stream)
+    except (EOFError, pickle.UnpicklingError):  # the process has ended
         if process.wait():
-            raise died
+            said = f"{path}: cannot be decoded in 20 s and 320 MB"
+            raise UsageError(said, "is the film damaged?") from None
     finally:
         process.kill()
         process.wait()

@@ -127,8 +127,8 @@ def follow(
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
     faint = faint_line(contrast, limit)
     background = tracker.finder.background
-    assert background is not None and tracker.finder.size is not None
-    height, width = tracker.finder.size
+    assert background is not None
+    height, width = background.shape
     return Followed(
         paths=tuple(_paths(shown, frames, times, seen_as.organism.slowest_um_s)),
         pictures=len(frames) + film.damaged,
@@ -139,7 +139,7 @@ def follow(
         guessed_scale=seen_as.guessed,
         organism=seen_as.organism,
         remarks=(*seen_as.remarks, *([f"warning: {faint}"] if faint else [])),
-        bright=bool(tracker.finder.bright),
+        bright=tracker.finder.bright,
         contrast=contrast or 0.0,
         noise=noise,
         background=background,

@@ -59,7 +59,6 @@ class CellCamera(PictureCamera[SeenDish]):
         self._tracker = CellTracker(
             section.um_px,
             known=True,
-            bright=section.bright,
             near_wall=self._near_wall,
             organism=self._organism,
         )

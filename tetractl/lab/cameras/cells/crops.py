@@ -37,7 +37,6 @@ class FilmCutter:
     ) -> CellFilm:
         """Return the film's data for a picture; `robots` are the robots' cells, None if unseen."""
         searched, background = tracker.finder.searched, tracker.finder.background
-        assert searched is not None
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
         side = int(np.clip(STEP * np.ceil(ROOM * longest / STEP), LEAST, MOST))
         rim = box_px(tracker.finder.least_px2)  # the margin around a blob on which it depends

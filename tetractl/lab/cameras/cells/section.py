@@ -35,17 +35,10 @@ class CellsSection(PictureSection):
     """Whether pictures are mirrored left to right; they are mirrored back before `rotation`."""
     organism: Annotated[str, KindName(ORGANISMS)] = "tetrahymena"
     """What swims; its sizes and speeds decide which objects are cells."""
-    cells: Literal["dark", "bright", "either"] = "either"
-    """Whether cells are brighter or darker than the medium; `either`: the camera determines it."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
     """Time before the first frame in which pictures for the background are taken [s]."""
     connect: Positive = 8.0
     """Longest wait for the source to open, and then for the first pictures and background [s]."""
-
-    @property
-    def bright(self) -> bool | None:
-        """Whether cells are brighter than the medium; None to determine it."""
-        return None if self.cells == "either" else self.cells == "bright"
 
     def bounds(self) -> dict[str, str]:
         """Return the source and scale of the pictures as {name: text}, for display."""

@@ -58,14 +58,13 @@ class CellTracker:
         self,
         um_px: float,
         known: bool,
-        bright: bool | None = None,
         near_wall: NearWall = open_water,
         organism: Organism = TETRAHYMENA,
         splits: bool = False,
     ) -> None:
         self.um_px = um_px
         least, most = organism.outline_um2
-        self.finder = BlobFinder(least / um_px**2, TOGETHER * most / um_px**2, bright)
+        self.finder = BlobFinder(least / um_px**2, TOGETHER * most / um_px**2)
         self.bank = HelixFilter(known, near_wall)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]

@@ -80,7 +80,7 @@ def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
 
 def test_light_that_changes_makes_no_blobs():
     flat = np.full((128, 128), 120, np.uint8)
-    finder = BlobFinder(20, 2000, bright=False)
+    finder = BlobFinder(20, 2000)
     finder.learn([flat] * 3)
     for level in (60, 100, 150, 200):
         assert finder.find(np.full((128, 128), level, np.uint8)) == []

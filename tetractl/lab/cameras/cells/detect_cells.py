@@ -20,9 +20,9 @@ STRIPES = 16  # number of stripes of the background; each picture updates one
 LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
 RELEARNING = 0.5  # the weight where the picture keeps differing from the background
 SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
-BOX = 1.8  # side of the averaged squares: about a cell's width [sides of the smallest cell]
-LOW, HIGH = 4.0, 5.0  # thresholds of averaged differences, in standard deviations of their noise
-LEAST = 0.25  # least standard deviation of that noise: pictures have whole grey levels
+BOX = 1.2  # side of the averaged squares, relative to a square of the least area
+LOW, HIGH = 3.0, 4.5  # thresholds of averaged differences, in standard deviations of their noise
+LEAST = 0.33  # least standard deviation of that noise: pictures have whole grey levels
 NOISY = 4.0  # growth of the noise at which the background no longer applies
 NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
 BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
@@ -85,7 +85,8 @@ class Light:
 
 @dataclass(slots=True)
 class BlobFinder:
-    """Finds blobs of `least_px2` to `most_px2` pixels, brighter or darker than the background.
+    """Finds blobs that cover `least_px2` to `most_px2` pixels once differences were averaged over
+    squares a little larger than the least; either are brighter or darker than the background.
 
     `learn` computes the background from pictures taken over a second or more. `follow` updates it
     by later pictures, except around the cells, so that the background shows no resting cells. After
@@ -186,7 +187,7 @@ class BlobFinder:
         level, spread = min(float(usual.mean()), NOISE_MAX), max(float(usual.std()), LEAST)
         low, high = level + LOW * spread, level + HIGH * spread
         self.limits = (low, high, self.least_px2, self.most_px2)
-        cv2.compare(self._mean, low, cv2.CMP_GT, self._mask)
+        np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
         lost = noise == NOISE_MAX or float(np.median(seen)) == 255 > float(np.median(known))
         changed = cv2.countNonZero(self._mask) / self._mask.size
@@ -222,7 +223,7 @@ class BlobFinder:
             return
         here = slice(top, bottom)
         old, mask, was = self._fine[here], self._mask[here], self._was[here]
-        still, calm = mask & was, ~mask
+        still, calm = mask & was, 1 - mask
         was[:] = mask
         for left, upper, right, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
@@ -247,8 +248,7 @@ def blobs_of(
     column and row of the part's upper left pixel.
     """
     mean = _averaged(searched, limits[2], np.empty(searched.shape, np.float32))
-    mask = _grey(cv2.compare(mean, limits[0], cv2.CMP_GT))
-    return _blobs(searched, mean, mask, limits, corner) or []
+    return _blobs(searched, mean, _grey(mean > limits[0]), limits, corner) or []
 
 
 def box_px(least_px2: float) -> int:
@@ -307,6 +307,8 @@ def _bodies(
     here, (height, width) = (slice(top, top + tall), slice(left, left + wide)), mean.shape
     inside = np.zeros((tall, wide), np.uint8)
     cv2.drawContours(inside, [region], -1, 1, -1, offset=(-left, -top))
+    if cv2.countNonZero(inside) < least:
+        return
     rest = mean[here] * inside
     at_edge = left == 0 or top == 0 or left + wide == width or top + tall == height
     for _ in range(BODIES):
@@ -314,19 +316,19 @@ def _bodies(
         if peak <= high:
             return
         high = max(high, NEXT * peak)
-        mask = _grey(cv2.compare(rest, max(low, level + EDGE * (peak - level)), cv2.CMP_GT))
-        cv2.floodFill(mask, None, at, 1)
-        body = _grey(cv2.inRange(mask, 1, 1))
+        mask = _grey(rest > max(low, level + EDGE * (peak - level)))
+        cv2.floodFill(mask, None, at, 2)
+        body = _grey(mask == 2)
         near = cv2.dilate(body, rim) > 0
         rest[near] = 0
-        if least <= cv2.countNonZero(body) <= most:
+        if least / 2 <= cv2.countNonZero(body) <= most:  # that beside another is cut by its rim
             weights = np.clip((difference[here] - level) / (peak - level), *RAMP) - RAMP[0]
             at = left + corner[0], top + corner[1]
             yield _blob(body, weights * near, cv2.mean(difference[here], body)[0], at, at_edge)
 
 
 def _blob(
-    body: Grey, weights: Floats, strength: float, corner: tuple[int, int], at_edge: bool
+    body: Grey, weights: np.ndarray, strength: float, corner: tuple[int, int], at_edge: bool
 ) -> Blob:
     """Return the blob of a body; the weights of its moments rise from 0 to 1 with the difference,
     so that neither a pixel at its edge nor what is inside moves them much.

@@ -63,7 +63,7 @@ class CellTracker:
         splits: bool = False,
     ) -> None:
         self.um_px = um_px
-        least, most = organism.outline_um2
+        least, most = organism.wide_um[0] * organism.body_um[1], organism.outline_um2[1]
         self.finder = BlobFinder(least / um_px**2, TOGETHER * most / um_px**2)
         self.bank = HelixFilter(known, near_wall)
         self.born: list[Born] = []  # cells recognised in the newest picture

@@ -55,7 +55,7 @@ def cells_at(k, count=8):
 
 
 def finder(dish, **options):
-    found = BlobFinder(22, 2800, **options)
+    found = BlobFinder(90, 2800, **options)
     found.learn([dish.picture(cells_at(k)) for k in range(15)])
     return found
 
@@ -114,7 +114,7 @@ def test_positions_are_finer_than_pixels():
 
 
 def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
-    dish, found = Dish(-0.4, noise=3.0), BlobFinder(22, 2800)
+    dish, found = Dish(-0.4, noise=3.0), BlobFinder(90, 2800)
     rested, gone = (160.0, 160.0, 0.4), (260.0, 160.0, 0.4)
     found.learn([dish.picture([rested])] * 9)
     found.find(dish.picture([gone]))

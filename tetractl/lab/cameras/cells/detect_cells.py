@@ -321,7 +321,7 @@ def _bodies(
         body = _grey(mask == 2)
         near = cv2.dilate(body, rim) > 0
         rest[near] = 0
-        if least / 2 <= cv2.countNonZero(body) <= most:  # that beside another is cut by its rim
+        if least / 2 <= cv2.countNonZero(body) <= most:  # a neighbour cuts a part off
             weights = np.clip((difference[here] - level) / (peak - level), *RAMP) - RAMP[0]
             at = left + corner[0], top + corner[1]
             yield _blob(body, weights * near, cv2.mean(difference[here], body)[0], at, at_edge)

@@ -207,7 +207,8 @@ def peak_mb() -> float:
 def main() -> int:
     """Follow some films; print what came of them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="number of the first film")
+    parser.add_argument("--count", type=int, default=100, help="number of the last one, plus 1")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     tally, slowest, failed, ended = Counter(), (0.0, ""), 0, 0
@@ -222,10 +223,10 @@ def main() -> int:
 
     with tempfile.TemporaryDirectory() as name:
         where = Path(name)
-        for k, (kind, make) in enumerate(list(BOMBS.items())[: given.count]):
+        for k, (kind, make) in enumerate(list(BOMBS.items())[: given.count][given.first :]):
             make(where / f"bomb-{k}")
             note(kind, *outcome(where, where / f"bomb-{k}"))
-        of_bombs, done = peak_mb(), min(len(BOMBS), given.count)
+        of_bombs, done = peak_mb(), max(given.first, min(len(BOMBS), given.count))
         while done < given.count:
             ours, theirs = multiprocessing.Pipe(duplex=False)
             scratch = Path(tempfile.mkdtemp(dir=where))

@@ -11,8 +11,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.table_files import read_numbers
 from tetractl.lab.cameras.cells.helix import Piece
-from tetractl.lab.handedness import EXPLAINED, handedness
-from tetractl.replay.identification.fit import NORMAL
+from tetractl.lab.handedness import handedness, wrong_sides
 
 TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 
@@ -31,36 +30,29 @@ class FieldRecord:
     def at(self, times: Floats) -> NDArray[np.complex128]:
         """Return the field at times (K,) [s] as x + iy."""
         now = np.searchsorted(self.times, times, side="right") - 1
-        return np.where(now < 0, 0.0, (self.x + 1j * self.y)[now])
+        return np.where(now < 0, 0.0, self.x[now] + 1j * self.y[now])
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, each with its duration [s], x
         and y.
         """
         first, last = np.searchsorted(self.times, (start, end), side="right")
-        cuts = [start, *self.times[first:last].tolist(), end]
-        found = []
-        for i in range(len(cuts) - 1):
-            now = int(first) + i - 1
-            x, y = (0.0, 0.0) if now < 0 else (float(self.x[now]), float(self.y[now]))
-            found.append((cuts[i + 1] - cuts[i], x, y))
-        return found
+        cuts = np.array([start, *self.times[first:last], end])
+        now = self.at(cuts[:-1])
+        return list(zip(np.diff(cuts).tolist(), now.real.tolist(), now.imag.tolist(), strict=True))
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
     """Return a warning if the cells turn as if the field's directions were of the other sense, or
     rotated; `paths` (K, 3) are the cells' times [s] and positions x, y.
     """
+    mirrored = (
+        "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
+        "and magnet"
+    )
     found = handedness(paths, field.at)
-    if found is None or found.explained < EXPLAINED or not (found.mirrored or found.rotated):
-        return ()
-    if found.mirrored:
-        return (
-            "warning: cells turn right where the field turns left: the directions run clockwise "
-            "(--y-down), or the picture is mirrored; do not use a, bias and magnet",
-        )
-    off = f"{found.turned:+.2f} +- {NORMAL * found.turned_sd:.2f} rad"
-    return (f"warning: cells turn to a direction {off} off the field's: is it rotated?",)
+    lines = [] if found is None else wrong_sides(found, mirrored, "is it rotated?")
+    return tuple(f"warning: {line}" for line in lines)
 
 
 def no_field(start: float, end: float) -> Sequence[Piece]:

@@ -112,15 +112,15 @@ def _motion(rows: Floats) -> tuple[float, ...]:
     """Return length, width, speed and way of an object by its `rows`; nothing if it hardly moves,
     or was seen too briefly.
     """
-    if len(rows) < SEEN:
-        return ()
     off = rows[:, :3] - rows[:, :3].mean(axis=0)
     times, places = off[:, 0], off[:, 1:]
-    velocity = times @ places / (times @ times)
-    strayed = float(np.sqrt(np.mean(np.square(places - times[:, None] * velocity))))
-    speed, (long, wide) = float(np.hypot(*velocity)), np.median(rows[:, 3:], axis=0).tolist()
-    way = speed * float(np.ptp(times))
-    return (long, wide, speed, way) if way > MOVED * long and strayed < STRAIGHT * way else ()
+    velocity = times @ places / max(times @ times, 1e-9)
+    strayed = np.sqrt(np.mean(np.square(places - times[:, None] * velocity)))
+    long, wide = np.median(rows[:, 3:], axis=0)
+    speed = np.hypot(*velocity)
+    way = speed * np.ptp(times)
+    moves = len(rows) >= SEEN and way > MOVED * long and strayed < STRAIGHT * way
+    return (long, wide, speed, way) if moves else ()
 
 
 def _limits(kind: Organism) -> Floats:
@@ -154,12 +154,10 @@ def _others(moving: Floats, taken: Organism, kinds: Sequence[Organism]) -> tuple
     beyond = np.argwhere((usual[:, None] > _limits(taken)) == (False, True))
     unlike = UNLIKE[beyond[0, 0]][beyond[0, 1]] if len(beyond) else "faster"
     better = kinds[int(np.argmax(_shares(left, kinds)))]
-    hint = f"--organism {better.name} follows them"
-    if not _fits(left, better).any():
-        hint = "no known organism is like that"
-    elif unlike == "slower":
-        hint += ", if they swim and do not drift"
+    drift = ", if they swim and do not drift" if unlike == "slower" else ""
+    follows = f"--organism {better.name} follows them{drift}"
     return (
         f"warning: {len(left)} objects that move are {unlike} than {taken.name}, {low[0]:.0f} to "
-        f"{high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s, and not followed: {hint}",
+        f"{high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s, and not followed: "
+        + (follows if _fits(left, better).any() else "no known organism is like that"),
     )

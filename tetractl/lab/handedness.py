@@ -126,17 +126,22 @@ def handedness_lines(found: Handedness | None) -> tuple[list[str], str]:
     )
     if found.explained < EXPLAINED:
         return ["the cells do not turn with the field: is there a field, have cells magnets?"], text
+    mirrored = (
+        "the picture is mirrored (change lab.camera.mirrored), or one coil pair's current is "
+        "reversed (the sign of gain_mt_a)"
+    )
+    rotated = "subtract this from lab.camera.rotation, or add it to the coils' rotation"
+    return wrong_sides(found, mirrored, rotated), text
+
+
+def wrong_sides(found: Handedness, mirrored: str, rotated: str) -> list[str]:
+    """Return what is wrong with the field's directions, each with its cause or cure."""
+    if found.explained < EXPLAINED or not (found.mirrored or found.rotated):
+        return []
     if found.mirrored:
-        return [
-            "cells turn right where the field turns left: the picture is mirrored (change "
-            "lab.camera.mirrored), or one coil pair's current is reversed (the sign of gain_mt_a)"
-        ], text
-    if not found.rotated:
-        return [], text
-    return [
-        f"cells turn to a direction {found.turned:+.2f} rad off the field's: subtract this from "
-        "lab.camera.rotation, or add it to the coils' rotation"
-    ], text
+        return [f"cells turn right where the field turns left: {mirrored}"]
+    off = f"{found.turned:+.2f} +- {1.96 * found.turned_sd:.2f} rad off the field's"
+    return [f"cells turn to a direction {off}: {rotated}"]
 
 
 def _pieces(path: Floats) -> list[Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import read_csv
+from tetractl.core.table.table_files import read_csv, read_numbers
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")
@@ -27,22 +27,14 @@ def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterato
     if path.is_dir():
         yield from _poses(path, *_graph(path, um_px, rate_hz))
         return
-    rows = read_csv(path)
-    first = next(rows, {})
-    names = {name.strip().lower(): name for name in first}
+    names = {name.strip().lower(): name for name in next(read_csv(path), {})}
     number = next((names[name] for name in NUMBERS if name in names), None)
     frame = next((names[name] for name in FRAMES if name in names), None)
     if number is None or frame is None or not {"x", "y"} <= set(names):
-        yield first
-        yield from rows
+        yield from read_csv(path)
         return
     kept = (number, frame, names["x"], names["y"])
-    try:
-        table = [[float(first[name]) for name in kept]]
-        table += [[float(row[name]) for name in kept] for row in rows]
-    except (KeyError, ValueError) as error:
-        raise UsageError(f"{path}: has a row without a number: {error}") from None
-    yield from _poses(path, np.array(table), um_px, rate_hz)
+    yield from _poses(path, read_numbers(path, kept, {}), um_px, rate_hz)
 
 
 def _poses(path: Path, table: Floats, um_px: float | None, rate_hz: float | None) -> Iterator[Row]:

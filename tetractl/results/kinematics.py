@@ -23,8 +23,10 @@ def velocities(times: Floats, places: Floats, helix_hz: float) -> dict[str, floa
     the running mean over a turn of the helix, and VSL along the straight line from the first place
     to the last one; LIN = VSL / VCL. They are the means over successive parts of WINDOW_S, so that
     long and short tracks can be compared; a shorter track is one part. VCL grows with the noise of
-    the places and with the film's rate.
+    the places and with the film's rate. A track of one place has none.
     """
+    if len(times) < 2:
+        return dict.fromkeys(("vcl_um_s", "vap_um_s", "vsl_um_s", "lin"))
     step = float(np.median(np.diff(times)))
     turn = 1 / helix_hz if math.isfinite(helix_hz) and helix_hz > 1 else TURN_S
     average = _smoothed(places, max(1, round(turn / step)))

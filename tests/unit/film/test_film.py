@@ -165,6 +165,7 @@ def test_velocities_are_those_of_casa():
     assert circle["vcl_um_s"] == pytest.approx(100 * np.pi, rel=0.01)
     assert circle["vsl_um_s"] == pytest.approx(200)
     assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
+    assert set(velocities(times[:1], np.zeros((1, 2)), 2.5).values()) == {None}
 
 
 def test_a_cell_is_in_a_picture_once():

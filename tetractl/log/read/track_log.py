@@ -50,10 +50,10 @@ class TrackLog:
 
     @property
     def tracks(self) -> Iterator[tuple[int, Floats, Floats]]:
-        """Yield number, times (K,) and poses (K, 3) of each cell that has any."""
+        """Yield number, times (K,) and poses (K, 3) of each cell that has two or more."""
         for each in self.record["cells"]:
             (rows,) = np.nonzero(self.cell == each["cell"])
-            if len(rows):
+            if len(rows) > 1:
                 yield each["cell"], self.time[rows], self.poses[rows]
 
     def values(self, key: str) -> Floats:

@@ -14,10 +14,11 @@ State of one cell, in um, s and rad:
     delay     time after which the field acts on the cell [s]
     way       length of the way along the helix's axis since the row was added [um]
     sway      swing of the body's axis, relative to that of a body that points along its path
+    lead      the same for the part of the swing that is a quarter turn ahead
 
 The measurements are the body's middle, which is at (x, y) plus c to the left of the heading, and
-the body's axis mod pi, heading - sway atan(rate s / speed): the projection of Crenshaw's helix into
-the picture. The steps for one cell are compiled (`kernels.helix_steps`).
+the body's axis mod pi, heading - atan(rate (sway s + lead c) / speed): the projection of Crenshaw's
+helix into the picture. The steps for one cell are compiled (`kernels.helix_steps`).
 """
 
 import math
@@ -28,33 +29,38 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.lab.cameras.cells.kernels import helix_steps
-from tetractl.lab.cameras.cells.kernels.helix_path import LOOSE
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
+    BIAS,
+    EXACT,
     HEADING,
+    MODEL,
     RATE,
+    SLOWEST,
     SPEED,
     STATES,
     SWAY,
+    TURN,
     A,
     C,
     S,
     X,
     Y,
 )
+from tetractl.model.organisms import TETRAHYMENA, Organism
 
-HELIX = 2 * math.pi * 2.5, 2.0  # mean and standard deviation of the rate among cells [rad/s]
-HELIX_UM = 6.0  # standard deviation of c and s among cells
-NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new cell's first states
+# standard deviations of a new cell's position [lengths of a cell], heading, and speed [over that
+# below which it rests]; and their growth per sqrt(s), and that of rate, a and bias
+NEW = 0.115, 0.35, 1.33
+GROWTH = 0.038, 0.07, 0.2
+WALKS = 0.3, 0.02, 0.005
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
-# growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
-GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
 WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 # standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
 DELAY_S = 0.015  # standard deviation of the delay
-SWAY_PRIOR = 0.8, 0.3
+SWAY_PRIOR, LEAD_SD = (0.8, 0.3), 0.3
 # relative deviations of a mean speed and of a for what a picture does not show, as an axis that
 # leaves the picture's plane
 SPEED_ERROR, A_ERROR = 0.004, 0.02
@@ -71,16 +77,30 @@ def open_water(x: Floats, y: Floats) -> Bools:
     return np.zeros(len(x), bool)
 
 
-def new_cell(pose: tuple[float, float, float, float], known: bool) -> tuple[Floats, Floats]:
-    """Return the state (n,) and covariance (n, n) of a new cell: x, y [um], heading [rad] and speed
-    [um/s] are `pose`; `known` as in `HelixFilter`.
+def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
+    """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
+    numbers (12,) of its model, as in `kernels.helix_steps`; `known` as in `HelixFilter`.
     """
-    turn = TURN_KNOWN if known else TURN_UNKNOWN
-    a, a_sd = A_PRIOR if known else (0.0, 1e-6)
-    mean = np.zeros(STATES)
-    mean[[X, Y, HEADING, SPEED]], mean[RATE], mean[A], mean[SWAY] = pose, HELIX[0], a, SWAY_PRIOR[0]
-    deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1])
-    return mean, np.diag(np.square(deviations))
+    body, slowest, rate = (
+        organism.body_um[0],
+        organism.slowest_um_s,
+        math.tau * organism.helix_hz[0],
+    )
+    helix = math.hypot(*organism.helix_um) / math.sqrt(2)
+    turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if known else (TURN_UNKNOWN, 0.0, 1e-6)
+    mean, model = np.zeros(STATES), np.zeros(MODEL)
+    mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
+    place, heading, speed = NEW[0] * body, NEW[1], NEW[2] * slowest
+    of_rate = math.tau * organism.helix_hz[1]
+    deviations = (place, place, heading, speed, helix, helix, of_rate, a_sd, BIAS_PRIOR, turn)
+    deviations += (FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1], LEAD_SD)
+    model[[X, Y, C, S]], model[HEADING], model[SPEED] = (
+        GROWTH[0] * body,
+        GROWTH[1],
+        GROWTH[2] * slowest,
+    )
+    model[[RATE, A, BIAS]], model[[TURN, EXACT, SLOWEST]] = WALKS, (turn, 1.0, slowest)
+    return mean, np.diag(np.square(deviations)), model
 
 
 @dataclass(slots=True)
@@ -88,51 +108,51 @@ class HelixFilter:
     """A filter with one row per cell: `mean` (R, n) and `covariance` (R, n, n); `used` is False
     for free rows.
 
-    `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) is
-    the growth of the standard deviations of the first nine states per sqrt(s). `near_wall` says
+    `known`: whether the field is known, so that little turning is unexplained. `near_wall` says
     where a wall may turn cells: turning there leaves the estimates of states a and bias unchanged.
+    New cells are like those of the `organism`.
     """
 
     known: bool = True
     near_wall: NearWall = open_water
-    growth: Floats = field(default_factory=lambda: np.zeros((0, len(GROWTH))))
+    organism: Organism = TETRAHYMENA
     mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
-    _field: Floats | None = None  # the last piece's x, y
+    _new: tuple[Floats, Floats, Floats] = field(init=False)
+    _field: Floats | None = None  # the last piece
 
     def __post_init__(self) -> None:
         """Compile the steps now, and not while pictures wait."""
+        self._new = new_cell(self.organism, self.known)
         self.add(0.0, 0.0, 0.0, 0.0)
         self.predict([(1.0, 0.0, 0.0)])
         self.update(np.zeros(1, int), np.zeros((1, 3)), np.ones((1, 3)))
-        self.seen(np.zeros(1, int))
+        self.expected(np.zeros(1, int))
         self.drop(0)
         self._field = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
         """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
         row = self._free()
-        pose = x, y, heading, speed
-        self.mean[row], self.covariance[row] = new_cell(pose, self.known)
+        self.mean[row], self.covariance[row], _ = self._new
+        self.mean[row, [X, Y, HEADING, SPEED]] = x, y, heading, speed
         return row
 
     def copied(self, row: int) -> int:
         """Copy a row to a free row; return the index of the copy."""
         new = self._free()
         self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
-        self.growth[new] = self.growth[row]
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
         """Copy a cell's row to a free row and move the copy to another pose, keeping speed, turning
         and helix rate; return the index of the copy.
         """
-        new = self.copied(row)
-        for state, value in ((X, x), (Y, y), (HEADING, heading), (C, 0.0), (S, 0.0)):
-            self.mean[new, state] = value
-            self.covariance[new, state, :] = self.covariance[new, :, state] = 0.0
-            self.covariance[new, state, state] = NEW[state] ** 2
+        new, pose = self.copied(row), [X, Y, HEADING, C, S]
+        self.mean[new, pose] = x, y, heading, 0.0, 0.0
+        self.covariance[new, pose, :] = self.covariance[new, :, pose] = 0.0
+        self.covariance[new, pose, pose] = self._new[1][pose, pose]
         return new
 
     def drop(self, row: int) -> None:
@@ -141,37 +161,29 @@ class HelixFilter:
 
     def predict(self, pieces: Sequence[Piece]) -> None:
         """Predict every row over successive pieces of constant field."""
-        turn_sd = TURN_KNOWN if self.known else TURN_UNKNOWN
-        for piece in np.array(pieces, np.float64).reshape(-1, 3):
-            if piece[0] > 0:
-                walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
-                before = piece[1:] if self._field is None else self._field
-                rows = self.mean, self.covariance, self.used, self.growth
-                helix_steps.predict(*rows, turn_sd, walled, before, piece)
-                self._field = piece[1:]
+        if pieces:
+            field = np.array(pieces, np.float64)
+            walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
+            before = field[0] if self._field is None else self._field
+            rows = self.mean, self.covariance, self.used
+            helix_steps.predict(*rows, self._new[2], walled, before, field)
+            self._field = field[-1]
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Increase the uncertainty of position, heading, speed, c and s of cells that move
-        unexpectedly.
+        """Make cells that move unexpectedly as uncertain of position, heading, speed, c and s as
+        new ones.
         """
-        for state, deviation in enumerate(LOOSE):
-            self.covariance[rows, state, state] += deviation**2
-
-    def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and their
-        derivatives with respect to the states (M, 3, n).
-        """
-        expected, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, STATES))
-        helix_steps.seen(self.mean, rows, expected, slopes)
-        return expected, slopes
+        for row in rows:
+            self.covariance[row, :RATE, :RATE] += self._new[1][:RATE, :RATE]
 
     def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
         """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and the covariances
         of its position (M, 2, 2) [um^2].
         """
-        expected, slopes = self.seen(rows)
+        bodies, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, STATES))
+        helix_steps.expected(self.mean, rows, self._new[2][SLOWEST], bodies, slopes)
         places = slopes[:, :2]
-        return expected, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
+        return bodies, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
 
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
@@ -183,16 +195,16 @@ class HelixFilter:
         Mahalanobis distances (M,) from the prediction.
         """
         likelihood, distance = np.empty(len(rows)), np.empty(len(rows))
-        given = rows, np.ascontiguousarray(measured), np.ascontiguousarray(deviation)
-        helix_steps.update(self.mean, self.covariance, *given, likelihood, distance)
+        given = np.ascontiguousarray(measured), np.ascontiguousarray(deviation)
+        state = self.mean, self.covariance, rows, self._new[2]
+        helix_steps.update(*state, *given, likelihood, distance)
         return likelihood, distance
 
     def _free(self) -> int:
         if self.used.all():
             self.mean = np.concatenate([self.mean, np.zeros((16, STATES))])
             self.covariance = np.concatenate([self.covariance, np.zeros((16, STATES, STATES))])
-            self.growth = np.concatenate([self.growth, np.zeros((16, len(GROWTH)))])
             self.used = np.concatenate([self.used, np.zeros(16, bool)])
         row = int(np.argmin(self.used))
-        self.used[row], self.growth[row] = True, GROWTH
+        self.used[row] = True
         return row

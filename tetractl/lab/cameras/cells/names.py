@@ -131,7 +131,7 @@ class Names:
         meeting = None if near is None else near.meeting
         if near is not None and (meeting is None or len(meeting.tracks) == 1):
             if meeting is not None and meeting.met:
-                here, _ = self._bank.seen(np.array([near.filter_row, track.filter_row]))
+                here, _ = self._bank.expected(np.array([near.filter_row, track.filter_row]))
                 own, other = self._table(meeting.cells, here, np.full(2, PLACE))[:, 0].tolist()
                 near.together_s = since_s
                 self._forget(meeting)
@@ -331,7 +331,7 @@ class Names:
         that it did before, by where the cells are.
         """
         tracks, cells = meeting.tracks, meeting.cells
-        now, _ = self._bank.seen(np.array([track.filter_row for track in tracks]))
+        now, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
         deviations = [MERGED if track.merged else PLACE for track in tracks]
         table = self._table(cells, now, np.array(deviations))
         own = np.diagonal(table)

@@ -65,7 +65,7 @@ class CellTracker:
         self.um_px = um_px
         least, most = organism.wide_um[0] * organism.body_um[1], organism.outline_um2[1]
         self.finder = BlobFinder(least / um_px**2, TOGETHER * most / um_px**2)
-        self.bank = HelixFilter(known, near_wall)
+        self.bank = HelixFilter(known, near_wall, organism)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]
         self._tracks: list[CellTrack] = []
@@ -377,7 +377,7 @@ class CellTracker:
 
     def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         rows = np.array([cell.row for cell in cells], int)
-        seen, _ = self.bank.seen(rows)
+        seen, _ = self.bank.expected(rows)
         means, covariances = self.bank.mean[rows], self.bank.covariance[rows]
         return [
             SeenCell(

@@ -9,16 +9,17 @@ from support.dish_films import film, record
 
 from tetractl.core.setup import Bounds
 from tetractl.lab.cameras.cells.helix import (
-    GROWTH,
-    TURN_KNOWN,
     WALL_UM,
     HelixFilter,
+    new_cell,
     open_water,
 )
 from tetractl.lab.cameras.cells.kernels.helix_path import smooth
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     DELAY,
     HEADING,
+    LEAD,
+    SLOWEST,
     SPEED,
     STATES,
     TURN,
@@ -26,6 +27,7 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     C,
     S,
 )
+from tetractl.model.organisms import TETRAHYMENA
 from tetractl.model.swimmers import Swimmers, bodies
 
 POSITION, AXIS = 0.5, 0.03
@@ -134,23 +136,25 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
     bank = HelixFilter(near_wall=lambda x, y: np.full(len(x), walled))
     row = bank.add(3.0, -2.0, 0.4, speed)
     pieces = [(0.02, 0.6, 0.8), (0.013, -0.8, 0.6)]
-    bank.mean[row, [C, S, TURN, DELAY]] = 4.0, -3.0, 0.1, 0.01
+    bank.mean[row, [C, S, TURN, DELAY, LEAD]] = 4.0, -3.0, 0.1, 0.01, 0.2
     root = random.normal(0, 0.3, (STATES, STATES))
     bank.covariance[row] += root @ root.T
     m, p = bank.mean[row].copy(), bank.covariance[row].copy()
+    *_, model = new_cell(TETRAHYMENA, known=True)
     bank.predict(pieces)
     for k, (seconds, *field) in enumerate(pieces):
         if k and not walled:
-            f = oracle.slopes(lambda state: oracle.switched(state, (0.6, 0.8), (-0.8, 0.6)), m)
-            m, p = oracle.switched(m, (0.6, 0.8), (-0.8, 0.6)), f @ p @ f.T
-        m, p, _ = oracle.move(m, p, np.array(GROWTH), TURN_KNOWN, walled, seconds, field)
+            change = (0.6, 0.8), (-0.8, 0.6), model[SLOWEST]
+            f = oracle.slopes(lambda state, change=change: oracle.switched(state, *change), m)
+            m, p = oracle.switched(m, *change), f @ p @ f.T
+        m, p, _ = oracle.move(m, p, model, walled, seconds, field)
     assert bank.mean[row] == pytest.approx(m, rel=1e-8)
     assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
     for near in (1.0, 60.0):  # and an outlier
         bank.mean[row], bank.covariance[row] = m, p
-        measured = oracle.body(m) + np.array([near, 0.5, 0.1])
+        measured = oracle.body(m, model[SLOWEST]) + np.array([near, 0.5, 0.1])
         deviation = np.array([1.0, 1.0, 0.05])
-        *found, likelihood, distance = oracle.correct(m, p, measured, deviation)
+        *found, likelihood, distance = oracle.correct(m, p, model, measured, deviation)
         ours = bank.update(np.array([row]), measured[None], deviation[None])
         assert np.ravel(ours) == pytest.approx([likelihood, distance], rel=1e-6)
         assert bank.mean[row] == pytest.approx(found[0], rel=1e-6, abs=1e-6)
@@ -162,16 +166,20 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     random, count = np.random.default_rng(1), 30
     pieces = [(1 / 30, 0.6, 0.8)] * 15 + [(1 / 30, -0.8, 0.6)] * 14
     m, p = bank.mean[rows[0]].copy(), bank.covariance[rows[0]].copy()
+    *_, model = new_cell(TETRAHYMENA, known=True)
     truth, measured = m.copy(), []
     for k in range(count):
         if k:
-            truth = oracle.moved(truth, 0 * p, pieces[k - 1][0], pieces[k - 1][1:])
-        measured.append(oracle.body(truth) + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
+            seconds, *field = pieces[k - 1]
+            truth = oracle.moved(truth, 0 * p, seconds, field, model[SLOWEST])
+        body = oracle.body(truth, model[SLOWEST])
+        measured.append(body + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
     measured, deviation = np.array(measured), np.tile((POSITION, POSITION, AXIS), (count, 1))
     measured[12:16] = np.nan
-    wanted = oracle.smooth(m, p, measured, deviation, pieces, np.array(GROWTH), TURN_KNOWN)
+    wanted = oracle.smooth(m, p, model, measured, deviation, pieces)
     found, first = np.empty((count, STATES)), np.maximum(np.arange(count + 1) - 1, 0)
-    given = measured, deviation, np.array(pieces), first, np.array(GROWTH), TURN_KNOWN, 1.0
-    smooth(m.copy(), p.copy(), *given, found)
+    bodies = np.empty((count, 3))
+    smooth(m.copy(), p, model, measured, deviation, np.array(pieces), first, found, bodies)
+    assert bodies[3] == pytest.approx(oracle.body(found[3], model[SLOWEST]))
     assert found[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
     assert found[:, A] == pytest.approx(wanted[:, A], abs=2e-3)

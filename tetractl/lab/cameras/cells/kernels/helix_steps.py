@@ -1,5 +1,5 @@
 """The compiled steps of the filter of `lab.cameras.cells.helix`, for one cell: its state and
-covariance move over a piece of constant field, and are updated by a measurement.
+covariance move over pieces of constant field, and are updated by a measurement.
 
 `tests/oracles/helix_steps.py` computes the same with whole matrices.
 """
@@ -11,18 +11,20 @@ import numpy as np
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 
-X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY = range(15)
-STATES = 15
+X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY, LEAD = range(16)
+STATES = 16
+# the numbers of a `model` (12,): of the states X to BIAS, the growth of the standard deviation per
+# sqrt(s); of TURN, its standard deviation; the factor EXACT from stated deviations of measurements
+# to their own; the speed SLOWEST below which a cell rests, and its helix does not give its axis
+EXACT, SLOWEST, MODEL = 10, 11, 12
 
-SLOWEST_UM_S = 60.0  # below this speed a cell rests, and its helix does not give its axis
-BACKWARDS_UM_S = -60.0  # speed along the heading below which the heading is reversed
-# additional growth of deviations per sqrt(s) at rest, since a cell may go on in any direction
-RESTING_HEADING, RESTING_SPEED = 0.5, 150.0
-WALL_TURN = 1.0  # additional growth of the heading's deviation near a wall [rad/sqrt(s)]
+# further growth per sqrt(s) at rest, of the heading, and of the speed in SLOWEST, since a cell may
+# go on in any direction; and of the heading near a wall
+RESTING_HEADING, RESTING_SPEED, WALL_TURN = 0.5, 2.5, 1.0
 HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
-ODD = 25.0  # squared distance, in standard deviations, above which a measurement gets less weight
+ODD = 9.0  # squared distance, in standard deviations, above which a measurement gets less weight
 
 
 @compiled(**INLINE_EXACT)
@@ -60,33 +62,48 @@ def apply(f, p, total):
 
 
 @compiled(**ENTRY)
-def switch(m, p, total, before_x, before_y, ux, uy):
-    """Let the field change from (before_x, before_y) to (ux, uy) later by the state DELAY."""
-    a = m[A] if m[SPEED] > SLOWEST_UM_S else 0.0
-    old, old_slope = torque(m[HEADING] + m[BIAS], before_x, before_y)
-    new, new_slope = torque(m[HEADING] + m[BIAS], ux, uy)
+def switch(m, p, total, resting, before, after):
+    """Let the field change from `before` (3,) to `after` (3,) later by the state DELAY."""
+    a = 0.0 if resting else m[A]
+    old, old_slope = torque(m[HEADING] + m[BIAS], before[1], before[2])
+    new, new_slope = torque(m[HEADING] + m[BIAS], after[1], after[2])
     f = np.eye(STATES)
     bend = m[DELAY] * a * (old_slope - new_slope)
     f[HEADING, HEADING] += bend
     f[HEADING, BIAS] = bend
-    f[HEADING, A] = m[DELAY] * (old - new) if a else 0.0
+    f[HEADING, A] = 0.0 if resting else m[DELAY] * (old - new)
     f[HEADING, DELAY] = a * (old - new)
     m[HEADING] += m[DELAY] * a * (old - new)
     apply(f, p, total)
 
 
-@compiled(**ENTRY)
-def move(m, p, total, growth, turn_sd, walled, seconds, ux, uy):
-    """Move a cell's state m and covariance p over a piece of constant field (ux, uy).
+@compiled(**INLINE_EXACT)
+def grow(p, model, resting, walled, seconds):
+    """Add to the covariance p what the states may change by themselves in a time."""
+    for state in range(BIAS + 1):
+        p[state, state] += model[state] ** 2 * seconds
+    p[WAY, WAY] += model[X] ** 2 * seconds
+    if resting:
+        p[HEADING, HEADING] += RESTING_HEADING**2 * seconds
+        p[SPEED, SPEED] += (RESTING_SPEED * model[SLOWEST]) ** 2 * seconds
+    if walled:
+        p[HEADING, HEADING] += WALL_TURN**2 * seconds
 
-    `growth` (9,) and `turn_sd` are as in `HelixFilter`; near a wall (`walled`) turning is
-    no sign of a. `total` collects the derivatives with respect to the state before. To second order
-    in the heading's error, a cell swims and turns by `along` and `round` less than at the mean.
+
+@compiled(**ENTRY)
+def move(m, p, total, model, walled, piece):
+    """Move a cell's state m and covariance p over a `piece` (3,) of constant field.
+
+    Near a wall (`walled`) turning is no sign of a. `total` collects the derivatives with respect to
+    the state before. To second order in the heading's error, a cell swims and turns by `along` and
+    `round` less than at the mean. Half of what changes by itself does so before the motion: a
+    heading that walks takes the cell with it, which is seen in its way as in its axis.
     """
-    half = seconds / 2
+    seconds, ux, uy = piece
+    half, resting = seconds / 2, m[SPEED] < model[SLOWEST]
+    grow(p, model, resting, walled, half)
     along = math.exp(-p[HEADING, HEADING] / 2)
     round = math.exp(-(p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]) / 2)
-    resting = m[SPEED] < SLOWEST_UM_S
     a = 0.0 if resting else m[A] * round
     towards, slope = torque(m[HEADING] + m[BIAS], ux, uy)
     middle = m[HEADING] + (a * towards + m[TURN]) * half
@@ -108,12 +125,11 @@ def move(m, p, total, growth, turn_sd, walled, seconds, ux, uy):
     f[X, SPEED], f[Y, SPEED] = cos * seconds, sin * seconds
     f[X, FLOW_X] = f[Y, FLOW_Y] = f[WAY, SPEED] = seconds
     angle = m[RATE] * seconds
-    keep = math.exp(-seconds / HELIX_S)
+    keep, forget = math.exp(-seconds / HELIX_S), math.exp(-seconds / TURN_S)
     cos_h, sin_h = keep * math.cos(angle), keep * math.sin(angle)
     c, s = m[C] * cos_h - m[S] * sin_h, m[C] * sin_h + m[S] * cos_h
     f[C, C], f[C, S], f[C, RATE] = cos_h, -sin_h, -s * seconds
     f[S, C], f[S, S], f[S, RATE] = sin_h, cos_h, c * seconds
-    forget = math.exp(-seconds / TURN_S)
     f[TURN, TURN] = forget
     m[X] += (m[SPEED] * cos + m[FLOW_X]) * seconds
     m[Y] += (m[SPEED] * sin + m[FLOW_Y]) * seconds
@@ -122,97 +138,80 @@ def move(m, p, total, growth, turn_sd, walled, seconds, ux, uy):
     m[TURN] *= forget
     m[WAY] += m[SPEED] * seconds
     apply(f, p, total)
-    for state in range(len(growth)):
-        p[state, state] += growth[state] ** 2 * seconds
-    if resting:
-        p[HEADING, HEADING] += RESTING_HEADING**2 * seconds
-        p[SPEED, SPEED] += RESTING_SPEED**2 * seconds
-    if walled:
-        p[HEADING, HEADING] += WALL_TURN**2 * seconds
-    p[TURN, TURN] += turn_sd**2 * (1 - forget**2)
+    grow(p, model, resting, walled, half)
+    p[TURN, TURN] += model[TURN] ** 2 * (1 - forget**2)
 
 
 @compiled(**ENTRY)
-def expect(m, expected, h):
+def forward(m, p, total, model, walled, before, pieces):
+    """Move a cell's state m and covariance p over pieces (P, 3) of constant field, each the
+    duration [s] and the field's x and y, after the piece `before` (3,).
+    """
+    for i in range(len(pieces)):
+        last = pieces[i - 1] if i else before
+        if not walled and (pieces[i, 1] != last[1] or pieces[i, 2] != last[2]):
+            switch(m, p, total, m[SPEED] < model[SLOWEST], last, pieces[i])
+        move(m, p, total, model, walled, pieces[i])
+
+
+@compiled(**ENTRY)
+def expect(m, slowest, expected, h):
     """Write the predicted x, y and axis of the body (3,), and their derivatives h (3, n) with
     respect to the states.
     """
     cos, sin = math.cos(m[HEADING]), math.sin(m[HEADING])
-    speed = max(m[SPEED], SLOWEST_UM_S)
-    across = m[RATE] * m[S]
+    speed, swing = max(m[SPEED], slowest), m[SWAY] * m[S] + m[LEAD] * m[C]
+    across = m[RATE] * swing
+    slope = -speed / (speed**2 + across**2)
     expected[0] = m[X] - m[C] * sin
     expected[1] = m[Y] + m[C] * cos
-    tilt = math.atan2(across, speed)
-    expected[2] = m[HEADING] - m[SWAY] * tilt
-    squared = speed**2 + across**2
+    expected[2] = m[HEADING] - math.atan2(across, speed)
     h[:] = 0.0
     h[0, X] = h[1, Y] = h[2, HEADING] = 1.0
-    h[0, HEADING], h[1, HEADING] = -m[C] * cos, -m[C] * sin
-    h[0, C], h[1, C] = -sin, cos
-    h[2, SWAY] = -tilt
-    h[2, S] = -m[SWAY] * m[RATE] * speed / squared
-    h[2, RATE] = -m[SWAY] * m[S] * speed / squared
-    h[2, SPEED] = m[SWAY] * across / squared if m[SPEED] > SLOWEST_UM_S else 0.0
+    h[0, HEADING], h[1, HEADING], h[2, RATE] = -m[C] * cos, -m[C] * sin, slope * swing
+    h[0, C], h[1, C], h[2, C] = -sin, cos, slope * m[RATE] * m[LEAD]
+    h[2, S], h[2, SWAY] = slope * m[RATE] * m[SWAY], slope * m[RATE] * m[S]
+    h[2, LEAD] = slope * m[RATE] * m[C]
+    h[2, SPEED] = -slope * across / speed if m[SPEED] > slowest else 0.0
 
 
 @compiled(**ENTRY)
-def inverse(s, out):
-    """Write the inverse of the symmetric matrix s (3, 3), and return its determinant."""
-    out[0, 0] = s[1, 1] * s[2, 2] - s[1, 2] ** 2
-    out[0, 1] = out[1, 0] = s[0, 2] * s[1, 2] - s[0, 1] * s[2, 2]
-    out[0, 2] = out[2, 0] = s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1]
-    out[1, 1] = s[0, 0] * s[2, 2] - s[0, 2] ** 2
-    out[1, 2] = out[2, 1] = s[0, 1] * s[0, 2] - s[0, 0] * s[1, 2]
-    out[2, 2] = s[0, 0] * s[1, 1] - s[0, 1] ** 2
-    det = s[0, 0] * out[0, 0] + s[0, 1] * out[0, 1] + s[0, 2] * out[0, 2]
-    out /= det
-    return det
-
-
-@compiled(**ENTRY)
-def correct(m, p, measured, deviation, h, gain, weighed):
+def correct(m, p, model, measured, deviation, h, gain, weighed):
     """Update a cell's state m and covariance p by x, y [um] and axis [rad] with their deviations
-    (3,); write derivatives h (3, n), gain (n, 3) and the weighed innovation (3,).
+    (3,), one after the other; write their derivatives h (3, n), gains (3, n) and innovations over
+    their variances (3,).
 
     Returns ln of the likelihood by Student's distribution, the squared Mahalanobis distance
     from the prediction, and whether the heading was reversed.
     """
-    off, cross = np.empty(3), np.zeros((STATES, 3))
-    spread, inv = np.empty((3, 3)), np.empty((3, 3))
-    expect(m, off, h)
+    off, moved, distance, spread = np.empty(3), np.zeros(STATES), 0.0, 0.0
+    expect(m, model[SLOWEST], off, h)
     for i in range(3):
         off[i] = measured[i] - off[i]
+        if i == 2:
+            off[i] = (off[i] + math.pi / 2) % math.pi - math.pi / 2
+        variance = (model[EXACT] * deviation[i]) ** 2
         for j in range(STATES):
+            off[i] -= h[i, j] * moved[j]
+            gain[i, j] = 0.0
             for k in range(STATES):
-                cross[j, i] += p[j, k] * h[i, k]
-    off[2] = (off[2] + math.pi / 2) % math.pi - math.pi / 2
-    for i in range(3):
-        for j in range(3):
-            spread[i, j] = 0.0
-            for k in range(STATES):
-                spread[i, j] += h[i, k] * cross[k, j]
-        spread[i, i] += deviation[i] ** 2
-    det = inverse(spread, inv)
-    distance = 0.0
-    for i in range(3):
-        for j in range(3):
-            distance += off[i] * inv[i, j] * off[j]
-    likelihood = -(TAIL + 3) / 2 * math.log1p(distance / TAIL) - 0.5 * math.log(det)
-    if distance > ODD:
-        for i in range(3):
-            spread[i, i] *= distance / ODD
-        inverse(spread, inv)
-    for i in range(3):
-        weighed[i] = inv[i, 0] * off[0] + inv[i, 1] * off[1] + inv[i, 2] * off[2]
+                gain[i, j] += p[j, k] * h[i, k]
+        for j in range(STATES):
+            variance += h[i, j] * gain[i, j]
+        odd = off[i] ** 2 / variance
+        distance += odd
+        spread += math.log(variance)
+        variance *= max(odd / ODD, 1.0)
+        weighed[i] = off[i] / variance
+        for j in range(STATES):
+            moved[j] += gain[i, j] * weighed[i]
+            for k in range(j + 1):
+                p[j, k] = p[k, j] = p[j, k] - gain[i, j] * gain[i, k] / variance
+        for j in range(STATES):
+            gain[i, j] /= variance
     for j in range(STATES):
-        m[j] += cross[j, 0] * weighed[0] + cross[j, 1] * weighed[1] + cross[j, 2] * weighed[2]
-        for i in range(3):
-            gain[j, i] = cross[j, 0] * inv[0, i] + cross[j, 1] * inv[1, i] + cross[j, 2] * inv[2, i]
-    for j in range(STATES):
-        for k in range(j + 1):
-            less = gain[j, 0] * cross[k, 0] + gain[j, 1] * cross[k, 1] + gain[j, 2] * cross[k, 2]
-            p[j, k] = p[k, j] = (p[j, k] + p[k, j]) / 2 - less
-    wrong = m[SPEED] < BACKWARDS_UM_S
+        m[j] += moved[j]
+    wrong = m[SPEED] < -model[SLOWEST]
     if wrong:  # the heading points to the wrong end of the axis
         m[HEADING] += math.pi
         reverse(m)
@@ -220,7 +219,7 @@ def correct(m, p, measured, deviation, h, gain, weighed):
             reverse(p[j])
         for j in range(STATES):
             reverse(p[:, j])
-    return likelihood, distance, wrong
+    return -(TAIL + 3) / 2 * math.log1p(distance / TAIL) - spread / 2, distance, wrong
 
 
 @compiled(**INLINE_EXACT)
@@ -231,31 +230,27 @@ def reverse(states):
 
 
 @compiled(**ENTRY)
-def predict(mean, covariance, used, growth, turn_sd, walled, before, piece):
-    """Move every row in use over a piece of constant field (3,), after the field `before` (2,)."""
+def predict(mean, covariance, used, model, walled, before, pieces):
+    """Move every row in use over pieces of constant field (P, 3), after the piece `before`."""
     total = np.empty((0, 0))
-    seconds, ux, uy = piece
     for row in range(len(used)):
         if used[row]:
-            m, p = mean[row], covariance[row]
-            if (ux != before[0] or uy != before[1]) and not walled[row]:
-                switch(m, p, total, before[0], before[1], ux, uy)
-            move(m, p, total, growth[row], turn_sd, walled[row], seconds, ux, uy)
+            forward(mean[row], covariance[row], total, model, walled[row], before, pieces)
 
 
 @compiled(**ENTRY)
-def update(mean, covariance, rows, measured, deviation, likelihood, distance):
+def update(mean, covariance, rows, model, measured, deviation, likelihood, distance):
     """Update rows (M,) by measurements (M, 3), and write ln of their likelihoods and squared
     distances (M,).
     """
-    h, gain, weighed = np.empty((3, STATES)), np.empty((STATES, 3)), np.empty(3)
+    h, gain, weighed = np.empty((3, STATES)), np.empty((3, STATES)), np.empty(3)
     for i, row in enumerate(rows):
-        m, p = mean[row], covariance[row]
-        likelihood[i], distance[i], _ = correct(m, p, measured[i], deviation[i], h, gain, weighed)
+        given = measured[i], deviation[i], h, gain, weighed
+        likelihood[i], distance[i], _ = correct(mean[row], covariance[row], model, *given)
 
 
 @compiled(**ENTRY)
-def seen(mean, rows, expected, slopes):
+def expected(mean, rows, slowest, bodies, slopes):
     """Write the predicted x, y and axis (M, 3) of rows (M,), and their derivatives (M, 3, n)."""
     for i, row in enumerate(rows):
-        expect(mean[row], expected[i], slopes[i])
+        expect(mean[row], slowest, bodies[i], slopes[i])

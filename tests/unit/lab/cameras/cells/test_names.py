@@ -8,6 +8,7 @@ import pytest
 
 from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.helix import HelixFilter
+from tetractl.lab.cameras.cells.kernels.helix_steps import C, X, Y
 from tetractl.lab.cameras.cells.names import ASSERTED, LOST_S, Names
 from tetractl.lab.cameras.cells.questions import Known, Question, orders
 
@@ -112,7 +113,8 @@ def test_each_meeting_lowers_the_certainty_of_who_is_who():
     places = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
     found = []
     for seconds in (20.0, 40.0):
-        dish.bank.mean[[track.row for track in tracks], :2] = 501.0, 500.0
+        for track in tracks:
+            dish.bank.mean[track.row, [X, Y, C]] = 501.0, 500.0, 0.0
         dish.names.meet(tracks, seconds, False)
         dish.names.part(places, [], seconds + 0.1)
         dish.names.answer(seconds + 12.0)

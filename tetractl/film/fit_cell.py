@@ -22,7 +22,10 @@ from tetractl.lab.cameras.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_ce
 from tetractl.lab.cameras.cells.kernels.helix_path import likelihoods, smooth
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     BIAS,
+    DELAY,
     EXACT,
+    FLOW_X,
+    FLOW_Y,
     HEADING,
     RATE,
     SPEED,
@@ -48,6 +51,7 @@ RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
 USUAL = np.array([1.0, 1.0, 4.0, 0.5])
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
+FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
 ORDER = 6  # differences of so many successive places leave little of a path but its noise
 BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
 USUAL_BLOCKS = 4.0  # weight of the usual misfit of a film's cells, in blocks
@@ -188,7 +192,6 @@ class _Measured:
         and a first state (n,).
         """
         last = mean.copy()
-        last[WAY] = 0.0
         values, first = self.values[start:end], self.first[start : end and end + 1].copy()
         first[0] = first[1]
         states, bodies = np.empty((len(values), STATES)), np.empty((len(values), 3))
@@ -248,6 +251,7 @@ class _Fit:
         for _ in range(ROUNDS):
             noise, _ = newton_step(likelihood, noise, SPREAD)
         mean = table.smoothed(noise[0], mean)[2][0]
+        mean[FROM_0] = 0.0
         last, covariance, states, bodies = table.smoothed(noise[0], mean)
         parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
         misfit = 0.0

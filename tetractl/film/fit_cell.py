@@ -65,7 +65,7 @@ class CellSummary:
 
     `seconds` is the number of picture periods from its first to its last picture. `speed` [um/s] is
     the mean over this time of the speed along the helix's axis in the medium, with the interval of
-    this mean. `path_um` is the length of the way along the helix's axis, `sway_rad` the amplitude
+    this mean; `spread` is the standard deviation of the speed over time. `path_um` is the length of the way along the helix's axis, `sway_rad` the amplitude
     of the body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix.
     `a` and `bias` are None without a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS
     standard deviations. `probability` is the probability that the cell was not mistaken for
@@ -78,6 +78,7 @@ class CellSummary:
     pictures: int
     path_um: float
     speed: SampleInterval | None
+    spread: float
     sway_rad: float
     helix_hz: float
     helix_um: float
@@ -291,13 +292,14 @@ def _summary(
     )
     way = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum())
     speed = a = bias = magnetised = None
-    sway = hz = radius = math.nan
+    spread = sway = hz = radius = math.nan
     if fit is not None and count >= round(SHORTEST_S * rate_hz):
         states, way = fit.states, float(fit.mean[WAY])
         wider = math.sqrt(
             max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
         )
         speed = _interval(way / between, wider * fit.sd[WAY] / between, SPEED_ERROR)
+        spread = float(states[:, SPEED].std())
         sway = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
         hz = float(np.median(states[:, RATE])) / math.tau
         radius = float(np.median(np.hypot(states[:, C], states[:, S])))
@@ -312,6 +314,7 @@ def _summary(
         pictures=len(path.seen),
         path_um=way,
         speed=speed,
+        spread=spread,
         sway_rad=sway,
         helix_hz=hz,
         helix_um=radius,

@@ -48,6 +48,7 @@ def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
     assert cell.pictures == 60
     assert cell.seconds == pytest.approx(2.0)
     assert cell.speed.low < made.cells.speed[i] < cell.speed.high
+    assert cell.spread < 0.05 * cell.speed.value  # this film's cells swim steadily
     assert np.median(np.linalg.norm(path.places - made.body[path.frames, i, :2], axis=1)) < 1.0
 
 

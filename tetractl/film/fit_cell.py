@@ -65,11 +65,12 @@ class CellSummary:
 
     `seconds` is the number of picture periods from its first to its last picture. `speed` [um/s] is
     the mean over this time of the speed along the helix's axis in the medium, with the interval of
-    this mean; `spread` is the standard deviation of the speed over time. `path_um` is the length of the way along the helix's axis, `sway_rad` the amplitude
-    of the body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix.
-    `a` and `bias` are None without a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS
-    standard deviations. `probability` is the probability that the cell was not mistaken for
-    another, in the picture where it is least.
+    this mean; `spread` is the standard deviation of the speed over time. `path_um` is the length of
+    the way along the helix's axis, `sway_rad` the amplitude of the body's swing about it;
+    `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and `bias` are None without
+    a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS standard deviations.
+    `probability` is the probability that the cell was not mistaken for another, in the picture
+    where it is least.
     """
 
     cell: int

@@ -211,7 +211,8 @@ def _rename(
 
 def _split(shown: Sequence[dict[int, SeenCell]]) -> None:
     """Give each part of a track in which the name is uncertain a name of its own, or several if the
-    cell is with others for a part of it, unless the track has the same name before and after.
+    cell is with others for a part of it, unless the track has the same name before and after, or
+    begins with that part.
     """
     last = max((cell.identity for at in shown for cell in at.values()), default=0)
     before: dict[int, int] = {}
@@ -219,13 +220,13 @@ def _split(shown: Sequence[dict[int, SeenCell]]) -> None:
     for k, at in enumerate([*shown, {}]):
         for track in [each for each in parts if each not in at or at[each].probability > ASSERTED]:
             part, merged = parts.pop(track), None
-            if track in at and at[track].identity == before.get(track):
+            if track in at and at[track].identity == before.get(track, at[track].identity):
                 continue
             for i in part:
                 cell = shown[i][track]
                 last += cell.merged is not merged
                 merged = cell.merged
-                shown[i][track] = replace(cell, identity=last, probability=1.0)
+                shown[i][track] = replace(cell, identity=last)
         for track, cell in at.items():
             if cell.probability <= ASSERTED:
                 parts.setdefault(track, []).append(k)

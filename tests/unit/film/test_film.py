@@ -206,6 +206,6 @@ def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
     _split(left)
     _split(stayed)
     assert [at[7].identity for at in left] == [3, 5, 6, 6, 4]
-    assert all(at[7].probability == 1.0 for at in left)
+    assert [at[7].probability for at in left] == [1.0, 0.6, 0.5, 0.4, 1.0]
     assert [at[7].identity for at in stayed] == [3] * 5
     assert [at[7].probability for at in stayed] == [1.0, 0.6, 0.5, 0.4, 1.0]

@@ -180,6 +180,8 @@ class Names:
 
     def probability(self, track: CellTrack) -> float:
         """Return the probability that a track has the right name."""
+        if track.pair:
+            return LIKELIER
         if track.question is not None:
             order, shares = track.question.best()
             t = track.question.tracks.index(track)

@@ -39,6 +39,8 @@ ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as
 ASTRAY = 0.67  # distance of a cell's state from its own blob above which the state is wrong
 ENTERED = 2.3  # a new cell nearer than this to the picture's edge has swum into the picture
 ENTER, APPEAR = 10.0, 0.3  # cells that are expected to appear: at the edge, and anywhere
+# a new blob this many times larger than the usual cell, of at least so many, may show two
+PAIR, USUAL = 1.7, 5
 SPECK_S, HIDDEN_SPECK_S = 0.1, 3.0  # time for which a speck is kept: a new one, an old one
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
@@ -291,7 +293,9 @@ class CellTracker:
         (vx, vy), fitted = straight(path[-BORN:])
         x, y = fitted[-1].tolist()
         track.long, track.wide = np.nanmedian(path[:, 4:6], axis=0).tolist()
-        track.large_s = self._time or 0.0
+        usual = [each.long * each.wide for each in self._cells() if each.begun is None]
+        large = PAIR * float(np.median(usual)) if len(usual) >= USUAL else math.inf
+        track.pair, track.large_s = track.long * track.wide > large, self._time or 0.0
         track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
         track.identity, track.begun = self._name(), (x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]
@@ -348,6 +352,7 @@ class CellTracker:
         if track.begun is None:
             return False
         x, y, began = track.begun
+        track.pair &= seconds - began < STARTED_S
         if math.dist(track.last.tolist(), (x, y)) > STARTED * self._body_um:
             track.begun = None
             return False

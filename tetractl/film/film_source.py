@@ -64,7 +64,7 @@ class FilmSource:
         with suppress(Exception):  # the libraries do not document what they raise
             picture = self.read(index)
             if picture is not None and picture.dtype.kind in "buif":
-                return picture
+                return picture if picture.size and picture.ndim in (2, 3) else None
         return None
 
     def over_time(self, axes: str, shape: Sequence[int]) -> list[int]:

@@ -244,19 +244,10 @@ def _squared(times: Floats, places: Floats, lag: int, step: float) -> float:
     return float(squares.mean()) if len(squares) else math.nan
 
 
-def _velocities(axes: Axes, log: TrackLog) -> None:
-    """Draw each cell's VCL, VAP and VSL, and their means."""
-    _strips(axes, log, {f"{name}_um_s": name.upper() for name in VELOCITIES})
-    axes.set_ylabel("velocity [µm/s]")
-
-
-def _linearity(axes: Axes, log: TrackLog) -> None:
-    """Draw each cell's LIN, and its mean."""
-    _strips(axes, log, {"lin": "LIN"}, 2)
-    axes.set(ylim=(0, 1), ylabel="VSL / VCL")
-
-
-def _strips(axes: Axes, log: TrackLog, names: dict[str, str], decimals: int = 0) -> None:
+def _strips(
+    names: dict[str, str], label: str, decimals: int, most: float | None, axes: Axes, log: TrackLog
+) -> None:
+    """Draw a column of the cells' values for each quantity, with their mean."""
     labels = []
     for at, (key, name) in enumerate(names.items()):
         cells = [(each["cell"], value_of(each.get(key))) for each in log.record["cells"]]
@@ -271,16 +262,22 @@ def _strips(axes: Axes, log: TrackLog, names: dict[str, str], decimals: int = 0)
         labels.append(f"{name}\n{_stated(found, decimals, lines=True)}")
     axes.set_xticks(range(len(labels)), labels)
     axes.tick_params(axis="x", length=0)
-    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, None))
+    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, most), ylabel=label)
 
 
+def _moves(log: TrackLog) -> bool:
+    return any(True for _ in log.tracks)
+
+
+_velocities = partial(
+    _strips, {f"{name}_um_s": name.upper() for name in VELOCITIES}, "velocity [µm/s]", 0, None
+)
+_linearity = partial(_strips, {"lin": "LIN"}, "VSL / VCL", 2, 1.0)
 PANELS = {
     "paths": Panel("paths over the first picture", _paths, lambda log: True),
     "speeds": Panel("speed", _speeds, lambda log: len(log.values("speed_um_s")) > 0),
-    "turning": Panel(
-        "turning", _turning, lambda log: bool(log.record["field"]) and len(log.time) > 0
-    ),
-    "msd": Panel("mean squared displacement", _displacement, lambda log: len(log.time) > 0),
+    "turning": Panel("turning", _turning, lambda log: bool(log.record["field"]) and _moves(log)),
+    "msd": Panel("mean squared displacement", _displacement, _moves),
     "velocities": Panel("velocities", _velocities, lambda log: len(log.values("vcl_um_s")) > 0),
     "linearity": Panel("linearity", _linearity, lambda log: len(log.values("lin")) > 0),
 }

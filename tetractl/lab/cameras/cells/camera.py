@@ -87,9 +87,7 @@ class CellCamera(PictureCamera[SeenDish]):
         estimates of a and of the mean speed since each was first seen. Cells near the arena's edge
         are not free.
         """
-        return [
-            self._found(each) for each in self._cells if each.found and each.probability >= SURE
-        ]
+        return [self._found(c) for c in self._cells if c.found and c.probability >= SURE]
 
     def _found(self, cell: SeenCell) -> FoundCell:
         per_um = 1e-6 / self._setup.metres
@@ -124,10 +122,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def films(self) -> list[CellFilm]:
         """Return the film's data for each picture since the last call, oldest first."""
-        found: list[CellFilm] = []
-        while self._films:
-            found.append(self._films.popleft())
-        return found
+        return [self._films.popleft() for _ in range(len(self._films))]
 
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts of source, light, focus and
@@ -218,18 +213,14 @@ class CellCamera(PictureCamera[SeenDish]):
             signals = list(self._signals)
         times = [sent / SECOND for sent, _ in signals]
         first, last = bisect_right(times, start), bisect_right(times, end)
-        cuts = [start, *times[first:last], end]
-        found: list[Piece] = []
-        for i in range(len(cuts) - 1):
-            now = first + i - 1
-            direction = signals[now][1] if now >= 0 else None
-            part = cuts[i + 1] - cuts[i]
-            if direction is None:
-                found.append((part, 0.0, 0.0))
-            else:
-                own = direction - self.section.rotation
-                found.append((part, math.cos(own), math.sin(own)))
-        return found
+        before = signals[first - 1][1] if first else None
+        directions = [before, *(direction for _, direction in signals[first:last])]
+        parts = np.diff([start, *times[first:last], end]).tolist()
+        turned = [None if u is None else u - self.section.rotation for u in directions]
+        return [
+            (part, 0.0, 0.0) if u is None else (part, math.cos(u), math.sin(u))
+            for part, u in zip(parts, turned, strict=True)
+        ]
 
 
 def _sharpness(

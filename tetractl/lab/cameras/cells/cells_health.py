@@ -38,7 +38,42 @@ def dish_lines(
     """Return problems and warnings about light, focus and cells in the last pictures, which are
     given oldest first, for cells `width_px` wide; two empty lists without pictures.
     """
-    return (_problems(names, looks), _warnings(looks, width_px)) if looks else ([], [])
+    if not looks:
+        return [], []
+    newest, problems, warnings = looks[-1].seen, list[str](), list[str]()
+    level = statistics.median(look.seen.level for look in looks)
+    if level < DARK:
+        problems.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
+    elif level > SATURATED:
+        problems.append(
+            f"the picture is saturated (median {level:.0f} of 255): use less light or a shorter "
+            "exposure"
+        )
+    if newest.light.lost:
+        problems.append(
+            f"{100 * newest.light.changed:.0f} % of the picture differs from the "
+            "background: was the stage or the lamp moved? Start again"
+        )
+    lost = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
+    if lost:
+        problems.append(
+            f"{', '.join(lost)} not tracked: {cell_count(looks)} cells are in view, {len(names)} "
+            "are needed"
+        )
+    elif newest.sure < SURE:
+        warnings.append(
+            "cells have met, and it is uncertain which is which: let the field turn a few times"
+        )
+    contrasts = [c for look in looks if (c := look.seen.light.contrast) is not None]
+    contrast = statistics.median(contrasts) if contrasts else None
+    if not newest.light.lost and (line := faint_line(contrast, newest.light.limit)):
+        warnings.append(line)
+    sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
+    if sharp and statistics.median(sharp) < BLURRED:
+        warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
+    if width_px < SMALL_PX:
+        warnings.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
+    return problems, warnings
 
 
 def faint_line(contrast: float | None, limit: float) -> str | None:
@@ -65,46 +100,3 @@ def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
         for look in looks
     ]
     return round(statistics.median(counts))
-
-
-def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str]:
-    found: list[str] = []
-    level = statistics.median(look.seen.level for look in looks)
-    if level < DARK:
-        found.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
-    elif level > SATURATED:
-        found.append(
-            f"the picture is saturated (median {level:.0f} of 255): use less light or a shorter "
-            "exposure"
-        )
-    if looks[-1].seen.light.lost:
-        found.append(
-            f"{100 * looks[-1].seen.light.changed:.0f} % of the picture differs from the "
-            "background: was the stage or the lamp moved? Start again"
-        )
-    lost = [name for name, pose in zip(names, looks[-1].seen.poses, strict=True) if pose is None]
-    if lost:
-        seen = cell_count(looks)
-        found.append(
-            f"{', '.join(lost)} not tracked: {seen} cells are in view, {len(names)} are needed"
-        )
-    return found
-
-
-def _warnings(looks: Sequence[Look[SeenDish]], width_px: float) -> list[str]:
-    found: list[str] = []
-    light = looks[-1].seen.light
-    contrasts = [c for look in looks if (c := look.seen.light.contrast) is not None]
-    contrast = statistics.median(contrasts) if contrasts else None
-    if not light.lost and (line := faint_line(contrast, light.limit)):
-        found.append(line)
-    sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
-    if sharp and statistics.median(sharp) < BLURRED:
-        found.append("the rims of cells are blurred: focus, or shorten the exposure")
-    if width_px < SMALL_PX:
-        found.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
-    if looks[-1].seen.sure < SURE and not any(pose is None for pose in looks[-1].seen.poses):
-        found.append(
-            "cells have met, and it is uncertain which is which: let the field turn a few times"
-        )
-    return found

@@ -40,9 +40,9 @@ class FilmCutter:
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
         side = int(np.clip(STEP * np.ceil(ROOM * longest / STEP), LEAST, MOST))
         rim = box_px(tracker.finder.least_px2)  # the margin around a blob on which it depends
-        blobs = [(cell, tracker.blob(cell.track)) for cell in cells]
-        kept = [(c, b) for c, b in blobs if b and not b.at_edge and fits(b, side - rim)]
-        corners = [corner(blob, side) for _, blob in kept]
+        blobs = [(c, b) for c in cells if (b := tracker.blob(c.track)) and not b.at_edge]
+        kept = [(c, b) for c, b in blobs if max(b.body.shape) <= side - rim]
+        corners = [_corner(blob, side) for _, blob in kept]
         crops = [cut(searched, column, row, side) for column, row in corners]
         tracks = [-1 if cell is None else cell.track for cell in robots]
         found_at = [_off(c, b, picture.shape[0], tracker.um_px) < HERE_UM for c, b in kept]
@@ -76,12 +76,7 @@ def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
     return math.hypot(cell.x - x, cell.y - y)
 
 
-def fits(blob: Blob, side: int) -> bool:
-    """Return whether a blob fits into a square of `side` by `side` pixels."""
-    return max(blob.body.shape) <= side
-
-
-def corner(blob: Blob, side: int) -> tuple[int, int]:
+def _corner(blob: Blob, side: int) -> tuple[int, int]:
     """Return the upper left pixel of a crop centred on a blob."""
     rows, columns = blob.body.shape
     return blob.corner[0] + columns // 2 - side // 2, blob.corner[1] + rows // 2 - side // 2

@@ -26,7 +26,6 @@ LEAST = 0.33  # least standard deviation of that noise: pictures have whole grey
 NOISY = 4.0  # growth of the noise at which the background no longer applies
 NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
 BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
-REGIONS = 4000  # a picture with more regions does not show a dish
 CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
 EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
 GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
@@ -131,8 +130,8 @@ class BlobFinder:
             moved(each, shift_of(cv2.convertScaleAbs(each, alpha=gain), usual))
             for each, gain in zip(pictures, gains, strict=True)
         ]
-        fine = _median(still, gains)
-        self._fine = np.asarray(_blurred(fine), np.float32)
+        self._fine, self._mean = _median(still, gains), np.empty(usual.shape, np.float32)
+        _blurred(self._fine, self._mean, self._fine)
         self.background = flat = _grey(cv2.convertScaleAbs(self._fine))
         apart = [g * _sparse(e) - _sparse(self._fine) for e, g in zip(still, gains, strict=True)]
         self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
@@ -140,7 +139,6 @@ class BlobFinder:
         self.searched, self._smooth, self._expected, self._mask, self._was = (
             np.zeros_like(flat) for _ in range(5)
         )
-        self._mean = np.zeros(flat.shape, np.float32)
 
     def find(self, picture: Grey) -> list[Blob]:
         """Return the blobs of a picture (height, width), largest first."""
@@ -159,9 +157,8 @@ class BlobFinder:
         self._noise = light.noise if first else self._noise
         noisy = light.noise > NOISY * max(self._noise, 1.0)
         lost = light.lost or noisy or light.changed > CHANGED or bool(self._again)
-        found = None if lost else _blobs(self.searched, self._mean, self._mask, self.limits)
-        lost, blobs = found is None, found or []
-        blobs = [blob for blob in blobs if not self._mended(blob, light.gain)]
+        found = [] if lost else blobs_of(self.searched, self.limits, mean=self._mean)
+        blobs = [blob for blob in found if not self._mended(blob, light.gain)]
         contrast = float(np.median([each.strength for each in blobs])) if blobs else None
         self.light = replace(
             light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if first else shift
@@ -181,7 +178,7 @@ class BlobFinder:
         cv2.absdiff(self._smooth, self._expected, self.searched)
         # medians, and averages of what is near them: cells and debris do not count
         noise = min(1.48 * float(np.median(np.abs(seen - gain * known))), NOISE_MAX)
-        _averaged(self.searched, self.least_px2, self._mean)
+        averaged(self.searched, self.least_px2, self._mean)
         sample = _sparse(self._mean)
         usual = sample[sample <= np.median(sample) + max(2.0, noise)].astype(float)
         level, spread = min(float(usual.mean()), NOISE_MAX), max(float(usual.std()), LEAST)
@@ -240,15 +237,27 @@ class BlobFinder:
 
 
 def blobs_of(
-    searched: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
+    difference: Grey,
+    limits: Sequence[float],
+    corner: tuple[int, int] = (0, 0),
+    mean: NDArray[np.float32] | None = None,
 ) -> list[Blob]:
     """Return the blobs of a background-subtracted picture, or of a part of it, largest first.
 
     `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
-    column and row of the part's upper left pixel.
+    column and row of the part's upper left pixel; `mean` are averages computed before.
     """
-    mean = _averaged(searched, limits[2], np.empty(searched.shape, np.float32))
-    return _blobs(searched, mean, _grey(mean > limits[0]), limits, corner) or []
+    mean = averaged(difference, limits[2]) if mean is None else mean
+    regions = cv2.findContours(_grey(mean > limits[0]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[
+        0
+    ]
+    boxes = [(cv2.boundingRect(region), region) for region in regions]
+    large = [each for each in boxes if each[0][2] * each[0][3] >= limits[2]]
+    large.sort(key=lambda each: -each[0][2] * each[0][3])
+    found: list[Blob] = []
+    for box, region in large[:BLOBS]:
+        found += _bodies(box, region, difference, mean, limits, corner)
+    return found[:BLOBS]
 
 
 def box_px(least_px2: float) -> int:
@@ -256,37 +265,13 @@ def box_px(least_px2: float) -> int:
     return 2 * int(BOX * math.sqrt(least_px2) / 2) + 1
 
 
-def _square(least_px2: float) -> Grey:
-    return np.ones((box_px(least_px2),) * 2, np.uint8)
-
-
-def _averaged(difference: Grey, least_px2: float, into: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Average over squares; the results, written to `into`, are those of a crop to the last bit."""
-    side = box_px(least_px2)
-    cv2.boxFilter(difference, cv2.CV_32F, (side, side), into, borderType=cv2.BORDER_CONSTANT)
-    return into
-
-
-def _blobs(
-    difference: Grey,
-    mean: NDArray[np.float32],
-    mask: Grey,
-    limits: Sequence[float],
-    corner: tuple[int, int] = (0, 0),
-) -> list[Blob] | None:
-    """Return the blobs of a difference averaged to `mean`, largest first; `mask` is where that
-    exceeds the lower limit. None if there are too many.
-    """
-    regions = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-    if len(regions) > REGIONS:
-        return None
-    boxes = [cv2.boundingRect(region) for region in regions]
-    large = [(b, r) for b, r in zip(boxes, regions, strict=True) if b[2] * b[3] >= limits[2]]
-    large.sort(key=lambda each: -each[0][2] * each[0][3])
-    found: list[Blob] = []
-    for box, region in large[:BLOBS]:
-        found += _bodies(box, region, difference, mean, limits, corner)
-    return found[:BLOBS]
+def averaged(
+    difference: Grey, least_px2: float, into: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Average over squares; a crop gives the same to the last bit. `into` is a buffer."""
+    size, rim = (box_px(least_px2),) * 2, cv2.BORDER_CONSTANT
+    mean = cv2.boxFilter(difference, cv2.CV_32F, size, into, borderType=rim)
+    return np.asarray(mean, np.float32)
 
 
 def _bodies(
@@ -299,19 +284,19 @@ def _bodies(
 ) -> Iterator[Blob]:
     """Yield the bodies in a region, given by its contour and the box around it; that with the
     greatest difference comes first.
+
+    The weights of a body's moments rise from 0 to 1 with the difference, so that neither a pixel at
+    its edge nor what is inside moves them much.
     """
     left, top, wide, tall = box
     low, high, least, most = limits
     level = low - (high - low) * LOW / (HIGH - LOW)  # the mean of averages without a body
-    rim = _square(least)
     here, (height, width) = (slice(top, top + tall), slice(left, left + wide)), mean.shape
     inside = np.zeros((tall, wide), np.uint8)
     cv2.drawContours(inside, [region], -1, 1, -1, offset=(-left, -top))
-    if cv2.countNonZero(inside) < least:
-        return
     rest = mean[here] * inside
     at_edge = left == 0 or top == 0 or left + wide == width or top + tall == height
-    for _ in range(BODIES):
+    for _ in range(BODIES if cv2.countNonZero(inside) >= least else 0):
         _, peak, _, at = cv2.minMaxLoc(rest)
         if peak <= high:
             return
@@ -319,51 +304,43 @@ def _bodies(
         mask = _grey(rest > max(low, level + EDGE * (peak - level)))
         cv2.floodFill(mask, None, at, 2)
         body = _grey(mask == 2)
-        near = cv2.dilate(body, rim) > 0
+        near = cv2.dilate(body, _square(least)) > 0
         rest[near] = 0
-        if least / 2 <= cv2.countNonZero(body) <= most:  # a neighbour cuts a part off
-            weights = np.clip((difference[here] - level) / (peak - level), *RAMP) - RAMP[0]
-            at = left + corner[0], top + corner[1]
-            yield _blob(body, weights * near, cv2.mean(difference[here], body)[0], at, at_edge)
+        if not least / 2 <= cv2.countNonZero(body) <= most:  # a neighbour cuts a part off
+            continue
+        weights = np.clip((difference[here] - level) / (peak - level), *RAMP) - RAMP[0]
+        moments = cv2.moments(weights * near)
+        if moments["m00"] == 0:
+            moments = cv2.moments(body, binaryImage=True)
+        mass = moments["m00"]
+        xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
+        xy, middle = moments["mu11"] / mass, (xx + yy) / 2
+        spread = math.hypot((xx - yy) / 2, xy)
+        yield Blob(
+            x=left + corner[0] + moments["m10"] / mass,
+            y=top + corner[1] + moments["m01"] / mass,
+            axis=0.5 * math.atan2(2 * xy, xx - yy),
+            long=4 * math.sqrt(middle + spread),
+            wide=4 * math.sqrt(max(middle - spread, 1e-3)),
+            strength=cv2.mean(difference[here], body)[0],
+            body=body,
+            corner=(left + corner[0], top + corner[1]),
+            at_edge=at_edge,
+        )
 
 
-def _blob(
-    body: Grey, weights: np.ndarray, strength: float, corner: tuple[int, int], at_edge: bool
-) -> Blob:
-    """Return the blob of a body; the weights of its moments rise from 0 to 1 with the difference,
-    so that neither a pixel at its edge nor what is inside moves them much.
-    """
-    moments = cv2.moments(weights)
-    if moments["m00"] == 0:
-        moments = cv2.moments(body, binaryImage=True)
-    mass = moments["m00"]
-    x, y = moments["m10"] / mass, moments["m01"] / mass
-    xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
-    xy = moments["mu11"] / mass
-    spread = math.hypot((xx - yy) / 2, xy)
-    mean = (xx + yy) / 2
-    return Blob(
-        x=corner[0] + x,
-        y=corner[1] + y,
-        axis=0.5 * math.atan2(2 * xy, xx - yy),
-        long=4 * math.sqrt(mean + spread),
-        wide=4 * math.sqrt(max(mean - spread, 1e-3)),
-        strength=strength,
-        body=body,
-        corner=corner,
-        at_edge=at_edge,
-    )
+def _square(least_px2: float) -> Grey:
+    return np.ones((box_px(least_px2),) * 2, np.uint8)
 
 
-def _blurred(
-    picture: np.ndarray, between: Grey | None = None, into: Grey | None = None
-) -> np.ndarray:
+def _blurred(picture: np.ndarray, between: np.ndarray, into: np.ndarray) -> None:
     """Blur a picture by two box filters, which take a quarter of the time of a Gaussian filter.
 
-    The result is nearly that of a Gaussian with a standard deviation of 1.15 px. `between` and
-    `into` are buffers.
+    The result, written to `into`, is nearly that of a Gaussian with a standard deviation of 1.15
+    px; `between` is a buffer.
     """
-    return cv2.blur(cv2.blur(picture, (3, 3), between), (3, 3), into)
+    cv2.blur(picture, (3, 3), between)
+    cv2.blur(between, (3, 3), into)
 
 
 def _sparse(picture: np.ndarray) -> np.ndarray:

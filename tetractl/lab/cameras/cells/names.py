@@ -68,6 +68,7 @@ class Names:
         if not meetings:
             self._meetings.append(meeting)
         for other in meetings[1:]:
+            self._lapse(meeting)
             self._lapse(other)
             meeting.tracks += other.tracks
             meeting.cells += other.cells

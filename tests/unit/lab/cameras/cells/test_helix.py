@@ -19,6 +19,7 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     DELAY,
     HEADING,
     LEAD,
+    RATE,
     SLOWEST,
     SPEED,
     STATES,
@@ -26,8 +27,10 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     A,
     C,
     S,
+    X,
+    Y,
 )
-from tetractl.model.organisms import TETRAHYMENA
+from tetractl.model.organisms import TETRAHYMENA, named
 from tetractl.model.swimmers import Swimmers, bodies
 
 POSITION, AXIS = 0.5, 0.03
@@ -128,6 +131,47 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
 
     assert np.abs(learned(open_water)).max() > 5
     assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 2.0
+
+
+def test_a_heading_that_walks_does_not_lower_a():
+    """The heading's walk takes a cell with it within a step: its way does not say where the cell
+    headed before.
+    """
+    random, count, sd = np.random.default_rng(4), 24, np.array((0.1, 0.1, 0.012))
+    cells, seen = Swimmers.drawn(random, count), []
+    cells.walk[:] = 0.15
+    mean, start, model = new_cell(TETRAHYMENA, known=True)
+    model[[X, Y, C, S]], model[HEADING], model[SPEED] = 0.2, 0.15, 5.0
+    first = cells.copy()
+    angles = np.repeat(random.uniform(-math.pi, math.pi, 12), 20)
+    pieces = np.column_stack([np.full(len(angles), 1 / 30), np.cos(angles), np.sin(angles)])
+    for _, *field in pieces.tolist():
+        for _ in range(4):
+            cells.swim(field, 1 / 120, random)
+        body = bodies(cells)
+        pose = np.column_stack([body.x, body.y, body.axis])
+        seen.append(pose + random.normal(0, sd, (count, 3)))
+    ratios, pictures = [], np.arange(len(angles) + 1)
+    for i in range(count):
+        m, states = mean.copy(), np.empty((len(seen), STATES))
+        m[[HEADING, SPEED]] = first.heading[i], first.speed[i]
+        given = np.array(seen)[:, i], np.tile(sd, (len(seen), 1)), pieces, pictures
+        smooth(m, start, model, *given, states, np.empty((len(seen), 3)))
+        ratios.append(m[A] / cells.a[i])
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.015)  # 0.98 with noise after steps only
+
+
+def test_a_new_cell_is_like_those_of_its_organism():
+    for name in ("tetrahymena", "paramecium", "euglena", "helical-microrobot"):
+        organism = named(name)
+        bank = HelixFilter(organism=organism)
+        row = bank.add(0.0, 0.0, 0.0, organism.speed_um_s[0])
+        mean, covariance = bank.mean[row], bank.covariance[row]
+        assert mean[RATE] == pytest.approx(2 * math.pi * organism.helix_hz[0])
+        radius = math.sqrt(covariance[C, C] + covariance[S, S])  # of c and s together
+        assert radius == pytest.approx(math.hypot(*organism.helix_um))
+        bank.predict([(1.0, 0.0, 0.0)])  # at its lowest speed it swims, and does not rest
+        assert bank.covariance[row, HEADING, HEADING] < 0.5
 
 
 @pytest.mark.parametrize(("speed", "walled"), [(300.0, False), (300.0, True), (20.0, False)])

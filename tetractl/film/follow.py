@@ -22,7 +22,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.model.organisms import Organism
 
 BACKGROUND = 25  # number of pictures for the background
-SAMPLE_PX = 100_000_000  # most pixels of these pictures together, which memory limits
+SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
 Entry = tuple[int, float, SeenCell]  # number and time [s] of a picture, a cell in it
@@ -92,6 +92,7 @@ def follow(
     if not sample:
         raise TetractlError(f"{film.path}: no picture of the film can be read")
     seen_as = recognised(film, sample, um_px, organism)
+    del sample  # large pictures: the memory is needed
     tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism, splits=True)
     tracker.take(seen_as.finder)
     pieces = no_field if field is None else field.pieces

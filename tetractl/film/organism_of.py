@@ -53,7 +53,7 @@ def recognised(
     """
     finder = BlobFinder(LEAST_PX, MOST_SHARE * sample[0].size)
     finder.learn(sample)
-    moving = _moving(film, copy.deepcopy(finder))
+    moving = _moving(film, copy.copy(finder))
     known = list(ORGANISMS.usable().values())
     taken, scale, why = organism or known[0], um_px, ()
     if scale is None:

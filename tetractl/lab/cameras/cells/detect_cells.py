@@ -108,8 +108,9 @@ class BlobFinder:
     """The newest picture minus its background; blobs are searched for in this difference."""
     _fine: NDArray[np.float32] = field(init=False)  # the background in fractions of grey levels
     _smooth: Grey = field(init=False)  # the newest picture, blurred
-    _expected: Grey = field(init=False)  # the background in its light
-    _mean: NDArray[np.float32] = field(init=False)  # averaged differences
+    _mean: NDArray[np.float32] = field(  # averaged differences
+        default_factory=lambda: np.empty(0, np.float32), init=False
+    )
     _mask: Grey = field(init=False)  # those above the lower limit
     _was: Grey = field(init=False)  # the mask when the background was updated last
     _stripe: int = field(default=0, init=False)
@@ -130,27 +131,29 @@ class BlobFinder:
             moved(each, shift_of(cv2.convertScaleAbs(each, alpha=gain), usual))
             for each, gain in zip(pictures, gains, strict=True)
         ]
-        self._fine, self._mean = _median(still, gains), np.empty(usual.shape, np.float32)
-        _blurred(self._fine, self._mean, self._fine)
-        self.background = flat = _grey(cv2.convertScaleAbs(self._fine))
+        self._fine = _median(still, gains)
+        _blurred(self._fine, np.empty_like(self._fine), self._fine)
+        self.background = _grey(cv2.convertScaleAbs(self._fine))
         apart = [g * _sparse(e) - _sparse(self._fine) for e, g in zip(still, gains, strict=True)]
         self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
         self._usual, self._lost, self._again = None, 0, []
-        self.searched, self._smooth, self._expected, self._mask, self._was = (
-            np.zeros_like(flat) for _ in range(5)
-        )
 
     def find(self, picture: Grey) -> list[Blob]:
         """Return the blobs of a picture (height, width), largest first."""
         assert self.background is not None, "learn() comes first"
-        _blurred(picture, self._expected, self._smooth)
+        if self._mean.shape != picture.shape:
+            self.searched, self._smooth, self._mask, self._was = (
+                np.zeros_like(picture) for _ in range(4)
+            )
+            self._mean = np.empty(picture.shape, np.float32)
+        _blurred(picture, self.searched, self._smooth)
         light, shift = self._compare(), (0.0, 0.0)
         first, usual = self._usual is None, self._usual or 0.0
         if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
-            shift = shift_of(self._expected, self._smooth)
+            shift = shift_of(cv2.convertScaleAbs(self.background, alpha=light.gain), self._smooth)
             if shift != (0.0, 0.0):
                 self._fine = np.asarray(moved(self._fine, shift), np.float32)
-                cv2.convertScaleAbs(self._fine, self.background)
+                self.background = _grey(cv2.convertScaleAbs(self._fine))
                 light = self._compare()
             usual = light.changed
         self._usual = usual + 0.05 * (light.changed - usual)
@@ -174,8 +177,8 @@ class BlobFinder:
         seen, known = _sparse(self._smooth), np.maximum(_sparse(self.background), 1)
         gain = float(np.median(seen / known))
         gain = gain if 0.05 < gain < 20 else 1.0
-        cv2.convertScaleAbs(self.background, self._expected, gain)
-        cv2.absdiff(self._smooth, self._expected, self.searched)
+        cv2.convertScaleAbs(self.background, self.searched, gain)
+        cv2.absdiff(self._smooth, self.searched, self.searched)
         # medians, and averages of what is near them: cells and debris do not count
         noise = min(1.48 * float(np.median(np.abs(seen - gain * known))), NOISE_MAX)
         averaged(self.searched, self.least_px2, self._mean)
@@ -198,9 +201,9 @@ class BlobFinder:
         (left, top), (tall, wide) = blob.corner, blob.body.shape
         here = slice(top, top + tall), slice(left, left + wide)
         seen, known = (
-            cv2.meanStdDev(each[here])[1].item() for each in (self._smooth, self._expected)
+            cv2.meanStdDev(each[here])[1].item() for each in (self._smooth, self.background)
         )
-        if known < GHOST * max(seen, 1.0):
+        if gain * known < GHOST * max(seen, 1.0):
             return False
         wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
         self._fine[here][wrong] = self._smooth[here][wrong] / gain

@@ -162,10 +162,7 @@ class _Measured:
         for start, end in pairwise(path.times.tolist()):
             pieces += pieces_of(start, end)
             first.append(len(pieces))
-        values, deviations = (
-            np.ascontiguousarray(measured[:, :3]),
-            np.ascontiguousarray(measured[:, 3:]),
-        )
+        values, deviations = map(np.ascontiguousarray, np.hsplit(measured, 2))
         field_of = np.array(pieces).reshape(-1, 3), np.array(first)
         return cls(values, deviations, own, *field_of, mean, covariance, model)
 

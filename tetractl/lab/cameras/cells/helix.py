@@ -81,26 +81,18 @@ def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
     """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
     numbers (12,) of its model, as in `kernels.helix_steps`; `known` as in `HelixFilter`.
     """
-    body, slowest, rate = (
-        organism.body_um[0],
-        organism.slowest_um_s,
-        math.tau * organism.helix_hz[0],
-    )
+    body, slowest = organism.body_um[0], organism.slowest_um_s
+    rate, rate_sd = math.tau * np.array(organism.helix_hz)
     helix = math.hypot(*organism.helix_um) / math.sqrt(2)
     turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if known else (TURN_UNKNOWN, 0.0, 1e-6)
     mean, model = np.zeros(STATES), np.zeros(MODEL)
     mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
-    place, heading, speed = NEW[0] * body, NEW[1], NEW[2] * slowest
-    of_rate = math.tau * organism.helix_hz[1]
-    deviations = (place, place, heading, speed, helix, helix, of_rate, a_sd, BIAS_PRIOR, turn)
-    deviations += (FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1], LEAD_SD)
-    model[[X, Y, C, S]], model[HEADING], model[SPEED] = (
-        GROWTH[0] * body,
-        GROWTH[1],
-        GROWTH[2] * slowest,
-    )
-    model[[RATE, A, BIAS]], model[[TURN, EXACT, SLOWEST]] = WALKS, (turn, 1.0, slowest)
-    return mean, np.diag(np.square(deviations)), model
+    pose = NEW[0] * body, NEW[0] * body, NEW[1], NEW[2] * slowest, helix, helix
+    others = rate_sd, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1]
+    model[[X, Y, C, S]] = GROWTH[0] * body
+    model[[HEADING, SPEED, RATE, A, BIAS]] = GROWTH[1], GROWTH[2] * slowest, *WALKS
+    model[[TURN, EXACT, SLOWEST]] = turn, 1.0, slowest
+    return mean, np.diag(np.square((*pose, *others, LEAD_SD))), model
 
 
 @dataclass(slots=True)

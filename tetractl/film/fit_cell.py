@@ -146,8 +146,8 @@ class _Measured:
                 measured[k] = cell.x, cell.y, cell.axis, shared, shared, MERGED[1]
         span = np.array(followed.size) * followed.um_px
         edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
-        long = np.nan_to_num(np.nanmedian([cell.long_um for cell in path.seen]))
-        measured[edge < EDGE * long] = np.nan
+        lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
+        measured[edge < EDGE * np.median(lengths or [0.0])] = np.nan
         own = measured[:, 5] < ODD[1]
         some = np.flatnonzero(own)
         if len(some) < START:

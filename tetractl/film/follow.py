@@ -25,7 +25,6 @@ BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
-Entry = tuple[int, float, SeenCell]  # number and time [s] of a picture, a cell in it
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 
@@ -122,7 +121,7 @@ def follow(
     for answer in tracker.answers:
         _rename(shown, times, answer)
     answers += tracker.answers
-    _split(shown)
+    _split(shown, times)
     seen = [light.contrast for light in lights if light.contrast is not None]
     contrast = float(np.median(seen)) if seen else None
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
@@ -210,24 +209,23 @@ def _rename(
                 at[track] = replace(at[track], identity=identity, probability=certainty)
 
 
-def _split(shown: Sequence[dict[int, SeenCell]]) -> None:
-    """Give each part of a track in which the name is uncertain a name of its own, or several if the
-    cell is with others for a part of it, unless the track has the same name before and after, or
-    begins with that part.
+def _split(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> None:
+    """Give each part of a track in which the name is uncertain, and which lasts, a name of its own,
+    unless the track has the same name before and after, or begins with that part.
     """
     last = max((cell.identity for at in shown for cell in at.values()), default=0)
     before: dict[int, int] = {}
     parts: dict[int, list[int]] = {}
     for k, at in enumerate([*shown, {}]):
         for track in [each for each in parts if each not in at or at[each].probability > ASSERTED]:
-            part, merged = parts.pop(track), None
-            if track in at and at[track].identity == before.get(track, at[track].identity):
-                continue
-            for i in part:
-                cell = shown[i][track]
-                last += cell.merged is not merged
-                merged = cell.merged
-                shown[i][track] = replace(cell, identity=last)
+            part = parts.pop(track)
+            own = at[track].identity if track in at else None
+            lasts = times[part[-1]] - times[part[0]] > SHORTEST_S
+            last += lasts
+            name = last if lasts else before.get(track, own)
+            if name is not None and own != before.get(track, own):
+                for i in part:
+                    shown[i][track] = replace(shown[i][track], identity=name)
         for track, cell in at.items():
             if cell.probability <= ASSERTED:
                 parts.setdefault(track, []).append(k)
@@ -241,36 +239,23 @@ def _paths(
     seconds: Sequence[float],
     slowest_um_s: float,
 ) -> Iterator[CellPath]:
-    """Yield the cells of all tracks that swim, in the order of their numbers."""
-    by_track: dict[int, list[Entry]] = {}
-    by_name: dict[tuple[int, int], list[Entry]] = {}
-    by_cell: dict[int, list[Entry]] = {}
+    """Yield the cells in the order of their numbers, except those whose path is too short, or that
+    move more slowly than `slowest_um_s` for most of the time: debris that a cell has touched.
+    """
+    by_cell: dict[int, list[tuple[int, float, SeenCell]]] = {}
     for frame, second, cells in zip(frames, seconds, shown, strict=True):
         # a lost cell that was found again may have its name twice: the likelier one counts
         likelier = sorted(cells.values(), key=lambda cell: (cell.probability, -cell.track))
-        for cell in {cell.identity: cell for cell in likelier}.values():
-            by_track.setdefault(cell.track, []).append((frame, second, cell))
-            by_name.setdefault((cell.track, cell.identity), []).append((frame, second, cell))
-    swim = {track for track, entries in by_track.items() if _swims(entries, slowest_um_s)}
-    for (track, identity), entries in by_name.items():
-        brief = entries[-1][1] - entries[0][1] < SHORTEST_S
-        if track in swim and (brief or _swims(entries, slowest_um_s)):
-            by_cell.setdefault(identity, []).extend(entries)
+        for identity, cell in {cell.identity: cell for cell in likelier}.items():
+            by_cell.setdefault(identity, []).append((frame, second, cell))
     for identity, entries in sorted(by_cell.items()):
-        entries.sort(key=lambda entry: entry[0])
-        numbers, times = (np.array([entry[i] for entry in entries]) for i in (0, 1))
-        yield CellPath(identity, times, numbers, tuple(cell for _, _, cell in entries))
-
-
-def _swims(entries: Sequence[Entry], slowest_um_s: float) -> bool:
-    """Return whether a path is long enough, and mostly moves faster than `slowest_um_s`: otherwise
-    it is debris that a cell has touched.
-    """
-    times = np.array([second for _, second, _ in entries])
-    places = np.array([(cell.x, cell.y) for _, _, cell in entries])
-    way = np.linalg.norm(places - places[0], axis=1)
-    if times[-1] - times[0] < SHORTEST_S or way.max() < SHORTEST_UM:
-        return False
-    later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
-    moved = np.linalg.norm(places[later] - places, axis=1)[: later.argmax() + 1]
-    return bool(np.median(moved) >= slowest_um_s * SHORTEST_S)
+        numbers = np.array([frame for frame, _, _ in entries])
+        times = np.array([second for _, second, _ in entries])
+        path = CellPath(identity, times, numbers, tuple(cell for _, _, cell in entries))
+        way = path.places - path.places[0]
+        if times[-1] - times[0] < SHORTEST_S or np.linalg.norm(way, axis=1).max() < SHORTEST_UM:
+            continue
+        later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
+        moved = np.linalg.norm(path.places[later] - path.places, axis=1)[: later.argmax() + 1]
+        if np.median(moved) >= slowest_um_s * SHORTEST_S:
+            yield path

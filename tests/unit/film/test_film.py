@@ -193,19 +193,22 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     assert [path.identity for path in found] == ["moves"]
 
 
-def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own():
-    def shown(after):
-        state = np.zeros(12)
-        cells = [(3, 1.0, False), (3, 0.6, False), (3, 0.5, True), (3, 0.4, True)]
-        return [
-            {7: SeenCell(name, *[0.0] * 4, state, state, p, True, merged, 50.0, 25.0, 7, None)}
-            for name, p, merged in [*cells, (after, 1.0, False)]
-        ]
-
-    left, stayed = shown(4), shown(3)
-    _split(left)
-    _split(stayed)
-    assert [at[7].identity for at in left] == [3, 5, 6, 6, 4]
-    assert [at[7].probability for at in left] == [1.0, 0.6, 0.5, 0.4, 1.0]
-    assert [at[7].identity for at in stayed] == [3] * 5
-    assert [at[7].probability for at in stayed] == [1.0, 0.6, 0.5, 0.4, 1.0]
+@pytest.mark.parametrize(
+    ("after", "rate_hz", "names"),
+    [
+        (4, 2.0, [3, 5, 5, 5, 4]),  # seconds of doubt between two names
+        (4, 20.0, [3, 3, 3, 3, 4]),  # too brief for a cell
+        (3, 2.0, [3, 3, 3, 3, 3]),
+    ],
+)
+def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
+    after, rate_hz, names
+):
+    state, likely = np.zeros(12), [1.0, 0.6, 0.5, 0.4, 1.0]
+    shown = [
+        {7: SeenCell(name, *[0.0] * 4, state, state, p, True, False, 50.0, 25.0, 7, None)}
+        for name, p in zip([3, 3, 3, 3, after], likely, strict=True)
+    ]
+    _split(shown, np.arange(5) / rate_hz)
+    assert [at[7].identity for at in shown] == names
+    assert [at[7].probability for at in shown] == likely

@@ -62,14 +62,13 @@ class Names:
         exchanged their blobs; or that the blob of a single one is too large. `met` is whether
         something unknown may be with them.
         """
-        before = self._suspended(together)
+        for question in {id(t.question): t.question for t in together if t.question}.values():
+            self._end(question)
         meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
-        meeting = meetings[0] if meetings else Meeting([], [], met, before)
+        meeting = meetings[0] if meetings else Meeting([], [], met)
         if not meetings:
             self._meetings.append(meeting)
         for other in meetings[1:]:
-            self._lapse(meeting)
-            self._lapse(other)
             meeting.tracks += other.tracks
             meeting.cells += other.cells
             meeting.met |= other.met
@@ -78,8 +77,6 @@ class Names:
         for track in together:
             track.together_s = seconds
             if track not in meeting.tracks:
-                if meetings:
-                    self._lapse(meeting)
                 meeting.tracks.append(track)
                 row, size = self._bank.copied(track.filter_row), (track.long, track.wide)
                 meeting.cells.append(Known(track.identity, row, track.certainty, size))
@@ -96,16 +93,15 @@ class Names:
             waits = len(tracks) == 1 or any(track in awaited for track in tracks)
             wait_s = REMEMBERED_S if waits else 0.0
             apart = [t for t in tracks if t.number in places and t.together_s < seconds - wait_s]
-            if meeting.before is None:
-                shares = self._stay(meeting)
-                for track, share in zip(list(tracks), shares.tolist(), strict=True):
-                    if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
-                        share = min(share, CLEAR)
-                    late = seconds - track.together_s > APART_S
-                    if track in apart and (share > CLEAR or late or len(shares) == 1):
-                        self._leave(meeting, track)
-                        if share < CLEAR:
-                            self._doubt(track, share)
+            shares = self._stay(meeting)
+            for track, share in zip(list(tracks), shares.tolist(), strict=True):
+                if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
+                    share = min(share, CLEAR)
+                late = seconds - track.together_s > APART_S
+                if track in apart and (share > CLEAR or late or len(shares) == 1):
+                    self._leave(meeting, track)
+                    if share < CLEAR:
+                        self._doubt(track, share)
             if not tracks:
                 self._forget(meeting)
             elif all(track in apart for track in tracks):
@@ -197,7 +193,6 @@ class Names:
         if track.question is not None:
             self._end(track.question)
         if track.meeting is not None:
-            self._lapse(track.meeting)
             self._leave(track.meeting, track)
         size, since_s = (track.long, track.wide), seconds - track.missed_s
         lost = Known(track.identity, track.row, track.certainty, size, track.last, since_s)
@@ -212,50 +207,13 @@ class Names:
             assert lost.last is not None
             lost.last = lost.last + np.array((x, y))
 
-    def _suspended(self, together: Sequence[CellTrack]) -> Question | None:
-        """End the open questions of tracks that meet, except one that is open among just these,
-        which is returned: what it has found counts when they part again.
-        """
-        asked = list({id(t.question): t.question for t in together if t.question}.values())
-        for question in asked:
-            if len(asked) > 1 or set(question.tracks) != set(together) or len(together) == 1:
-                self._end(question)
-                continue
-            order, shares = question.best()
-            for t, track in enumerate(question.tracks):
-                track.row, track.question = self._bank.copied(track.filter_row), None
-                track.certainty = float(shares[t]) * question.cells[order[t]].certainty
-            self._questions.remove(question)
-            return question
-        return None
-
     def _part(self, meeting: Meeting, places: Floats, seconds: float) -> None:
         """Ask which cell is on which track after a meeting, by where the tracks are."""
-        tracks, cells, before = meeting.tracks, meeting.cells, meeting.before
+        tracks, cells = meeting.tracks, meeting.cells
         table = self._table(cells, places, np.full(len(tracks), PLACE))
         known = self._known(meeting, table)
         moves = orders(len(tracks))  # of each track, the number of its cell before
         prior = table[np.arange(len(tracks)), moves].sum(axis=1)
-        if before is not None:
-            at = [tracks.index(track) for track in before.tracks]
-            inverse, old = np.argsort(at), np.log(np.maximum(before.probabilities(), 1e-12))
-            index = {tuple(order): i for i, order in enumerate(before.orders.tolist())}
-            mixed = np.full(len(before.orders), -np.inf)
-            for move, log in zip(moves, prior, strict=True):
-                where = inverse[move[at]]  # of each track of the question, its number before
-                for i, order in enumerate(before.orders):
-                    j = index[tuple(order[where].tolist())]
-                    mixed[j] = np.logaddexp(mixed[j], old[i] + log)
-            own = before.likelihood.argmax(axis=0)
-            self._drop(cells)
-            for n, cell in enumerate(before.cells):
-                cell.row = self._bank.copied(int(before.rows[own[n], n]))
-            # the least of the tracks' probabilities, since any cell may be on any of them
-            known = np.minimum(before.known, known[at].diagonal().min())
-            for row in before.rows.ravel().tolist():
-                self._bank.drop(row)
-            tracks, cells, prior, places = before.tracks, before.cells, mixed, places[at]
-            meeting.before = None
         meeting.cells = []
         self._forget(meeting)
         self._ask(tracks, cells, prior, known, places, seconds)
@@ -368,18 +326,8 @@ class Names:
         if meeting in self._meetings:
             self._meetings.remove(meeting)
         self._drop(meeting.cells)
-        self._lapse(meeting)
         for track in meeting.tracks:
             track.meeting = None
-
-    def _lapse(self, meeting: Meeting) -> None:
-        """End the question that was open before a meeting: what it has found no longer counts."""
-        question, meeting.before = meeting.before, None
-        if question is not None:
-            for row in question.rows.ravel().tolist():
-                self._bank.drop(row)
-            for track in question.tracks:
-                self._doubt(track, 1.0)
 
     def _drop(self, cells: Iterable[Known]) -> None:
         """Free the filter's rows of cells."""

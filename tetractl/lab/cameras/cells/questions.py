@@ -54,13 +54,12 @@ class Known:
 @dataclass(slots=True, eq=False)
 class Meeting:
     """Tracks that are too near to tell which of the `cells` is on which. `met` is whether something
-    unknown may have joined them. `before` is a question that was open among just these tracks.
+    unknown may have joined them.
     """
 
     tracks: list[CellTrack]
     cells: list[Known]
     met: bool
-    before: "Question | None" = None
 
 
 @dataclass(slots=True, eq=False)

@@ -16,15 +16,15 @@ from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, SeenCell
 from tetractl.lab.cameras.cells.cells_health import faint_line
 from tetractl.lab.cameras.cells.helix import STATES
-from tetractl.lab.cameras.cells.names import ASSERTED
+from tetractl.lab.cameras.cells.names import ASSERTED, LIKELIER
 from tetractl.lab.cameras.cells.readings import AXIS, POSITION_UM
-from tetractl.lab.cameras.cells.tracking import CellTracker
+from tetractl.lab.cameras.cells.tracking import STARTED, CellTracker
 from tetractl.model.organisms import Organism
 
 BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
-SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
+SHORTEST_S = 0.35  # least duration of a path that is kept [s]
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 
@@ -130,7 +130,7 @@ def follow(
     assert background is not None
     height, width = background.shape
     return Followed(
-        paths=tuple(_paths(shown, frames, times, seen_as.organism.slowest_um_s)),
+        paths=tuple(_paths(shown, frames, times, seen_as.organism)),
         pictures=len(frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -211,21 +211,29 @@ def _rename(
 
 def _split(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> None:
     """Give each part of a track in which the name is uncertain, and which lasts, a name of its own,
-    unless the track has the same name before and after, or begins with that part.
+    and another when the cell is alone again; unless the track has the same name before and after,
+    or begins with that part. A brief part has the name before until the one after is likelier.
     """
     last = max((cell.identity for at in shown for cell in at.values()), default=0)
     before: dict[int, int] = {}
     parts: dict[int, list[int]] = {}
     for k, at in enumerate([*shown, {}]):
         for track in [each for each in parts if each not in at or at[each].probability > ASSERTED]:
-            part = parts.pop(track)
-            own = at[track].identity if track in at else None
-            lasts = times[part[-1]] - times[part[0]] > SHORTEST_S
-            last += lasts
-            name = last if lasts else before.get(track, own)
-            if name is not None and own != before.get(track, own):
-                for i in part:
-                    shown[i][track] = replace(shown[i][track], identity=name)
+            part, earlier = parts.pop(track), before.get(track)
+            later = at[track].identity if track in at else None
+            if earlier is None or earlier == later:
+                continue
+            name, since, merged = earlier, -math.inf, True
+            for i in part:
+                cell = shown[i][track]
+                alone = merged and not cell.merged and times[i] - since > SHORTEST_S
+                if alone and times[part[-1]] - times[i] > SHORTEST_S:
+                    last += 1
+                    name, since = last, times[i]
+                elif name == earlier and cell.probability < LIKELIER:
+                    name = later or earlier
+                merged = cell.merged
+                shown[i][track] = replace(cell, identity=name)
         for track, cell in at.items():
             if cell.probability <= ASSERTED:
                 parts.setdefault(track, []).append(k)
@@ -237,11 +245,12 @@ def _paths(
     shown: Sequence[dict[int, SeenCell]],
     frames: Sequence[int],
     seconds: Sequence[float],
-    slowest_um_s: float,
+    organism: Organism,
 ) -> Iterator[CellPath]:
     """Yield the cells in the order of their numbers, except those whose path is too short, or that
-    move more slowly than `slowest_um_s` for most of the time: debris that a cell has touched.
+    move more slowly than the organism for most of the time: debris that a cell has touched.
     """
+    least_um, slowest_um_s = STARTED * organism.body_um[0], organism.slowest_um_s
     by_cell: dict[int, list[tuple[int, float, SeenCell]]] = {}
     for frame, second, cells in zip(frames, seconds, shown, strict=True):
         # a lost cell that was found again may have its name twice: the likelier one counts
@@ -253,7 +262,7 @@ def _paths(
         times = np.array([second for _, second, _ in entries])
         path = CellPath(identity, times, numbers, tuple(cell for _, _, cell in entries))
         way = path.places - path.places[0]
-        if times[-1] - times[0] < SHORTEST_S or np.linalg.norm(way, axis=1).max() < SHORTEST_UM:
+        if times[-1] - times[0] < SHORTEST_S or np.linalg.norm(way, axis=1).max() < least_um:
             continue
         later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
         moved = np.linalg.norm(path.places[later] - path.places, axis=1)[: later.argmax() + 1]

@@ -15,6 +15,7 @@ from tetractl.film.fit_cell import fit_cells
 from tetractl.film.follow import _paths, _split, follow
 from tetractl.film.pictures import open_film
 from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.model.organisms import TETRAHYMENA
 from tetractl.results.kinematics import velocities
 
 
@@ -176,7 +177,7 @@ def test_a_cell_is_in_a_picture_once():
 
     pictures = [{1: cell(9.0 * k, 1)} for k in range(30)]
     pictures[20][2], pictures[21][2] = cell(-500.0, 2), cell(-500.0, 2, 0.3)
-    (path,) = _paths(pictures, range(30), np.arange(30) / 30.0, 60.0)
+    (path,) = _paths(pictures, range(30), np.arange(30) / 30.0, TETRAHYMENA)
     assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
 
 
@@ -189,7 +190,7 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
         ]
         return {cell.identity: cell for cell in cells[: 4 if k < 3 else 3]}
 
-    found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, 60.0)
+    found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, TETRAHYMENA)
     assert [path.identity for path in found] == ["moves"]
 
 
@@ -197,7 +198,7 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     ("after", "rate_hz", "names"),
     [
         (4, 2.0, [3, 5, 5, 5, 4]),  # seconds of doubt between two names
-        (4, 20.0, [3, 3, 3, 3, 4]),  # too brief for a cell
+        (4, 20.0, [3, 3, 3, 4, 4]),  # too brief for a cell: until another name is likelier
         (3, 2.0, [3, 3, 3, 3, 3]),
     ],
 )

@@ -99,7 +99,7 @@ class CellTrack:
     blob: Blob | None = None
     merged: bool = False  # whether its blob shows other cells, too
     large: bool = False  # whether its own blob is too large for one cell
-    large_s: float = 0.0  # last time when the blob was not too large
+    sized_s: float = 0.0  # last time when the blob had the cell's size
     pair: bool = False  # whether its first blobs are so large that they may show two cells
     measured: tuple[float, ...] | None = None
     # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough

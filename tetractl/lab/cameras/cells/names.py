@@ -257,13 +257,16 @@ class Names:
         order, shares = question.best()
         probability = float(question.probabilities().max())
         asked = tuple(cell.name for cell in question.cells)
+        own = np.arange(len(question.cells))
         for t, track in enumerate(question.tracks):
             cell = question.cells[order[t]]
             track.question, track.row = None, int(question.rows[t, order[t]])
             track.identity = cell.name
             if np.isfinite(cell.size).all():
                 track.long, track.wide = cell.size
-            self._certain(track, float(shares[t]) * cell.certainty)
+            if self._certain(track, float(shares[t]) * cell.certainty):
+                weights = question.probabilities() @ (question.orders[:, t, None] == own)
+                self._bank.mix(track.filter_row, question.rows[t], weights)
         kept = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
             if row not in kept:
@@ -277,11 +280,12 @@ class Names:
         self._certain(track, track.certainty * probability)
         self._tell([track], probability, (asked,))
 
-    def _certain(self, track: CellTrack, certainty: float) -> None:
-        """Set the certainty of a track's name, or give the track a new name."""
-        track.certainty = certainty
-        if self._splits and certainty < ASSERTED:
+    def _certain(self, track: CellTrack, certainty: float) -> bool:
+        """Set the certainty of a track's name, or give the track a new name; return the latter."""
+        track.certainty, splits = certainty, self._splits and certainty < ASSERTED
+        if splits:
             track.identity, track.certainty = self._number(), 1.0
+        return splits
 
     def _tell(self, tracks: Sequence[CellTrack], probability: float, asked: Sequence[int]) -> None:
         named = tuple((t.number, t.identity, t.certainty, t.together_s) for t in tracks)

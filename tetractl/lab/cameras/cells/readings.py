@@ -14,7 +14,7 @@ POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob
 # shared blob; and in a shared blob that is only as large as one of its cells
 ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
 OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
-GROWN_S = 1.0  # time for which a cell's blob is too large, after which that is the cell's size
+GROWN_S = 1.0  # time for which a blob has another size than its cell, which then is the cell's
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
 PATH = 15  # number of newest blobs of a track that are kept
 
@@ -24,13 +24,13 @@ Reading = tuple[CellTrack, tuple[float, ...], tuple[float, ...]]
 
 def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
     """Add a cell's own blob in `place` (5,), as by `match.places_of`, to its path, and note whether
-    the blob is too large for the cell, or the cell larger than was thought.
+    the blob is too large for the cell, or the cell of another size than was thought.
     """
     x, y, axis, long, wide = place.tolist()
     cell.path = [*cell.path[1 - PATH :], (seconds, x, y, axis, long, wide)]
-    if long * wide <= LARGE * cell.long * cell.wide:
-        cell.large_s = seconds
-    elif seconds - cell.large_s > GROWN_S:  # nothing else has left the blob: the cell is larger
+    if 1 / LARGE <= long * wide / (cell.long * cell.wide) <= LARGE:
+        cell.sized_s = seconds
+    elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
         cell.long, cell.wide = np.nanmedian(np.array(cell.path)[:, 4:6], axis=0).tolist()
     cell.large = long * wide > LARGE * cell.long * cell.wide
 

@@ -295,7 +295,7 @@ class CellTracker:
         track.long, track.wide = np.nanmedian(path[:, 4:6], axis=0).tolist()
         usual = [each.long * each.wide for each in self._cells() if each.begun is None]
         large = PAIR * float(np.median(usual)) if len(usual) >= USUAL else math.inf
-        track.pair, track.large_s = track.long * track.wide > large, self._time or 0.0
+        track.pair, track.sized_s = track.long * track.wide > large, self._time or 0.0
         track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
         track.identity, track.begun = self._name(), (x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]

@@ -10,6 +10,11 @@ from tetractl.film.follow import CellPath, Followed
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.results.kinematics import velocities
 
+POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
+POSES |= {"axis": "rad", "identity_probability": "", "found": "", "merged": ""}
+"""Columns of the table of poses, with their units."""
+TRACKS = ("id", "t", "y", "x", "frame", "particle")
+
 
 def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     """Return remarks on how well the cells of a film were followed, one line each."""
@@ -104,31 +109,18 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
     """
     rows = sorted(
         (
-            (int(picture), path.identity, time, cell)
-            for path in followed.paths
-            for time, picture, cell in zip(path.times.tolist(), path.frames, path.seen, strict=True)
-        ),
-        key=lambda row: row[:2],
+            *(int(picture), path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
+            *(cell.probability, cell.found, cell.merged),
+            *pixel(cell.x, cell.y, followed.um_px, followed.size[1]),
+        )
+        for path in followed.paths
+        for time, picture, cell in zip(path.times.tolist(), path.frames, path.seen, strict=True)
     )
-    pictures, numbers = [row[0] for row in rows], [row[1] for row in rows]
-    cells = [row[3] for row in rows]
-    pixels = [pixel(cell.x, cell.y, followed.um_px, followed.size[1]) for cell in cells]
-    y, x = [row for _, row in pixels], [column for column, _ in pixels]
-    poses = (
-        Column("time", [row[2] for row in rows], "s"),
-        Column("picture", pictures),
-        Column("cell", numbers),
-        Column("x", [cell.x for cell in cells], "um"),
-        Column("y", [cell.y for cell in cells], "um"),
-        Column("heading", [cell.heading for cell in cells], "rad"),
-        Column("axis", [cell.axis for cell in cells], "rad"),
-        Column("identity_probability", [cell.probability for cell in cells]),
-        Column("found", [cell.found for cell in cells]),
-        Column("merged", [cell.merged for cell in cells]),
-    )
-    names = ("id", "t", "y", "x", "frame", "particle")
-    values = (numbers, pictures, y, x, pictures, numbers)
-    return Table("Poses", poses), Table("Tracks", tuple(map(Column, names, values)))
+    values = zip(*rows, strict=True) if rows else [()] * 12
+    picture, cell, time, *states, x, y = values
+    poses = map(Column, POSES, (time, picture, cell, *states), POSES.values())
+    tracks = map(Column, TRACKS, (cell, picture, y, x, picture, cell))
+    return Table("Poses", tuple(poses)), Table("Tracks", tuple(tracks))
 
 
 def pixel(x: float, y: float, um_px: float, height: int) -> tuple[float, float]:

@@ -23,7 +23,6 @@ SEEN = 6  # fewest pictures of an object whose speed is known
 MOVED = 0.3  # way over all its pictures, in lengths of the object, above which it moves
 STRAIGHT = 0.2  # root mean square distance from even straight motion, as a share of that way
 FAST = 1.5  # factor by which an object may be faster than an organism is
-UNLIKE = ("shorter", "longer"), ("thinner", "wider"), ("slower", "faster")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +122,10 @@ def _motion(rows: Floats) -> tuple[float, ...]:
     return (long, wide, speed, way) if moves else ()
 
 
-def _limits(kind: Organism) -> Floats:
-    """Return limits (3, 2) of length, width [um] and speed [um/s] of objects of a kind."""
-    speeds = kind.slowest_um_s, FAST * kind.speed_um_s[1]
-    return np.array([kind.outline_long_um, kind.outline_wide_um, speeds])
-
-
 def _fits(moving: Floats, kind: Organism) -> Bools:
-    """Return whether each moving object (M,) may be of this kind."""
-    low, high = _limits(kind).T
+    """Return whether each moving object (M,) has a length, width and speed of this kind."""
+    speeds = kind.slowest_um_s, FAST * kind.speed_um_s[1]
+    low, high = np.transpose([kind.outline_long_um, kind.outline_wide_um, speeds])
     return ((moving[:, :3] > low) & (moving[:, :3] < high)).all(axis=1)
 
 
@@ -150,14 +144,11 @@ def _others(moving: Floats, taken: Organism, kinds: Sequence[Organism]) -> tuple
     left = moving[(moving[:, 3] > moving[:, 0]) & ~_fits(moving, taken)]
     if len(left) < 2:
         return ()
-    low, usual, high = np.quantile(left[:, :3], [0.1, 0.5, 0.9], axis=0)
-    beyond = np.argwhere((usual[:, None] > _limits(taken)) == (False, True))
-    unlike = UNLIKE[beyond[0, 0]][beyond[0, 1]] if len(beyond) else "faster"
+    low, high = np.quantile(left[:, :3], [0.1, 0.9], axis=0)
     better = kinds[int(np.argmax(_shares(left, kinds)))]
-    drift = ", if they swim and do not drift" if unlike == "slower" else ""
-    follows = f"--organism {better.name} follows them{drift}"
+    follows = f"--organism {better.name} follows them, if they swim and do not drift"
     return (
-        f"warning: {len(left)} objects that move are {unlike} than {taken.name}, {low[0]:.0f} to "
-        f"{high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s, and not followed: "
-        + (follows if _fits(left, better).any() else "no known organism is like that"),
+        f"warning: {len(left)} objects that move have not the size and speed of {taken.name}, but "
+        f"are {low[0]:.0f} to {high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s, and not "
+        "followed: " + (follows if _fits(left, better).any() else "no known organism is like that"),
     )

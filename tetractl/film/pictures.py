@@ -26,7 +26,6 @@ DIFFERENT = 0.01  # relative difference of a given value from the film's own tha
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
 TIMES_FILE, TIME = "times.csv", "time_s"
-END: Any = object()  # of the pictures
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -59,20 +58,15 @@ class FilmPictures:
 
         A film is decoded once: its pictures are kept in a file, except those beyond KEPT_MAX.
         """
-        for number in itertools.count():
-            if number < len(self._kept):
-                if self._kept[number] >= 0:
-                    size = math.prod(self._shape)
-                    pixels = os.pread(self._file.fileno(), size, self._kept[number])
-                    yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
-                continue
-            if number < self._next:
-                self._stream = itertools.islice(_decoded(self.path), number + 1, None)
-                self.damaged = self._kept.count(-1)
+        for number, place in enumerate(self._kept):
+            if place >= 0:
+                pixels = os.pread(self._file.fileno(), math.prod(self._shape), place)
+                yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
+        if self._next > len(self._kept):  # those beyond KEPT_MAX are decoded again
+            self._next, self.damaged = len(self._kept), self._kept.count(-1)
+            self._stream = itertools.islice(_decoded(self.path), self._next + 1, None)
+        for number, picture in enumerate(self._stream, self._next):
             self._next = number + 1
-            picture = next(self._stream, END)
-            if picture is END:
-                return
             if number == len(self._kept):
                 self._keep(picture)
             if picture is None:

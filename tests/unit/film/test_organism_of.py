@@ -66,8 +66,8 @@ def test_an_organism_is_recognised_by_its_size_and_speed(name):
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
     film = swimming(PARAMECIUM, 7.0)
     (said,) = recognised(film, film.sample(), 7.0, TETRAHYMENA).remarks
-    assert "objects that move are longer than tetrahymena" in said
-    assert said.endswith("not followed: --organism paramecium follows them")
+    assert "objects that move have not the size and speed of tetrahymena" in said
+    assert said.endswith("--organism paramecium follows them, if they swim and do not drift")
     assert recognised(film, film.sample(), 7.0, PARAMECIUM).remarks == ()
 
 

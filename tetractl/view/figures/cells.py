@@ -147,6 +147,14 @@ def _mean(values: Floats) -> Distribution:
     return found if len(values) >= CELLS_MIN else replace(found, ci95=few)
 
 
+def _means(rows: list[Any]) -> tuple[list[Distribution], Floats]:
+    """Return the mean over the cells' `rows` (C, K) at each place, and the ends (2, K) of the
+    intervals; NaN is unknown.
+    """
+    means = [_mean(column[np.isfinite(column)]) for column in np.array(rows, dtype=float).T]
+    return means, np.array([(found.ci95.low, found.ci95.high) for found in means]).T
+
+
 def _stated(found: Distribution, decimals: int = 0, lines: bool = False) -> str:
     """Return a mean with its interval and n, as text in one line or three."""
     ends, text = found.ci95, f"{found.mean:.{decimals}f}"
@@ -176,11 +184,8 @@ def _turning(axes: Axes, log: TrackLog) -> None:
             fitted.append(float(rate @ np.sin(angle) / (np.sin(angle) @ np.sin(angle))))
     if not rates:
         return
-    known = [column[np.isfinite(column)] for column in np.array(rates).T]
-    means = [_mean(column) for column in known]
-    for x, found in zip(middle, means, strict=True):
-        ends = [found.ci95.low, found.ci95.high]
-        axes.plot([x, x], ends, color=style.INK, lw=1)
+    means, ends = _means(rates)
+    axes.vlines(middle, *ends, color=style.INK, lw=1)
     axes.plot(middle, [found.mean for found in means], "s", ms=3, color=style.INK)
     found = _mean(np.array(fitted))
     curve = np.linspace(-math.pi, math.pi, 100)
@@ -221,11 +226,9 @@ def _displacement(axes: Axes, log: TrackLog) -> None:
         row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
         axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)
         rows.append(row)
-    known = [column[np.isfinite(column)] for column in np.array(rows, dtype=float).T]
-    means = [_mean(column) for column in known]
+    means, ends = _means(rows)
     axes.plot(lags * step, [found.mean for found in means], color=style.INK, lw=1.8)
-    ends = np.array([(found.ci95.low, found.ci95.high) for found in means])
-    axes.fill_between(lags * step, *ends.T, color=style.INK, alpha=0.2, lw=0)
+    axes.fill_between(lags * step, *ends, color=style.INK, alpha=0.2, lw=0)
     begin = means[0].mean
     for power, look, name in ((2, ":", "∝ lag²"), (1, "--", "∝ lag")):
         guide = 2 * begin * (lags / lags[0]) ** power

@@ -9,7 +9,6 @@ import numpy as np
 from tetractl.lab.cameras.cells.kernels import helix_path, helix_steps
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     BIAS,
-    DELAY,
     FLOW_X,
     FLOW_Y,
     HEADING,
@@ -36,14 +35,6 @@ def torque(m, field):
     """The turning rate for a = 1 by equation (3)."""
     dipole = m[HEADING] + m[BIAS]
     return field[1] * math.cos(dipole) - field[0] * math.sin(dipole)
-
-
-def switched(m, before, field, slowest):
-    """The state after a field that changes later by the state DELAY."""
-    m = m.copy()
-    if m[SPEED] > slowest:
-        m[HEADING] += m[DELAY] * m[A] * (torque(m, before) - torque(m, field))
-    return m
 
 
 def moved(m, p, seconds, field, slowest):
@@ -138,13 +129,8 @@ def smooth(m, p, model, measured, deviation, pieces):
     for k, values in enumerate(measured):
         f = np.eye(STATES)
         if k:
-            if k > 1 and pieces[k - 1][1:] != pieces[k - 2][1:]:
-                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SLOWEST]
-                f = slopes(lambda state, change=change: switched(state, *change), m)
-                m, p = switched(m, *change), f @ p @ f.T
             seconds, *field = pieces[k - 1]
-            m, p, last = move(m, p, model, False, seconds, field)
-            f = last @ f
+            m, p, f = move(m, p, model, False, seconds, field)
         predicted.append((m, p, f))
         if np.isfinite(values[0]):
             m, p, _, distance = correct(m, p, model, values, deviation[k])

@@ -22,7 +22,6 @@ from tetractl.lab.cameras.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_ce
 from tetractl.lab.cameras.cells.kernels.helix_path import likelihoods, smooth
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     BIAS,
-    DELAY,
     EXACT,
     FLOW_X,
     FLOW_Y,
@@ -51,7 +50,7 @@ RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
 USUAL = np.array([1.0, 1.0, 4.0, 0.5])
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
-FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
+FROM_0 = [FLOW_X, FLOW_Y, WAY]  # states that a second pass does not know beforehand
 ORDER = 6  # differences of so many successive places leave little of a path but its noise
 BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
 USUAL_BLOCKS = 4.0  # weight of the usual misfit of a film's cells, in blocks

@@ -11,22 +11,12 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     WAY,
     correct,
     expect,
-    forward,
+    move,
     reverse,
 )
 
 ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
-
-
-@compiled(**INLINE_EXACT)
-def arrive(m, p, total, model, pieces, first, k):
-    """Move a cell's state m and covariance p to picture k; pieces `first[k]` to `first[k + 1]` of
-    the field (P, 3) are before it.
-    """
-    i, end = first[k], first[k + 1]
-    if i < end:
-        forward(m, p, total, model, False, pieces[max(i - 1, 0)], pieces[i:end])
 
 
 @compiled(**INLINE_EXACT)
@@ -54,7 +44,8 @@ def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
     for v in range(len(mean)):
         m, p, odd, found[v] = mean[v], start.copy(), 0, 0.0
         for k in range(len(measured)):
-            arrive(m, p, none, models[v], pieces, first, k)
+            for i in range(first[k], first[k + 1]):
+                move(m, p, none, models[v], False, pieces[i])
             if np.isfinite(measured[k, 0]):
                 given = measured[k], deviation[k], h, gain, weighed
                 likelihood, distance, _ = correct(m, p, models[v], *given)
@@ -79,7 +70,8 @@ def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
     for k in range(count):
         for i in range(STATES):
             totals[k, i, i] = 1.0
-        arrive(m, p, totals[k], model, pieces, first, k)
+        for i in range(first[k], first[k + 1]):
+            move(m, p, totals[k], model, False, pieces[i])
         seen, distance = np.isfinite(measured[k, 0]), 0.0
         if seen:
             given = measured[k], deviation[k], h[k], gain[k], weighed[k]

@@ -11,8 +11,8 @@ import numpy as np
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 
-X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY, LEAD = range(16)
-STATES = 16
+X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, WAY, SWAY, LEAD = range(15)
+STATES = 15
 # the numbers of a `model` (12,): of the states X to BIAS, the growth of the standard deviation per
 # sqrt(s); of TURN, its standard deviation; the factor EXACT from stated deviations of measurements
 # to their own; the speed SLOWEST below which a cell rests, and its helix does not give its axis
@@ -61,22 +61,6 @@ def apply(f, p, total):
     total[:] = done
 
 
-@compiled(**ENTRY)
-def switch(m, p, total, resting, before, after):
-    """Let the field change from `before` (3,) to `after` (3,) later by the state DELAY."""
-    a = 0.0 if resting else m[A]
-    old, old_slope = torque(m[HEADING] + m[BIAS], before[1], before[2])
-    new, new_slope = torque(m[HEADING] + m[BIAS], after[1], after[2])
-    f = np.eye(STATES)
-    bend = m[DELAY] * a * (old_slope - new_slope)
-    f[HEADING, HEADING] += bend
-    f[HEADING, BIAS] = bend
-    f[HEADING, A] = 0.0 if resting else m[DELAY] * (old - new)
-    f[HEADING, DELAY] = a * (old - new)
-    m[HEADING] += m[DELAY] * a * (old - new)
-    apply(f, p, total)
-
-
 @compiled(**INLINE_EXACT)
 def grow(p, model, resting, walled, seconds):
     """Add to the covariance p what the states may change by themselves in a time."""
@@ -92,7 +76,8 @@ def grow(p, model, resting, walled, seconds):
 
 @compiled(**ENTRY)
 def move(m, p, total, model, walled, piece):
-    """Move a cell's state m and covariance p over a `piece` (3,) of constant field.
+    """Move a cell's state m and covariance p over a `piece` (3,) of constant field: its duration
+    [s], and the field's x and y.
 
     Near a wall (`walled`) turning is no sign of a. `total` collects the derivatives with respect to
     the state before. To second order in the heading's error, a cell swims and turns by `along` and
@@ -140,18 +125,6 @@ def move(m, p, total, model, walled, piece):
     apply(f, p, total)
     grow(p, model, resting, walled, half)
     p[TURN, TURN] += model[TURN] ** 2 * (1 - forget**2)
-
-
-@compiled(**ENTRY)
-def forward(m, p, total, model, walled, before, pieces):
-    """Move a cell's state m and covariance p over pieces (P, 3) of constant field, each the
-    duration [s] and the field's x and y, after the piece `before` (3,).
-    """
-    for i in range(len(pieces)):
-        last = pieces[i - 1] if i else before
-        if not walled and (pieces[i, 1] != last[1] or pieces[i, 2] != last[2]):
-            switch(m, p, total, m[SPEED] < model[SLOWEST], last, pieces[i])
-        move(m, p, total, model, walled, pieces[i])
 
 
 @compiled(**ENTRY)
@@ -230,12 +203,13 @@ def reverse(states):
 
 
 @compiled(**ENTRY)
-def predict(mean, covariance, used, model, walled, before, pieces):
-    """Move every row in use over pieces of constant field (P, 3), after the piece `before`."""
+def predict(mean, covariance, used, model, walled, pieces):
+    """Move every row in use over pieces (P, 3) of constant field."""
     total = np.empty((0, 0))
     for row in range(len(used)):
         if used[row]:
-            forward(mean[row], covariance[row], total, model, walled[row], before, pieces)
+            for piece in pieces:
+                move(mean[row], covariance[row], total, model, walled[row], piece)
 
 
 @compiled(**ENTRY)

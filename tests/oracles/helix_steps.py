@@ -69,14 +69,11 @@ def slopes(function, m):
     return np.array([(function(m + one) - function(m - one)) / (2 * one.sum()) for one in step]).T
 
 
-def noise(m, model, walled, seconds):
+def noise(model, walled, seconds):
     """The covariance (n, n) that a time adds, but that of turning."""
-    found, slowest = np.zeros(STATES), model[SLOWEST]
+    found = np.zeros(STATES)
     found[:TURN] = model[:TURN] ** 2
     found[WAY] = model[X] ** 2
-    if m[SPEED] < slowest:
-        found[HEADING] += helix_steps.RESTING_HEADING**2
-        found[SPEED] += (helix_steps.RESTING_SPEED * slowest) ** 2
     found[HEADING] += helix_steps.WALL_TURN**2 * walled
     return np.diag(found * seconds)
 
@@ -85,7 +82,7 @@ def move(m, p, model, walled, seconds, field):
     """State, covariance and derivatives after a piece of constant field: half of the noise comes
     before the motion.
     """
-    half, slowest = noise(m, model, walled, seconds / 2), model[SLOWEST]
+    half, slowest = noise(model, walled, seconds / 2), model[SLOWEST]
     p = p + half
     f = slopes(lambda state: moved(state, p, seconds, field, slowest), m)
     if walled:

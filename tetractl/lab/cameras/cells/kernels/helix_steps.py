@@ -18,9 +18,7 @@ STATES = 15
 # to their own; the speed SLOWEST below which a cell rests, and its helix does not give its axis
 EXACT, SLOWEST, MODEL = 10, 11, 12
 
-# further growth per sqrt(s) at rest, of the heading, and of the speed in SLOWEST, since a cell may
-# go on in any direction; and of the heading near a wall
-RESTING_HEADING, RESTING_SPEED, WALL_TURN = 0.5, 2.5, 1.0
+WALL_TURN = 1.0  # further growth of the heading per sqrt(s) near a wall
 HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
@@ -62,14 +60,11 @@ def apply(f, p, total):
 
 
 @compiled(**INLINE_EXACT)
-def grow(p, model, resting, walled, seconds):
+def grow(p, model, walled, seconds):
     """Add to the covariance p what the states may change by themselves in a time."""
     for state in range(BIAS + 1):
         p[state, state] += model[state] ** 2 * seconds
     p[WAY, WAY] += model[X] ** 2 * seconds
-    if resting:
-        p[HEADING, HEADING] += RESTING_HEADING**2 * seconds
-        p[SPEED, SPEED] += (RESTING_SPEED * model[SLOWEST]) ** 2 * seconds
     if walled:
         p[HEADING, HEADING] += WALL_TURN**2 * seconds
 
@@ -86,7 +81,7 @@ def move(m, p, total, model, walled, piece):
     """
     seconds, ux, uy = piece
     half, resting = seconds / 2, m[SPEED] < model[SLOWEST]
-    grow(p, model, resting, walled, half)
+    grow(p, model, walled, half)
     along = math.exp(-p[HEADING, HEADING] / 2)
     round = math.exp(-(p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]) / 2)
     a = 0.0 if resting else m[A] * round
@@ -123,7 +118,7 @@ def move(m, p, total, model, walled, piece):
     m[TURN] *= forget
     m[WAY] += m[SPEED] * seconds
     apply(f, p, total)
-    grow(p, model, resting, walled, half)
+    grow(p, model, walled, half)
     p[TURN, TURN] += model[TURN] ** 2 * (1 - forget**2)
 
 

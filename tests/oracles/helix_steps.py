@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tetractl.lab.cameras.cells.kernels import helix_path, helix_steps
+from tetractl.lab.cameras.cells.kernels import helix_steps
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     BIAS,
     FLOW_X,
@@ -130,8 +130,7 @@ def smooth(m, p, model, measured, deviation, pieces):
             m, p, f = move(m, p, model, False, seconds, field)
         predicted.append((m, p, f))
         if np.isfinite(values[0]):
-            m, p, _, distance = correct(m, p, model, values, deviation[k])
-            assert distance < helix_path.ODD_DISTANCE
+            m, p, *_ = correct(m, p, model, values, deviation[k])
         filtered.append((m, p))
     found = [filtered[-1][0]]
     for (m, p), (ahead, spread, f) in zip(filtered[-2::-1], predicted[:0:-1], strict=True):

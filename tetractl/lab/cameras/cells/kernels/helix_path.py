@@ -5,52 +5,43 @@ import numpy as np
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
-    RATE,
     SLOWEST,
     STATES,
-    WAY,
     correct,
     expect,
     move,
     reverse,
 )
 
-ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
-ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
-
 
 @compiled(**INLINE_EXACT)
-def loosen(p, start, odd, distance):
-    """Add the pose's variance of a new cell, of covariance `start`, to the covariance p after
-    ODD_RUN far measurements; return how many were in a row.
+def advance(m, p, total, model, measured, deviation, pieces, h, gain, weighed):
+    """Move a cell's state m and covariance p over pieces (P, 3) to the next picture, and update
+    them by its measurement (3,), if there is one; return ln of the likelihood, and whether the
+    heading was reversed.
     """
-    odd = odd + 1 if distance > ODD_DISTANCE else 0
-    if odd >= ODD_RUN:
-        for state in range(RATE):
-            p[state, state] += start[state, state]
-        p[WAY, WAY] += start[0, 0]
-        return 0
-    return odd
+    for i in range(len(pieces)):
+        move(m, p, total, model, False, pieces[i])
+    if not np.isfinite(measured[0]):
+        return 0.0, False
+    likelihood, _, wrong = correct(m, p, model, measured, deviation, h, gain, weighed)
+    return likelihood, wrong
 
 
 @compiled(**ENTRY)
 def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
     """Write ln of the likelihood (V,) of K pictures' measurements (K, 3) for V variants, each with
     a mean (V, n) at the first picture, where `start` (n, n) is the covariance, and a model (V, 12).
-    `mean` is that after the last picture at the end.
+    Pieces `first[k]` to `first[k + 1]` of the field (P, 3) are before picture k. `mean` is that
+    after the last picture at the end.
     """
     h, gain, weighed = np.empty((3, STATES)), np.empty((3, STATES)), np.empty(3)
     none = np.empty((0, 0))
     for v in range(len(mean)):
-        m, p, odd, found[v] = mean[v], start.copy(), 0, 0.0
+        p, found[v] = start.copy(), 0.0
         for k in range(len(measured)):
-            for i in range(first[k], first[k + 1]):
-                move(m, p, none, models[v], False, pieces[i])
-            if np.isfinite(measured[k, 0]):
-                given = measured[k], deviation[k], h, gain, weighed
-                likelihood, distance, _ = correct(m, p, models[v], *given)
-                found[v] += likelihood
-                odd = loosen(p, start, odd, distance)
+            given = measured[k], deviation[k], pieces[first[k] : first[k + 1]], h, gain, weighed
+            found[v] += advance(mean[v], p, none, models[v], *given)[0]
 
 
 @compiled(**ENTRY)
@@ -66,36 +57,19 @@ def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
     count, p = len(measured), start.copy()
     covariances, totals = np.empty((count, STATES, STATES)), np.zeros((count, STATES, STATES))
     h, gain = np.zeros((count, 3, STATES)), np.zeros((count, 3, STATES))
-    weighed, turned, odd = np.zeros((count, 3)), np.zeros(count, np.bool_), 0
+    weighed, turned = np.zeros((count, 3)), np.zeros(count, np.bool_)
     for k in range(count):
-        for i in range(STATES):
-            totals[k, i, i] = 1.0
-        for i in range(first[k], first[k + 1]):
-            move(m, p, totals[k], model, False, pieces[i])
-        seen, distance = np.isfinite(measured[k, 0]), 0.0
-        if seen:
-            given = measured[k], deviation[k], h[k], gain[k], weighed[k]
-            _, distance, turned[k] = correct(m, p, model, *given)
+        np.fill_diagonal(totals[k], 1.0)
+        given = measured[k], deviation[k], pieces[first[k] : first[k + 1]], h[k], gain[k]
+        _, turned[k] = advance(m, p, totals[k], model, *given, weighed[k])
         means[k], covariances[k] = m, p
-        if seen:
-            odd = loosen(p, start, odd, distance)
-    pull, before = np.zeros(STATES), np.empty(STATES)
+    pull = np.zeros(STATES)
     for k in range(count - 1, -1, -1):
-        for i in range(STATES):
-            for j in range(STATES):
-                means[k, i] -= covariances[k, i, j] * pull[j]
+        means[k] -= covariances[k] @ pull
         if turned[k]:
             reverse(pull)
         for i in range(2, -1, -1):
-            known = weighed[k, i]
-            for j in range(STATES):
-                known += gain[k, i, j] * pull[j]
-            for j in range(STATES):
-                pull[j] -= h[k, i, j] * known
-        before[:] = 0.0
-        for j in range(STATES):
-            for i in range(STATES):
-                before[i] += totals[k, j, i] * pull[j]
-        pull[:] = before
+            pull -= h[k, i] * (weighed[k, i] + gain[k, i] @ pull)
+        pull = totals[k].T @ pull
         expect(means[k], model[SLOWEST], bodies[k], h[k])
     return p

@@ -49,6 +49,8 @@ USUAL = np.array([1.0, 1.0, 4.0, 0.5])
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
 FROM_0 = [FLOW_X, FLOW_Y, WAY]  # states that a second pass does not know beforehand
+# deviations of values over those of the fit, since a cell's noise is not the same all the time
+WIDER = 1.15
 FAR = 3.0  # deviations of a measurement from a smoothed pose at which the measurement is right
 
 
@@ -207,7 +209,7 @@ def _smoothed(path: CellPath, fit: _Fit) -> CellPath:
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
     """Return a value's 95 % interval for a standard deviation and a relative one."""
-    half = NORMAL * math.hypot(sd, error * value)
+    half = NORMAL * math.hypot(WIDER * sd, error * value)
     return SampleInterval(float(value), float(value - half), float(value + half))
 
 
@@ -227,7 +229,7 @@ def _summary(path: CellPath, fit: _Fit | None, known: bool, rate_hz: float) -> C
         if known:
             a = _interval(fit.mean[A], fit.sd[A], A_ERROR)
             bias = _interval(fit.mean[BIAS], fit.sd[BIAS], 0.0)
-            magnetised = bool(fit.mean[A] > RESPONDS * fit.sd[A])
+            magnetised = bool(fit.mean[A] > RESPONDS * WIDER * fit.sd[A])
     return CellSummary(
         cell=path.identity,
         since_s=float(path.times[0]),

@@ -3,15 +3,15 @@ Micro-Manager, also split over several files; and folders of pictures.
 """
 
 import math
-import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-from tifffile import TiffFile, memmap
+from tifffile import TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
 from tetractl.film.film_source import FilmSource, Raw, scaled
@@ -20,7 +20,6 @@ TIFF = frozenset({".tif", ".tiff"})
 PICTURES = TIFF | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
 ANY_GREY = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE
 MICRO_MANAGER = 51123  # tag of a page's metadata, JSON
-_DIGITS = re.compile(r"(\d+)")
 
 
 def tiff_film(path: Path) -> FilmSource:
@@ -49,44 +48,30 @@ def folder_film(folder: Path) -> FilmSource:
     """Open a folder of pictures in the order of the numbers in their names; a TIFF file gives all
     its pages, the first one also scale and rate, or all files that its tags name.
     """
+    found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+    names = [folder / name for name in natural_sorted(p.name for p in found if p.is_file())]
+    if not names:
+        hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
+        raise UsageError(f"{folder}: contains no pictures", hint)
     pages: list[tuple[Path, int]] = []
-    names, source = _names(folder), FilmSource(lambda index: read(*pages[index]))
+    source = FilmSource(lambda index: _page(*pages[index]))
     for path in names:
         count = 1
         if path.suffix.lower() in TIFF:
-            try:
-                with TiffFile(path) as tif:
-                    if path == names[0] and tif.series[0].is_multifile:
-                        return tiff_film(path)
-                    count = len(tif.pages)
-                    if path == names[0]:
-                        _add_tags(tif, tif.series[0], source)
-            except Exception:  # damaged; tifffile does not document what it raises
-                pass
+            with suppress(Exception), TiffFile(path) as tif:  # what it raises is not documented
+                if path == names[0] and tif.series[0].is_multifile:
+                    return tiff_film(path)
+                count = len(tif.pages)
+                if path == names[0]:
+                    _add_tags(tif, tif.series[0], source)
         pages += [(path, page) for page in range(count)]
-
-    def read(path: Path, page: int) -> Raw:
-        if path.suffix.lower() in TIFF:
-            with TiffFile(path) as tif:
-                return _pixels(tif.pages[page])
-        return cv2.imread(str(path), ANY_GREY)
-
     source.count = len(pages)
     return source
 
 
-def _names(folder: Path) -> list[Path]:
-    """Return the pictures' paths in a folder, ordered by the numbers in their names."""
-
-    def order(path: Path) -> list[tuple[int, int, str]]:
-        parts = _DIGITS.split(path.name)
-        return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]
-
-    found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    if names := sorted((path for path in found if path.is_file()), key=order):
-        return names
-    hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
-    raise UsageError(f"{folder}: contains no pictures", hint)
+def _page(path: Path | str, index: int) -> Raw:
+    """Return the pixels (height, width) of a page of a file that OpenCV reads."""
+    return cv2.imreadmulti(str(path), index, 1, flags=ANY_GREY)[1][0]
 
 
 def _pixels(page: Any) -> Raw:
@@ -96,8 +81,7 @@ def _pixels(page: Any) -> Raw:
     try:
         pixels = page.asarray()
     except ValueError:  # LZW and JPEG need another package, but OpenCV reads them
-        path = page.parent.filehandle.path
-        return cv2.imreadmulti(path, page.index, 1, flags=ANY_GREY)[1][0]
+        return _page(page.parent.filehandle.path, page.index)
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
 
 

@@ -61,7 +61,7 @@ TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
 SWAY_PRIOR, LEAD_SD = (0.8, 0.3), 0.3
 # relative deviations of a mean speed and of a for what a picture does not show, as an axis that
 # leaves the picture's plane
-SPEED_ERROR, A_ERROR = 0.004, 0.02
+SPEED_ERROR, A_ERROR = 0.005, 0.02
 
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""

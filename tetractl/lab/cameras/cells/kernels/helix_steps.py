@@ -34,31 +34,6 @@ def torque(dipole, ux, uy):
     return uy * cos - ux * sin, -(uy * sin + ux * cos)
 
 
-@compiled(**ENTRY)
-def apply(f, p, total):
-    """Replace the covariance p by f p f', and the derivatives `total` (n, n; may be empty) by
-    f total.
-
-    f (n, n) is the unit matrix but for few entries, so that zeros are skipped.
-    """
-    size = len(f)
-    part, done = np.zeros((size, size)), np.zeros(total.shape)
-    for i in range(size):
-        for k in range(size):
-            if f[i, k] != 0.0:
-                for j in range(size):
-                    part[i, j] += f[i, k] * p[k, j]
-                for j in range(len(total)):
-                    done[i, j] += f[i, k] * total[k, j]
-    p[:] = 0.0
-    for i in range(size):
-        for k in range(size):
-            if f[i, k] != 0.0:
-                for j in range(size):
-                    p[j, i] += part[j, k] * f[i, k]
-    total[:] = done
-
-
 @compiled(**INLINE_EXACT)
 def grow(p, model, walled, seconds):
     """Add to the covariance p what the states may change by themselves in a time."""
@@ -117,7 +92,9 @@ def move(m, p, total, model, walled, piece):
     m[C], m[S] = c, s
     m[TURN] *= forget
     m[WAY] += m[SPEED] * seconds
-    apply(f, p, total)
+    p[:] = f @ p @ f.T
+    if len(total):
+        total[:] = f @ total
     grow(p, model, walled, half)
     p[TURN, TURN] += model[TURN] ** 2 * (1 - forget**2)
 

@@ -23,9 +23,8 @@ GATE, NEAR = 6.0, 0.23
 SIZE_SHARE, SIZE_MOST = 0.15, 20.0  # relative variation of a cell's blob, and its largest cost
 ALIKE = 0.4  # largest difference of the logarithms of size of a blob away from its expected place
 # cost of a blob of the cell's size at the expected place, and at the largest distance from it
-# [lengths], which grows with the time without a blob [1/s]: after a meeting; of one that stopped
-LEFT = (20.0, 55.0, 1.7, 0.0)
-STOPPED = (50.0, 90.0, 0.86, 3.8)
+# [lengths], which grows with the time without a blob [1/s]: of a cell that stopped
+STOPPED, STOPPED_FAR, STOPPED_REACH = (50.0, 90.0), 0.86, 3.8
 LOOKED_S = 0.2  # time without a blob for which it is looked for there
 # cost of a place in a blob that is too large for one cell, or not
 SHARED_LARGE, SHARED = 40.0, 70.0
@@ -34,8 +33,6 @@ SPECK, SPECK_SD = 6.0, 0.115  # least cost of a speck's blob; deviation of its p
 REACH, FIRST = 0.48, 0.77  # radius of search for a speck, and for a new one [lengths of a cell]
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
-# cost of an exchange of their blobs below which two cells are not distinguished
-ALIKE_COST = 25.0
 ROUNDS, SAMPLED = 4, 200  # iterations when a blob is divided among cells; pixels that are used
 
 
@@ -67,8 +64,8 @@ def cell_costs(
     body_um: float,
 ) -> tuple[Floats, Bools]:
     """Return the costs (C, B) of blobs of their own for C cells, which are `body_um` long, and
-    whether (C, B) the blob is not where the filter expects it: the cell has stopped, turned by
-    itself or left another cell.
+    whether (C, B) the blob is not where the filter expects it: the cell has stopped or turned by
+    itself.
     """
     away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
     sizes = np.array([(cell.long, cell.wide) for cell in cells]).reshape(-1, 1, 2)
@@ -76,10 +73,9 @@ def cell_costs(
     near = (squared < GATE**2) | (away < NEAR)
     unlike = np.minimum(np.square(ratio / SIZE_SHARE).sum(-1), SIZE_MOST)
     cost = np.where(near, np.minimum(squared, 4 * GATE**2) + unlike, NONE)
-    rules = np.array([STOPPED if cell.meeting is None else LEFT for cell in cells]).reshape(-1, 4)
     missed = np.array([cell.missed_s for cell in cells])
-    reach = np.where(missed < LOOKED_S, rules[:, 2] + rules[:, 3] * missed, 1e-9)[:, None]
-    least, most = rules[:, :1], rules[:, 1:2]
+    reach = np.where(missed < LOOKED_S, STOPPED_FAR + STOPPED_REACH * missed, 1e-9)[:, None]
+    least, most = STOPPED
     allowed = (away < reach) & (ratio.max(axis=-1, initial=0.0) < ALIKE)
     loose = np.where(allowed, least + (most - least) * np.square(away / reach), NONE)
     return np.minimum(cost, loose), loose < cost
@@ -144,21 +140,6 @@ def assigned(own: Floats, shared: Floats, specks: tuple[Floats, Floats]) -> dict
     found = {int(i): int(column[j]) for i, j in zip(rows, at, strict=True) if j < len(column)}
     of_cells = {j for i, j in found.items() if i < count}
     return {i: j for i, j in found.items() if i < count or j not in of_cells}
-
-
-def exchangeable(squared: Floats, owner: dict[int, int]) -> list[tuple[int, int]]:
-    """Return pairs of cells that might have exchanged their blobs: their squared distances
-    `squared` (C, B) say too little about which blob belongs to which. `owner` is {cell: blob}.
-    """
-    cells = np.array([i for i in owner if i < len(squared)], int)
-    if len(cells) < 2:
-        return []
-    blobs = np.array([owner[i] for i in cells.tolist()])
-    table = squared[np.ix_(cells, blobs)]
-    own = np.diagonal(table)
-    costs = table + table.T - own[:, None] - own[None]
-    pairs = np.argwhere(np.triu((costs < ALIKE_COST) & (blobs[:, None] != blobs), 1))
-    return [(int(cells[i]), int(cells[j])) for i, j in pairs]
 
 
 def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:

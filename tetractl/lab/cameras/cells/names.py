@@ -26,7 +26,7 @@ from tetractl.lab.cameras.cells.questions import (
 )
 
 TOGETHER = 4  # most tracks whose identities are resolved together, with one cell more
-CLEAR = 0.9995  # probability of the places alone above which no question is asked
+CLEAR = 0.99  # probability of the places alone above which no question is asked
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
 ASSERTED = 0.95  # least probability with which a film's table goes on with a name
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
@@ -34,7 +34,6 @@ FAR = 25.0  # squared distance, in standard deviations, above which a cell is mo
 PLACE, MERGED = 0.06, 0.13  # deviations of places, apart and in a shared blob [lengths of a cell]
 FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
 EITHER = 0.08  # probability that something unknown has been in a blob that it may have entered
-APART_S = 2.0  # time apart after which a track leaves a meeting whose other tracks are together
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
 LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
 NEVER = -700.0  # logarithm of a probability of 0
@@ -58,9 +57,8 @@ class Names:
         self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
 
     def meet(self, together: Sequence[CellTrack], seconds: float, met: bool) -> None:
-        """Record that tracks are not distinguished at a time [s]: they share a blob, or might have
-        exchanged their blobs; or that the blob of a single one is too large. `met` is whether
-        something unknown may be with them.
+        """Record that tracks are not distinguished at a time [s]: they share a blob, or that of a
+        single one is too large. `met` is whether something unknown may be with them.
         """
         for question in {id(t.question): t.question for t in together if t.question}.values():
             self._end(question)
@@ -97,8 +95,7 @@ class Names:
             for track, share in zip(list(tracks), shares.tolist(), strict=True):
                 if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
                     share = min(share, CLEAR)
-                late = seconds - track.together_s > APART_S
-                if track in apart and (share > CLEAR or late or len(shares) == 1):
+                if track in apart and (share > CLEAR or len(shares) == 1):
                     self._leave(meeting, track)
                     if share < CLEAR:
                         self._doubt(track, share)

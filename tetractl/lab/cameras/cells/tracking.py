@@ -6,7 +6,7 @@ Cells that touch share one blob; once they separate, `names` decides which is wh
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -162,7 +162,12 @@ class CellTracker:
                 owners.setdefault(j, []).append(i)
                 if loose[i, j]:
                     self.bank.loosen([cells[i].filter_row])
-        self._meet(cells, owners, match.exchangeable(squared, owner), seconds)
+        for those in owners.values():
+            some = [cells[i] for i in those]
+            for cell in some:
+                cell.merged = len(some) > 1
+            if len(some) > 1:
+                self._names.meet(some, seconds, any(map(self._meets, some)))
         self._update(cells, owners, expected, blobs, places, seconds)
         for j, those in owners.items():
             for i in those:
@@ -173,21 +178,6 @@ class CellTracker:
         self._names.answer(seconds)
         found = {j: specks[i - len(cells)] for i, j in owner.items() if i >= len(cells)}
         self._follow_specks(found, owners, blobs, places)
-
-    def _meet(
-        self,
-        cells: Sequence[CellTrack],
-        owners: dict[int, list[int]],
-        pairs: Iterable[tuple[int, int]],
-        seconds: float,
-    ) -> None:
-        """Note which cells share a blob, or are too near to each other to be distinguished."""
-        for those in [*(each for each in owners.values() if len(each) > 1), *pairs]:
-            some = [cells[i] for i in those]
-            self._names.meet(some, seconds, any(map(self._meets, some)))
-        for those in owners.values():
-            for i in those:
-                cells[i].merged = len(those) > 1
 
     def _update(
         self,

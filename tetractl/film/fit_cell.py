@@ -50,7 +50,7 @@ SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
 FROM_0 = [FLOW_X, FLOW_Y, WAY]  # states that a second pass does not know beforehand
 # deviations of values over those of the fit, since a cell's noise is not the same all the time
-WIDER = 1.15
+WIDER = 1.3
 FAR = 3.0  # deviations of a measurement from a smoothed pose at which the measurement is right
 
 

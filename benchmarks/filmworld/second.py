@@ -187,7 +187,8 @@ class _World:
             light = made.light * (1 + made.drift * t) * (1 + flicker)
             down, across = random.integers(0, NOISE_SPARE_PX, 2)
             shades = field * np.float32(light)
-            shades += grain[down : down + side, across : across + side] * np.sqrt(field)
+            waves = grain[down : down + side, across : across + side]
+            shades += waves * np.sqrt(np.maximum(field, 0.0))
             yield np.clip(shades + 0.5, 0, 255).astype(np.uint8)
 
     def _stamp(self, field, i: int, step: int, knock: np.ndarray, focus: float) -> None:

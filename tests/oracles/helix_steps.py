@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from tetractl.lab.cameras.cells.kernels import helix_steps
+from tetractl.lab.cameras.cells.kernels import helix_path, helix_steps
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     BIAS,
+    DELAY,
     FLOW_X,
     FLOW_Y,
     HEADING,
@@ -35,6 +36,14 @@ def torque(m, field):
     """The turning rate for a = 1 by equation (3)."""
     dipole = m[HEADING] + m[BIAS]
     return field[1] * math.cos(dipole) - field[0] * math.sin(dipole)
+
+
+def switched(m, before, field, slowest):
+    """The state after a field that changes later by the state DELAY."""
+    m = m.copy()
+    if m[SPEED] > slowest:
+        m[HEADING] += m[DELAY] * m[A] * (torque(m, before) - torque(m, field))
+    return m
 
 
 def moved(m, p, seconds, field, slowest):
@@ -69,11 +78,14 @@ def slopes(function, m):
     return np.array([(function(m + one) - function(m - one)) / (2 * one.sum()) for one in step]).T
 
 
-def noise(model, walled, seconds):
+def noise(m, model, walled, seconds):
     """The covariance (n, n) that a time adds, but that of turning."""
-    found = np.zeros(STATES)
+    found, slowest = np.zeros(STATES), model[SLOWEST]
     found[:TURN] = model[:TURN] ** 2
     found[WAY] = model[X] ** 2
+    if m[SPEED] < slowest:
+        found[HEADING] += helix_steps.RESTING_HEADING**2
+        found[SPEED] += (helix_steps.RESTING_SPEED * slowest) ** 2
     found[HEADING] += helix_steps.WALL_TURN**2 * walled
     return np.diag(found * seconds)
 
@@ -82,7 +94,7 @@ def move(m, p, model, walled, seconds, field):
     """State, covariance and derivatives after a piece of constant field: half of the noise comes
     before the motion.
     """
-    half, slowest = noise(model, walled, seconds / 2), model[SLOWEST]
+    half, slowest = noise(m, model, walled, seconds / 2), model[SLOWEST]
     p = p + half
     f = slopes(lambda state: moved(state, p, seconds, field, slowest), m)
     if walled:
@@ -126,11 +138,17 @@ def smooth(m, p, model, measured, deviation, pieces):
     for k, values in enumerate(measured):
         f = np.eye(STATES)
         if k:
+            if k > 1 and pieces[k - 1][1:] != pieces[k - 2][1:]:
+                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SLOWEST]
+                f = slopes(lambda state, change=change: switched(state, *change), m)
+                m, p = switched(m, *change), f @ p @ f.T
             seconds, *field = pieces[k - 1]
-            m, p, f = move(m, p, model, False, seconds, field)
+            m, p, last = move(m, p, model, False, seconds, field)
+            f = last @ f
         predicted.append((m, p, f))
         if np.isfinite(values[0]):
-            m, p, *_ = correct(m, p, model, values, deviation[k])
+            m, p, _, distance = correct(m, p, model, values, deviation[k])
+            assert distance < helix_path.ODD_DISTANCE
         filtered.append((m, p))
     found = [filtered[-1][0]]
     for (m, p), (ahead, spread, f) in zip(filtered[-2::-1], predicted[:0:-1], strict=True):

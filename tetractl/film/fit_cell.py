@@ -7,8 +7,10 @@ the first found that the cell was; the smoother gives the states given all pictu
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from tetractl.lab.cameras.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_ce
 from tetractl.lab.cameras.cells.kernels.helix_path import likelihoods, smooth
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     BIAS,
+    DELAY,
     EXACT,
     FLOW_X,
     FLOW_Y,
@@ -48,10 +51,12 @@ RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
 USUAL = np.array([1.0, 1.0, 4.0, 0.5])
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
-FROM_0 = [FLOW_X, FLOW_Y, WAY]  # states that a second pass does not know beforehand
-# deviations of values over those of the fit, since a cell's noise is not the same all the time
-WIDER = 1.3
+FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
+ORDER = 6  # differences of so many successive places leave little of a path but its noise
+BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
+USUAL_BLOCKS = 4.0  # weight of the usual misfit of a film's cells, in blocks
 FAR = 3.0  # deviations of a measurement from a smoothed pose at which the measurement is right
+MISFIT_MOST = 5.0  # misfit of a part above which a cell says nothing of the film's others
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,145 +96,215 @@ def fit_cells(
 
     A path with fewer than START blobs of its own stays as it is, and has no numbers.
     """
-    fits = [_fit(path, followed, field) for path in followed.paths]
-    both = list(zip(followed.paths, fits, strict=True))
-    paths = tuple(path if fit is None else _smoothed(path, fit) for path, fit in both)
+    measured = [_Measured.of(path, followed, field) for path in followed.paths]
+    exact = _exact([each for each in measured if each is not None])
+    fits = [None if each is None else _Fit.of(each, exact) for each in measured]
+    found = [fit for fit in fits if fit is not None]
+    squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in found)
+    usual = max(1.0, squares / max(sum(fit.parts for fit in found), 1))
+    paths = [
+        path if fit is None else fit.smoothed(path)
+        for path, fit in zip(followed.paths, fits, strict=True)
+    ]
     cells = [
-        _summary(path, fit, field is not None, followed.rate_hz)
+        _summary(path, fit, field is not None, usual, followed.rate_hz)
         for path, fit in zip(paths, fits, strict=True)
     ]
-    return replace(followed, paths=paths), tuple(cells)
+    return replace(followed, paths=tuple(paths)), tuple(cells)
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
-    """The fit of one cell: its last state `mean` (n,), standard deviations `sd` (n,) of that, its
-    `states` (K, n) and `bodies` (K, 3) given all pictures, and the bodies' `poses` (K, 3), which
-    stay within FAR deviations of what was measured.
+class _Measured:
+    """The measurements of one cell in K pictures: `values` (K, 3), NaN where it has no blob, and
+    their `deviations`; `own` is whether the blob shows just this cell. Pieces `first[k]` to
+    `first[k + 1]` of the field (P, 3) are before picture k. The filter of `model` (12,) starts with
+    `mean` (n,) and `covariance` (n, n).
     """
 
+    values: Floats
+    deviations: Floats
+    own: np.ndarray
+    pieces: Floats
+    first: np.ndarray
     mean: Floats
-    sd: Floats
-    states: Floats
-    bodies: Floats
-    poses: Floats
+    covariance: Floats
+    model: Floats
 
+    @classmethod
+    def of(cls, path: CellPath, followed: Followed, field: FieldRecord | None) -> Self | None:
+        """Return the measurements of a path; None if there are too few.
 
-def _fit(path: CellPath, followed: Followed, field: FieldRecord | None) -> _Fit | None:
-    """Fit the measurements of a path; None if there are too few."""
-    measured = _measured(path, followed)
-    some = np.flatnonzero(measured[:, 5] < ODD[1])
-    if len(some) < START:
-        return None
-    times = path.times - path.times[0]
-    early = some[: max(START, int((times[some] <= times[some[0]] + START_S).sum()))]
-    (vx, vy), (x, y) = np.polyfit(times[early], measured[early, :2], 1)
-    mean, covariance, model = new_cell(followed.organism, field is not None)
-    mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
-    pieces_of = no_field if field is None else field.pieces
-    pieces, first = list[Piece](), [0, 0]
-    for start, end in pairwise(path.times.tolist()):
-        pieces += pieces_of(start, end)
-        first.append(len(pieces))
-    values, deviations = map(np.ascontiguousarray, np.hsplit(measured, 2))
-    given = values, deviations, np.array(pieces).reshape(-1, 3), np.array(first)
+        Blobs that the picture's edge may cut off are left out; those that show other cells, too,
+        count little.
+        """
+        body = followed.organism.body_um[0]
+        measured, shared = np.full((len(path.seen), 6), np.nan), MERGED[0] * body
+        for k, cell in enumerate(path.seen):
+            if cell.measured is not None:
+                measured[k] = cell.measured
+            elif cell.found:
+                measured[k] = cell.x, cell.y, cell.axis, shared, shared, MERGED[1]
+        span = np.array(followed.size) * followed.um_px
+        edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
+        lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
+        measured[edge < EDGE * np.median(lengths or [0.0])] = np.nan
+        own = measured[:, 5] < ODD[1]
+        some = np.flatnonzero(own)
+        if len(some) < START:
+            return None
+        times = path.times - path.times[0]
+        early = some[: max(START, int((times[some] <= times[some[0]] + START_S).sum()))]
+        (vx, vy), (x, y) = np.polyfit(times[early], measured[early, :2], 1)
+        mean, covariance, model = new_cell(followed.organism, field is not None)
+        mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
+        pieces_of = no_field if field is None else field.pieces
+        pieces, first = list[Piece](), [0, 0]
+        for start, end in pairwise(path.times.tolist()):
+            pieces += pieces_of(start, end)
+            first.append(len(pieces))
+        values, deviations = map(np.ascontiguousarray, np.hsplit(measured, 2))
+        field_of = np.array(pieces).reshape(-1, 3), np.array(first)
+        return cls(values, deviations, own, *field_of, mean, covariance, model)
 
-    def likelihood(noise: Floats, means: Floats) -> Floats:
+    def models(self, noise: Floats) -> Floats:
+        """Return the numbers (V, 12) of models by ln of the noise (V, 4) over the usual one."""
+        found = np.tile(self.model, (len(noise), 1))
+        found[:, [HEADING, EXACT, SPEED]] *= (USUAL * np.exp(noise))[:, :3]
+        found[:, [X, Y, C, S]] *= (USUAL * np.exp(noise))[:, 3:]
+        found[:, [A, BIAS]] = 0.0
+        return found
+
+    def likelihood(self, noise: Floats, mean: Floats) -> Floats:
         """Return ln of the likelihood (V,) of V variants of ln of the noise (V, 4) over the usual
         one, and of the first state (V, n).
         """
         found = np.empty(len(noise))
-        likelihoods(means.copy(), covariance, _models(model, noise), *given, found)
+        given = self.values, self.deviations, self.pieces, self.first
+        likelihoods(mean.copy(), self.covariance, self.models(noise), *given, found)
         return found
 
-    starts = np.tile(mean, (len(RATES) * len(ASIDE), 1))
-    starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
-    starts[:, HEADING] += np.tile(ASIDE, len(RATES))
-    likely = likelihood(np.zeros((len(starts), len(USUAL))), starts)
-    likely -= ((starts[:, RATE] / mean[RATE] - 1) / RATES_SD) ** 2 / 2
-    begin, noise = starts[likely.argmax()], np.zeros((1, len(USUAL)))
-    for _ in range(ROUNDS):
-        noise, _ = newton_step(
-            lambda tried: likelihood(tried[0], np.tile(begin, (tried.shape[1], 1)))[None],
-            noise,
-            SPREAD,
-        )
-    states, bodies = np.empty((len(values), STATES)), np.empty((len(values), 3))
-    fitted = _models(model, noise)[0]
-    smooth(begin.copy(), covariance, fitted, *given, states, bodies)
-    last = states[0].copy()
-    last[FROM_0] = 0.0
-    spread = smooth(last, covariance, fitted, *given, states, bodies)
-    off = values - bodies
-    off[:, 2] = (off[:, 2] + math.pi / 2) % math.pi - math.pi / 2
-    poses = bodies + np.nan_to_num(off - np.clip(off, -FAR * deviations, FAR * deviations))
-    return _Fit(last, np.sqrt(np.diagonal(spread)), states, bodies, poses)
+    def smoothed(
+        self, noise: Floats, mean: Floats, start: int = 0, end: int | None = None
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the last state (n,), its covariance (n, n), and all states (K, n) and bodies
+        (K, 3) given all pictures from `start` to `end`, for ln of the noise (4,) over the usual one
+        and a first state (n,).
+        """
+        last = mean.copy()
+        values, first = self.values[start:end], self.first[start : end and end + 1].copy()
+        first[0] = first[1]
+        states, bodies = np.empty((len(values), STATES)), np.empty((len(values), 3))
+        given = self.models(noise[None])[0], values, self.deviations[start:end], self.pieces, first
+        covariance = smooth(last, self.covariance, *given, states, bodies)
+        return last, covariance, states, bodies
 
 
-def _measured(path: CellPath, followed: Followed) -> Floats:
-    """Return x, y and axis, and their deviations (K, 6), in K pictures; NaN where there is no blob.
-
-    Blobs that the picture's edge may cut off are left out; those that show other cells, too, count
-    little.
+def _exact(measured: Sequence[_Measured]) -> Floats:
+    """Return the factors (3,), at most 1, from the stated deviations of cells' own blobs to those
+    of the film's, by differences of successive places, in which a smooth path leaves little.
     """
-    measured, shared = (
-        np.full((len(path.seen), 6), np.nan),
-        MERGED[0] * followed.organism.body_um[0],
-    )
-    for k, cell in enumerate(path.seen):
-        if cell.measured is not None:
-            measured[k] = cell.measured
-        elif cell.found:
-            measured[k] = cell.x, cell.y, cell.axis, shared, shared, MERGED[1]
-    span = np.array(followed.size) * followed.um_px
-    edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
-    lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
-    measured[edge < EDGE * np.median(lengths or [0.0])] = np.nan
-    return measured
+    found = [np.zeros((0, 3))]
+    for each in measured:
+        values = each.values.copy()
+        values[:, 2] = np.unwrap(np.nan_to_num(values[:, 2]), period=math.pi)
+        values[~each.own] = np.nan
+        found.append(np.diff(values, ORDER, axis=0) / each.deviations[ORDER:])
+    off = np.abs(np.concatenate(found)) / math.sqrt(math.comb(2 * ORDER, ORDER))
+    off = off[np.isfinite(off).all(axis=1)]
+    if not len(off):
+        return np.ones(3)
+    place, axis = np.median(off[:, :2]), np.median(off[:, 2])
+    return np.minimum(np.array([place, place, axis]) / 0.6745, 1.0)
 
 
-def _models(model: Floats, noise: Floats) -> Floats:
-    """Return models (V, 12) like `model` (12,), by ln of the noise (V, 4) over the usual one."""
-    found, factors = np.tile(model, (len(noise), 1)), USUAL * np.exp(noise)
-    found[:, [HEADING, EXACT, SPEED]] *= factors[:, :3]
-    found[:, [X, Y, C, S]] *= factors[:, 3:]
-    found[:, [A, BIAS]] = 0.0
-    return found
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """The fit of one cell: its last state `mean` (n,), standard deviations `sd` (n,) of that, and
+    the `states` (K, n) and `bodies` (K, 3) given all pictures; `misfit` is the sum of the squared
+    differences of a in parts of the path from the a of the whole path, in their deviations, and
+    `parts` its degrees of freedom.
+    """
 
+    measured: _Measured
+    mean: Floats
+    sd: Floats
+    states: Floats
+    bodies: Floats
+    misfit: float
+    parts: int
 
-def _smoothed(path: CellPath, fit: _Fit) -> CellPath:
-    """Return a path with the poses and states of its fit."""
-    rows = np.column_stack([fit.poses, fit.states[:, HEADING]]).tolist()
-    seen = tuple(
-        replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
-        for cell, (x, y, axis, heading), state in zip(path.seen, rows, fit.states, strict=True)
-    )
-    return replace(path, seen=seen)
+    @classmethod
+    def of(cls, table: _Measured, exact: Floats) -> Self:
+        """Fit the measurements of a path, whose deviations are `exact` (3,) times those stated."""
+        table.deviations[table.own] *= exact
+        starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
+        starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
+        starts[:, HEADING] += np.tile(ASIDE, len(RATES))
+        likely = table.likelihood(np.zeros((len(starts), len(USUAL))), starts)
+        likely -= ((starts[:, RATE] / table.mean[RATE] - 1) / RATES_SD) ** 2 / 2
+        mean, noise = starts[likely.argmax()], np.zeros((1, len(USUAL)))
+
+        def likelihood(tried: Floats) -> Floats:
+            return table.likelihood(tried[0], np.tile(mean, (tried.shape[1], 1)))[None]
+
+        for _ in range(ROUNDS):
+            noise, _ = newton_step(likelihood, noise, SPREAD)
+        mean = table.smoothed(noise[0], mean)[2][0]
+        mean[FROM_0] = 0.0
+        last, covariance, states, bodies = table.smoothed(noise[0], mean)
+        parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
+        misfit = 0.0
+        for start, end in pairwise(np.linspace(0, len(states), parts + 1).astype(int).tolist()):
+            part, spread, _, _ = table.smoothed(noise[0], states[start], start, end)
+            misfit += (part[A] - last[A]) ** 2 / spread[A, A]
+        return cls(table, last, np.sqrt(np.diagonal(covariance)), states, bodies, misfit, parts - 1)
+
+    def smoothed(self, path: CellPath) -> CellPath:
+        """Return the path with the smoothed poses, which stay within FAR deviations of what was
+        measured.
+        """
+        off = self.measured.values - self.bodies
+        off[:, 2] = (off[:, 2] + math.pi / 2) % math.pi - math.pi / 2
+        reach = FAR * self.measured.deviations
+        poses = self.bodies + np.nan_to_num(off - np.clip(off, -reach, reach))
+        rows = np.column_stack([poses, self.states[:, HEADING]]).tolist()
+        seen = tuple(
+            replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
+            for cell, (x, y, axis, heading), state in zip(path.seen, rows, self.states, strict=True)
+        )
+        return replace(path, seen=seen)
 
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
     """Return a value's 95 % interval for a standard deviation and a relative one."""
-    half = NORMAL * math.hypot(WIDER * sd, error * value)
+    half = NORMAL * math.hypot(sd, error * value)
     return SampleInterval(float(value), float(value - half), float(value + half))
 
 
-def _summary(path: CellPath, fit: _Fit | None, known: bool, rate_hz: float) -> CellSummary:
-    between = float(path.times[-1] - path.times[0])
-    count = int(path.frames[-1] - path.frames[0]) + 1
+def _summary(
+    path: CellPath, fit: _Fit | None, known: bool, usual: float, rate_hz: float
+) -> CellSummary:
+    between, count = (
+        float(path.times[-1] - path.times[0]),
+        int(path.frames[-1] - path.frames[0]) + 1,
+    )
     way = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum())
     speed = a = bias = magnetised = None
     spread = sway = hz = radius = math.nan
     if fit is not None and count >= round(SHORTEST_S * rate_hz):
         states, way = fit.states, float(fit.mean[WAY])
-        speed = _interval(way / between, fit.sd[WAY] / between, SPEED_ERROR)
+        wider = math.sqrt(
+            max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
+        )
+        speed = _interval(way / between, wider * fit.sd[WAY] / between, SPEED_ERROR)
         spread = float(states[:, SPEED].std())
         sway = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
         hz = float(np.median(states[:, RATE])) / math.tau
         radius = float(np.median(np.hypot(states[:, C], states[:, S])))
         if known:
-            a = _interval(fit.mean[A], fit.sd[A], A_ERROR)
-            bias = _interval(fit.mean[BIAS], fit.sd[BIAS], 0.0)
-            magnetised = bool(fit.mean[A] > RESPONDS * WIDER * fit.sd[A])
+            a = _interval(fit.mean[A], wider * fit.sd[A], A_ERROR)
+            bias = _interval(fit.mean[BIAS], wider * fit.sd[BIAS], 0.0)
+            magnetised = bool(fit.mean[A] > RESPONDS * wider * fit.sd[A])
     return CellSummary(
         cell=path.identity,
         since_s=float(path.times[0]),

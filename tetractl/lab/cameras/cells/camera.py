@@ -20,6 +20,7 @@ from tetractl.experiment.choice import FoundCell
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl.lab.cameras.cells.crops import FilmCutter
+from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl.lab.cameras.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl.lab.cameras.cells.section import CellsSection
@@ -91,8 +92,9 @@ class CellCamera(PictureCamera[SeenDish]):
     def _found(self, cell: SeenCell) -> FoundCell:
         per_um = 1e-6 / self._setup.metres
         since, before = self._since.get(cell.track, (self._now, 0.0))
-        a, speed, seconds = float(cell.mean[A]), float(cell.mean[SPEED]), self._now - since
+        a, seconds = float(cell.mean[A]), self._now - since
         a_sd, speed_sd = (WIDER * math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
+        speed = float(cell.mean[SPEED])
         if seconds > MEAN_S:
             speed = float(cell.mean[WAY] - before) / seconds
             speed_sd = WIDER * math.sqrt(cell.covariance[WAY, WAY]) / seconds
@@ -123,7 +125,9 @@ class CellCamera(PictureCamera[SeenDish]):
         return [self._films.popleft() for _ in range(len(self._films))]
 
     def check(self) -> Health:
-        """Examine some pictures; return problems, warnings and facts of source, light and cells."""
+        """Examine some pictures; return problems, warnings and facts of source, light, focus and
+        cells.
+        """
         looks = self._look()
         problems, warnings = self._stream_lines(looks)
         width_px = self._organism.body_um[1] / self.section.um_px
@@ -161,6 +165,7 @@ class CellCamera(PictureCamera[SeenDish]):
             strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),
             light=self._tracker.light,
             level=float(np.median(picture[::8, ::8])),
+            sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.light),
             sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
         )
 
@@ -216,3 +221,23 @@ class CellCamera(PictureCamera[SeenDish]):
             (part, 0.0, 0.0) if u is None else (part, math.cos(u), math.sin(u))
             for part, u in zip(parts, turned, strict=True)
         ]
+
+
+def _sharpness(
+    picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
+) -> float | None:
+    """Return the median, over cells, of the steepest slope of grey levels divided by the contrast
+    [1/px]; None without cells.
+    """
+    if not light.contrast:
+        return None
+    found = []
+    for cell in cells[:8]:
+        column, row = round(cell.x / um_px), round(picture.shape[0] - cell.y / um_px)
+        reach = round(0.7 * cell.long_um / um_px)
+        part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
+        if min(part.shape) > 6:
+            smooth = part[:, :-2].astype(float) + part[:, 1:-1] + part[:, 2:]
+            slopes = np.abs(smooth[2:, 2:] - smooth[2:, :-2]) / 6
+            found.append(float(np.quantile(slopes, 0.98)) / light.contrast)
+    return float(np.median(found)) if found else None

@@ -11,28 +11,31 @@ from tetractl.lab.cameras.pictures.looks import Look
 
 DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
 FAINT = 1.5  # ratio of cells' contrast to the least contrast, below which some are missed
+BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
 SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
 
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """The results of one picture: the robots' poses, other cells, and light.
+    """The results of one picture: the robots' poses, other cells, light and sharpness.
 
     `sure` is the least probability of the identity of a robot in view, 0 if none is in view.
-    `level` is the median of the picture's grey levels.
+    `level` is the median of the picture's grey levels. `sharpness` is the median, over cells, of
+    the steepest slope at the rim divided by the contrast [1/px]; None without cells.
     """
 
     poses: tuple[Pose | None, ...]
     strangers: tuple[Pose, ...]
     light: Light
     level: float
+    sharpness: float | None
     sure: float
 
 
 def dish_lines(
     names: Sequence[str], looks: Sequence[Look[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
-    """Return problems and warnings about light and cells in the last pictures, which are
+    """Return problems and warnings about light, focus and cells in the last pictures, which are
     given oldest first, for cells `width_px` wide; two empty lists without pictures.
     """
     if not looks:
@@ -65,6 +68,9 @@ def dish_lines(
     contrast = statistics.median(contrasts) if contrasts else None
     if not newest.light.lost and (line := faint_line(contrast, newest.light.limit)):
         warnings.append(line)
+    sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
+    if sharp and statistics.median(sharp) < BLURRED:
+        warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
     if width_px < SMALL_PX:
         warnings.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
     return problems, warnings

@@ -11,6 +11,7 @@ State of one cell, in um, s and rad:
     bias      the dipole's angle from the axis
     turn      turning rate that the field does not explain [rad/s]
     flow      velocity of the medium, x and y
+    delay     time after which the field acts on the cell [s]
     way       length of the way along the helix's axis since the row was added [um]
     sway      swing of the body's axis, relative to that of a body that points along its path
     lead      the same for the part of the swing that is a quarter turn ahead
@@ -58,10 +59,11 @@ FLOW_UM_S = 4.0
 WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 # standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
+DELAY_S = 0.015  # standard deviation of the delay
 SWAY_PRIOR, LEAD_SD = (0.8, 0.3), 0.3
 # relative deviations of a mean speed and of a for what a picture does not show, as an axis that
 # leaves the picture's plane
-SPEED_ERROR, A_ERROR = 0.005, 0.02
+SPEED_ERROR, A_ERROR = 0.004, 0.02
 
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""
@@ -86,7 +88,7 @@ def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
     mean, model = np.zeros(STATES), np.zeros(MODEL)
     mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
     pose = NEW[0] * body, NEW[0] * body, NEW[1], NEW[2] * slowest, helix, helix
-    others = rate_sd, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, 0.0, SWAY_PRIOR[1]
+    others = rate_sd, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1]
     model[[X, Y, C, S]] = GROWTH[0] * body
     model[[HEADING, SPEED, RATE, A, BIAS]] = GROWTH[1], GROWTH[2] * slowest, *WALKS
     model[[TURN, EXACT, SLOWEST]] = turn, 1.0, slowest
@@ -110,6 +112,7 @@ class HelixFilter:
     covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
     _new: tuple[Floats, Floats, Floats] = field(init=False)
+    _field: Floats | None = None  # the last piece
 
     def __post_init__(self) -> None:
         """Compile the steps now, and not while pictures wait."""
@@ -119,6 +122,7 @@ class HelixFilter:
         self.update(np.zeros(1, int), np.zeros((1, 3)), np.ones((1, 3)))
         self.expected(np.zeros(1, int))
         self.drop(0)
+        self._field = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
         """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
@@ -162,9 +166,12 @@ class HelixFilter:
     def predict(self, pieces: Sequence[Piece]) -> None:
         """Predict every row over successive pieces of constant field."""
         if pieces:
+            field = np.array(pieces, np.float64)
             walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
+            before = field[0] if self._field is None else self._field
             rows = self.mean, self.covariance, self.used
-            helix_steps.predict(*rows, self._new[2], walled, np.array(pieces, np.float64))
+            helix_steps.predict(*rows, self._new[2], walled, before, field)
+            self._field = field[-1]
 
     def loosen(self, rows: Sequence[int]) -> None:
         """Make cells that move unexpectedly as uncertain of position, heading, speed, c and s as

@@ -114,6 +114,7 @@ def looks(**changes):
         "strangers": (),
         "light": LIGHT,
         "level": 120.0,
+        "sharpness": 0.3,
         "sure": 1.0,
     } | changes
     return [Look(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
@@ -129,6 +130,7 @@ def looks(**changes):
         ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, 2"),
         ({"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)}, 11.0, "by 9 grey levels, hardly"),
         ({"light": Light(1, 3.0, None, 0.0, False, limit=7.0)}, 11.0, "no object differs"),
+        ({"sharpness": 0.05}, 11.0, "focus"),
         ({"sure": 0.6}, 11.0, "it is uncertain which is which"),
         ({}, 5.2, "a cell is 5 px wide; 8 px"),
     ],

@@ -16,6 +16,7 @@ from tetractl.lab.cameras.cells.helix import (
 )
 from tetractl.lab.cameras.cells.kernels.helix_path import smooth
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
+    DELAY,
     HEADING,
     LEAD,
     RATE,
@@ -179,13 +180,17 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
     bank = HelixFilter(near_wall=lambda x, y: np.full(len(x), walled))
     row = bank.add(3.0, -2.0, 0.4, speed)
     pieces = [(0.02, 0.6, 0.8), (0.013, -0.8, 0.6)]
-    bank.mean[row, [C, S, TURN, LEAD]] = 4.0, -3.0, 0.1, 0.2
+    bank.mean[row, [C, S, TURN, DELAY, LEAD]] = 4.0, -3.0, 0.1, 0.01, 0.2
     root = random.normal(0, 0.3, (STATES, STATES))
     bank.covariance[row] += root @ root.T
     m, p = bank.mean[row].copy(), bank.covariance[row].copy()
     *_, model = new_cell(TETRAHYMENA, known=True)
     bank.predict(pieces)
-    for seconds, *field in pieces:
+    for k, (seconds, *field) in enumerate(pieces):
+        if k and not walled:
+            change = (0.6, 0.8), (-0.8, 0.6), model[SLOWEST]
+            f = oracle.slopes(lambda state, change=change: oracle.switched(state, *change), m)
+            m, p = oracle.switched(m, *change), f @ p @ f.T
         m, p, _ = oracle.move(m, p, model, walled, seconds, field)
     assert bank.mean[row] == pytest.approx(m, rel=1e-8)
     assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)

@@ -5,43 +5,61 @@ import numpy as np
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
+    RATE,
     SLOWEST,
     STATES,
+    WAY,
     correct,
     expect,
-    move,
+    forward,
     reverse,
 )
 
+ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
+ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
+
 
 @compiled(**INLINE_EXACT)
-def advance(m, p, total, model, measured, deviation, pieces, h, gain, weighed):
-    """Move a cell's state m and covariance p over pieces (P, 3) to the next picture, and update
-    them by its measurement (3,), if there is one; return ln of the likelihood, and whether the
-    heading was reversed.
+def arrive(m, p, total, model, pieces, first, k):
+    """Move a cell's state m and covariance p to picture k; pieces `first[k]` to `first[k + 1]` of
+    the field (P, 3) are before it.
     """
-    for i in range(len(pieces)):
-        move(m, p, total, model, False, pieces[i])
-    if not np.isfinite(measured[0]):
-        return 0.0, False
-    likelihood, _, wrong = correct(m, p, model, measured, deviation, h, gain, weighed)
-    return likelihood, wrong
+    i, end = first[k], first[k + 1]
+    if i < end:
+        forward(m, p, total, model, False, pieces[max(i - 1, 0)], pieces[i:end])
+
+
+@compiled(**INLINE_EXACT)
+def loosen(p, start, odd, distance):
+    """Add the pose's variance of a new cell, of covariance `start`, to the covariance p after
+    ODD_RUN far measurements; return how many were in a row.
+    """
+    odd = odd + 1 if distance > ODD_DISTANCE else 0
+    if odd >= ODD_RUN:
+        for state in range(RATE):
+            p[state, state] += start[state, state]
+        p[WAY, WAY] += start[0, 0]
+        return 0
+    return odd
 
 
 @compiled(**ENTRY)
 def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
     """Write ln of the likelihood (V,) of K pictures' measurements (K, 3) for V variants, each with
     a mean (V, n) at the first picture, where `start` (n, n) is the covariance, and a model (V, 12).
-    Pieces `first[k]` to `first[k + 1]` of the field (P, 3) are before picture k. `mean` is that
-    after the last picture at the end.
+    `mean` is that after the last picture at the end.
     """
     h, gain, weighed = np.empty((3, STATES)), np.empty((3, STATES)), np.empty(3)
     none = np.empty((0, 0))
     for v in range(len(mean)):
-        p, found[v] = start.copy(), 0.0
+        m, p, odd, found[v] = mean[v], start.copy(), 0, 0.0
         for k in range(len(measured)):
-            given = measured[k], deviation[k], pieces[first[k] : first[k + 1]], h, gain, weighed
-            found[v] += advance(mean[v], p, none, models[v], *given)[0]
+            arrive(m, p, none, models[v], pieces, first, k)
+            if np.isfinite(measured[k, 0]):
+                given = measured[k], deviation[k], h, gain, weighed
+                likelihood, distance, _ = correct(m, p, models[v], *given)
+                found[v] += likelihood
+                odd = loosen(p, start, odd, distance)
 
 
 @compiled(**ENTRY)
@@ -57,19 +75,35 @@ def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
     count, p = len(measured), start.copy()
     covariances, totals = np.empty((count, STATES, STATES)), np.zeros((count, STATES, STATES))
     h, gain = np.zeros((count, 3, STATES)), np.zeros((count, 3, STATES))
-    weighed, turned = np.zeros((count, 3)), np.zeros(count, np.bool_)
+    weighed, turned, odd = np.zeros((count, 3)), np.zeros(count, np.bool_), 0
     for k in range(count):
-        np.fill_diagonal(totals[k], 1.0)
-        given = measured[k], deviation[k], pieces[first[k] : first[k + 1]], h[k], gain[k]
-        _, turned[k] = advance(m, p, totals[k], model, *given, weighed[k])
+        for i in range(STATES):
+            totals[k, i, i] = 1.0
+        arrive(m, p, totals[k], model, pieces, first, k)
+        seen, distance = np.isfinite(measured[k, 0]), 0.0
+        if seen:
+            given = measured[k], deviation[k], h[k], gain[k], weighed[k]
+            _, distance, turned[k] = correct(m, p, model, *given)
         means[k], covariances[k] = m, p
-    pull = np.zeros(STATES)
+        if seen:
+            odd = loosen(p, start, odd, distance)
+    pull, before = np.zeros(STATES), np.empty(STATES)
     for k in range(count - 1, -1, -1):
-        means[k] -= covariances[k] @ pull
+        for i in range(STATES):
+            for j in range(STATES):
+                means[k, i] -= covariances[k, i, j] * pull[j]
         if turned[k]:
             reverse(pull)
         for i in range(2, -1, -1):
-            pull -= h[k, i] * (weighed[k, i] + gain[k, i] @ pull)
-        pull = totals[k].T @ pull
+            known = weighed[k, i]
+            for j in range(STATES):
+                known += gain[k, i, j] * pull[j]
+            for j in range(STATES):
+                pull[j] -= h[k, i, j] * known
+        before[:] = 0.0
+        for j in range(STATES):
+            for i in range(STATES):
+                before[i] += totals[k, j, i] * pull[j]
+        pull[:] = before
         expect(means[k], model[SLOWEST], bodies[k], h[k])
     return p

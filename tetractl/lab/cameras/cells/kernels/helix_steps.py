@@ -11,14 +11,16 @@ import numpy as np
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 
-X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, WAY, SWAY, LEAD = range(15)
-STATES = 15
+X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY, LEAD = range(16)
+STATES = 16
 # the numbers of a `model` (12,): of the states X to BIAS, the growth of the standard deviation per
 # sqrt(s); of TURN, its standard deviation; the factor EXACT from stated deviations of measurements
 # to their own; the speed SLOWEST below which a cell rests, and its helix does not give its axis
 EXACT, SLOWEST, MODEL = 10, 11, 12
 
-WALL_TURN = 1.0  # further growth of the heading per sqrt(s) near a wall
+# further growth per sqrt(s) at rest, of the heading, and of the speed in SLOWEST, since a cell may
+# go on in any direction; and of the heading near a wall
+RESTING_HEADING, RESTING_SPEED, WALL_TURN = 0.5, 2.5, 1.0
 HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
@@ -34,20 +36,63 @@ def torque(dipole, ux, uy):
     return uy * cos - ux * sin, -(uy * sin + ux * cos)
 
 
+@compiled(**ENTRY)
+def apply(f, p, total):
+    """Replace the covariance p by f p f', and the derivatives `total` (n, n; may be empty) by
+    f total.
+
+    f (n, n) is the unit matrix but for few entries, so that zeros are skipped.
+    """
+    size = len(f)
+    part, done = np.zeros((size, size)), np.zeros(total.shape)
+    for i in range(size):
+        for k in range(size):
+            if f[i, k] != 0.0:
+                for j in range(size):
+                    part[i, j] += f[i, k] * p[k, j]
+                for j in range(len(total)):
+                    done[i, j] += f[i, k] * total[k, j]
+    p[:] = 0.0
+    for i in range(size):
+        for k in range(size):
+            if f[i, k] != 0.0:
+                for j in range(size):
+                    p[j, i] += part[j, k] * f[i, k]
+    total[:] = done
+
+
+@compiled(**ENTRY)
+def switch(m, p, total, resting, before, after):
+    """Let the field change from `before` (3,) to `after` (3,) later by the state DELAY."""
+    a = 0.0 if resting else m[A]
+    old, old_slope = torque(m[HEADING] + m[BIAS], before[1], before[2])
+    new, new_slope = torque(m[HEADING] + m[BIAS], after[1], after[2])
+    f = np.eye(STATES)
+    bend = m[DELAY] * a * (old_slope - new_slope)
+    f[HEADING, HEADING] += bend
+    f[HEADING, BIAS] = bend
+    f[HEADING, A] = 0.0 if resting else m[DELAY] * (old - new)
+    f[HEADING, DELAY] = a * (old - new)
+    m[HEADING] += m[DELAY] * a * (old - new)
+    apply(f, p, total)
+
+
 @compiled(**INLINE_EXACT)
-def grow(p, model, walled, seconds):
+def grow(p, model, resting, walled, seconds):
     """Add to the covariance p what the states may change by themselves in a time."""
     for state in range(BIAS + 1):
         p[state, state] += model[state] ** 2 * seconds
     p[WAY, WAY] += model[X] ** 2 * seconds
+    if resting:
+        p[HEADING, HEADING] += RESTING_HEADING**2 * seconds
+        p[SPEED, SPEED] += (RESTING_SPEED * model[SLOWEST]) ** 2 * seconds
     if walled:
         p[HEADING, HEADING] += WALL_TURN**2 * seconds
 
 
 @compiled(**ENTRY)
 def move(m, p, total, model, walled, piece):
-    """Move a cell's state m and covariance p over a `piece` (3,) of constant field: its duration
-    [s], and the field's x and y.
+    """Move a cell's state m and covariance p over a `piece` (3,) of constant field.
 
     Near a wall (`walled`) turning is no sign of a. `total` collects the derivatives with respect to
     the state before. To second order in the heading's error, a cell swims and turns by `along` and
@@ -56,7 +101,7 @@ def move(m, p, total, model, walled, piece):
     """
     seconds, ux, uy = piece
     half, resting = seconds / 2, m[SPEED] < model[SLOWEST]
-    grow(p, model, walled, half)
+    grow(p, model, resting, walled, half)
     along = math.exp(-p[HEADING, HEADING] / 2)
     round = math.exp(-(p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]) / 2)
     a = 0.0 if resting else m[A] * round
@@ -92,11 +137,21 @@ def move(m, p, total, model, walled, piece):
     m[C], m[S] = c, s
     m[TURN] *= forget
     m[WAY] += m[SPEED] * seconds
-    p[:] = f @ p @ f.T
-    if len(total):
-        total[:] = f @ total
-    grow(p, model, walled, half)
+    apply(f, p, total)
+    grow(p, model, resting, walled, half)
     p[TURN, TURN] += model[TURN] ** 2 * (1 - forget**2)
+
+
+@compiled(**ENTRY)
+def forward(m, p, total, model, walled, before, pieces):
+    """Move a cell's state m and covariance p over pieces (P, 3) of constant field, each the
+    duration [s] and the field's x and y, after the piece `before` (3,).
+    """
+    for i in range(len(pieces)):
+        last = pieces[i - 1] if i else before
+        if not walled and (pieces[i, 1] != last[1] or pieces[i, 2] != last[2]):
+            switch(m, p, total, m[SPEED] < model[SLOWEST], last, pieces[i])
+        move(m, p, total, model, walled, pieces[i])
 
 
 @compiled(**ENTRY)
@@ -175,13 +230,12 @@ def reverse(states):
 
 
 @compiled(**ENTRY)
-def predict(mean, covariance, used, model, walled, pieces):
-    """Move every row in use over pieces (P, 3) of constant field."""
+def predict(mean, covariance, used, model, walled, before, pieces):
+    """Move every row in use over pieces of constant field (P, 3), after the piece `before`."""
     total = np.empty((0, 0))
     for row in range(len(used)):
         if used[row]:
-            for piece in pieces:
-                move(mean[row], covariance[row], total, model, walled[row], piece)
+            forward(mean[row], covariance[row], total, model, walled[row], before, pieces)
 
 
 @compiled(**ENTRY)

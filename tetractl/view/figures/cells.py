@@ -185,7 +185,7 @@ def _turning(axes: Axes, log: TrackLog) -> None:
     if not rates:
         return
     means, ends = _means(rates)
-    axes.vlines(middle, *ends, color=style.INK, lw=1)
+    axes.vlines(middle, *ends, color=style.INK, lw=1, zorder=2)
     axes.plot(middle, [found.mean for found in means], "s", ms=3, color=style.INK)
     found = _mean(np.array(fitted))
     curve = np.linspace(-math.pi, math.pi, 100)

@@ -37,7 +37,7 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     X,
     Y,
 )
-from tetractl.lab.cameras.cells.readings import MERGED, ODD
+from tetractl.lab.cameras.cells.readings import MERGED
 from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step
 
 START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
@@ -148,7 +148,7 @@ class _Measured:
         edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
         lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
         measured[edge < EDGE * np.median(lengths or [0.0])] = np.nan
-        own = measured[:, 5] < ODD[1]
+        own = measured[:, 3] < shared
         some = np.flatnonzero(own)
         if len(some) < START:
             return None

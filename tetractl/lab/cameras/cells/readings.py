@@ -13,6 +13,7 @@ POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob
 # deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
 # shared blob; and in a shared blob that is only as large as one of its cells
 ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
+ROUND = 0.01  # least elongation of a blob, 1 - width / length, of which the axis says something
 OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
 GROWN_S = 1.0  # time for which a blob has another size than its cell, which then is the cell's
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
@@ -52,7 +53,7 @@ def own_reading(
     cut, smaller = cell.blob.at_edge, long * wide < cell.long * cell.wide / LARGE**2
     off = max(ODD[0] * body_um, OFF_SHARE * (long - cell.long))
     least = POSITION_UM + POSITION_PX * um_px
-    deviations = least, least, AXIS / max(1 - wide / long, 0.05)
+    deviations = least, least, AXIS / max(1 - wide / long, ROUND)
     if cell.large and not cut:
         pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
         x, y = match.parted([cell, cell], pair, points)[0].tolist()

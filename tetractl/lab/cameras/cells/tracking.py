@@ -18,7 +18,7 @@ from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Pie
 from tetractl.lab.cameras.cells.match import LARGE
 from tetractl.lab.cameras.cells.names import FROM, Names
 from tetractl.lab.cameras.cells.readings import (
-    ODD,
+    MERGED,
     PATH,
     Reading,
     note_size,
@@ -236,7 +236,10 @@ class CellTracker:
         """
         cell.odd = cell.odd + 1 if distance > ODD_DISTANCE else 0
         (x, y), away = self.bank.mean[cell.row, :2].tolist(), ASTRAY * self._body_um
-        if math.hypot(values[0] - x, values[1] - y) > away and deviations[2] < ODD[1]:
+        if (
+            math.hypot(values[0] - x, values[1] - y) > away
+            and deviations[0] < MERGED[0] * self._body_um
+        ):
             vx, vy = values[0] - cell.last[0], values[1] - cell.last[1]
             backwards = math.cos(values[2]) * vx + math.sin(values[2]) * vy < 0
             axis = values[2] + math.pi * backwards

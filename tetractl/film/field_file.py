@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import read_numbers
+from tetractl.core.table.number_columns import read_numbers
 from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.handedness import handedness, wrong_sides
 

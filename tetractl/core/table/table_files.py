@@ -4,8 +4,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, is_dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -13,10 +13,7 @@ from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, TextIO
 
-import numpy as np
-
 from tetractl.core.errors import LogError, UsageError, cell
-from tetractl.core.poses import Floats
 from tetractl.core.table.table import Array, Column, Table
 
 PART = ".part"
@@ -78,24 +75,6 @@ def read_csv(path: Path) -> Iterator[dict[str, str]]:
                     yield {key: value for key, value in found if key}
     except (UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path}: is not a CSV file: {error}") from None
-
-
-def read_numbers(path: Path, names: Sequence[str], defaults: Mapping[str, float]) -> Floats:
-    """Return the columns `names` (R, N) of a CSV file with at least one row. UsageError if one is
-    missing, or has a text or an infinite number; an empty cell may have a default.
-    """
-    table = []
-    for line, row in enumerate(read_csv(path), 2):
-        for name in names:
-            with suppress(KeyError, ValueError):
-                value = float(row.get(name) or defaults[name])
-                if math.isfinite(value):
-                    table.append(value)
-                    continue
-            raise UsageError(f"{path}, line {line}: has no finite number in column {name}")
-    if not table:
-        raise UsageError(f"{path}: has no rows")
-    return np.array(table).reshape(-1, len(names))
 
 
 def _typed(column: Column) -> Any:

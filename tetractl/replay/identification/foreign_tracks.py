@@ -8,7 +8,8 @@ import numpy as np
 
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import read_csv, read_numbers
+from tetractl.core.table.number_columns import read_numbers
+from tetractl.core.table.table_files import read_csv
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")

@@ -72,7 +72,7 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
     """Wrong pictures never steer: there is no trial, or it is aborted, and the field is off."""
     script = f"faults: [{{fault: {fault}, at: {at}}}]"
     sets = (*SMALL, "controller.accept_error=0.1")
-    with virtual_dish(tmp_path, 1, sets, FEW + script) as dish:
+    with virtual_dish(tmp_path, 7, sets, FEW + script) as dish:
         if at == 2:  # before the choice
             with pytest.raises(AbortError, match=says):
                 run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
@@ -88,31 +88,31 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
     ("on_lost", "notes", "lost"),
     [
         ("stop", [], ()),
-        ("drop", ["the run goes on without this robot"], (1, 0)),
-        ("replace", ["the run goes on without this robot", "cell 1 is another cell now"], (1, 0)),
+        ("drop", ["the run goes on without this robot"], (0, 1)),
+        ("replace", ["the run goes on without this robot", "cell 2 is another cell now"], (0, 1)),
     ],
 )
 def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):
-    script = "faults: [{fault: divides, cell: cell 1, at: 4.5}]"
+    script = "faults: [{fault: divides, cell: cell 1, at: 4.5}]"  # which is robot "cell 2" here
     log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", f"on_lost={on_lost}"))
     result = log.result
     assert len(cells) == 5
     assert result.lost == lost
     assert result.outcome.complete == (on_lost != "stop")
     if on_lost == "stop":
-        assert result.reason == "cell 1 has divided, or has parted from an unknown cell"
+        assert result.reason == "cell 2 has divided, or has parted from an unknown cell"
         return
     text = " ".join(note.text for note in log.notes)
-    assert "cell 1 has divided" in text
+    assert "cell 2 has divided" in text
     assert all(note in text for note in notes)
     assert verify(tmp_path / "trial-000.mcap").problems == ()
-    left = [1] if on_lost == "drop" else [0, 1]
+    left = [0] if on_lost == "drop" else [0, 1]
     assert max(np.array(result.robot_errors)[left]) < 60
 
 
 def test_a_cell_that_rests_is_still_that_cell(tmp_path):
     script = "faults: [{fault: rests, cell: cell 1, at: 6.5, for: 1}]"
-    log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"))
+    log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"), 7)
     assert log.result.outcome.complete, log.result.reason
     assert log.result.lost == ()
 

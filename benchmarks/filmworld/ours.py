@@ -52,7 +52,7 @@ def parts(folder: Path, um_px: float) -> dict[str, list[float]]:
     marks.append(cpu_s())
     decode, both, fit = (1e3 * np.diff(marks) / len(pictures)).tolist()
     tracker = CellTracker(um_px, known=True)
-    tracker.learn(pictures[:: max(1, len(pictures) // 20)])
+    tracker.finder.learn(pictures[:: max(1, len(pictures) // 20)])
     live = []
     for number, picture in enumerate(pictures):
         began = time.thread_time()

@@ -189,7 +189,7 @@ def pictures(data: bytes) -> None:
     from tetractl.lab.cameras.cells.tracking import CellTracker
 
     tracker, parts = CellTracker(2.3, known=True), Multipart(BOUNDARY)
-    tracker.learn(_dish()[0])
+    tracker.finder.learn(_dish()[0])
     for k, body in enumerate(parts.feed(data)[:20]):
         grey = decoded(Picture(body, 0), (SIDE, SIDE))
         if grey is None:

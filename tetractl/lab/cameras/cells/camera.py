@@ -178,7 +178,7 @@ class CellCamera(PictureCamera[SeenDish]):
             fits = not self._first or picture.shape == self._first[0].shape
             self._first = [*self._first, picture] if fits else [picture]
         if passed >= self.section.learning and len(self._first) >= BACKGROUND // 2:
-            self._tracker.learn(self._first)
+            self._tracker.finder.learn(self._first)
             self._first = []
 
     def _bound(self, cells: Sequence[SeenCell]) -> list[int]:

@@ -100,7 +100,7 @@ class CellTrack:
     merged: bool = False  # whether its blob shows other cells, too
     large: bool = False  # whether its own blob is too large for one cell
     sized_s: float = 0.0  # last time when the blob had the cell's size
-    pair: bool = False  # whether its first blobs are so large that they may show two cells
+    pair_s: float = -math.inf  # until then, its blob may show two cells that came together
     measured: tuple[float, ...] | None = None
     # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough
     begun: tuple[float, float, float] | None = None

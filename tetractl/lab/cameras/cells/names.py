@@ -24,19 +24,19 @@ from tetractl.lab.cameras.cells.questions import (
     orders,
     return_density,
 )
+from tetractl.lab.cameras.cells.readings import MERGED
 
-TOGETHER = 4  # most tracks whose identities are resolved together, with one cell more
+TOGETHER = 4  # most tracks whose identities are resolved together
 CLEAR = 0.99  # probability of the places alone above which no question is asked
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
 ASSERTED = 0.95  # least probability with which a film's table goes on with a name
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
-PLACE, MERGED = 0.06, 0.13  # deviations of places, apart and in a shared blob [lengths of a cell]
+PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
 FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
 EITHER = 0.08  # probability that something unknown has been in a blob that it may have entered
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
 LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
-NEVER = -700.0  # logarithm of a probability of 0
 
 
 class Names:
@@ -174,8 +174,6 @@ class Names:
 
     def probability(self, track: CellTrack) -> float:
         """Return the probability that a track has the right name."""
-        if track.pair:
-            return LIKELIER
         if track.question is not None:
             order, shares = track.question.best()
             t = track.question.tracks.index(track)
@@ -252,24 +250,23 @@ class Names:
     def _end(self, question: Question) -> None:
         """Settle a question by its likeliest answer."""
         order, shares = question.best()
-        probability = float(question.probabilities().max())
+        likely = question.probabilities()
         asked = tuple(cell.name for cell in question.cells)
         own = np.arange(len(question.cells))
         for t, track in enumerate(question.tracks):
             cell = question.cells[order[t]]
             track.question, track.row = None, int(question.rows[t, order[t]])
             track.identity = cell.name
-            if np.isfinite(cell.size).all():
-                track.long, track.wide = cell.size
+            track.long, track.wide = cell.size
             if self._certain(track, float(shares[t]) * cell.certainty):
-                weights = question.probabilities() @ (question.orders[:, t, None] == own)
+                weights = likely @ (question.orders[:, t, None] == own)
                 self._bank.mix(track.filter_row, question.rows[t], weights)
         kept = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
             if row not in kept:
                 self._bank.drop(row)
         self._questions.remove(question)
-        self._tell(question.tracks, probability, asked)
+        self._tell(question.tracks, float(likely.max()), asked)
 
     def _doubt(self, track: CellTrack, probability: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
@@ -294,7 +291,7 @@ class Names:
         """
         tracks, cells = meeting.tracks, meeting.cells
         now, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
-        deviations = [MERGED if track.merged else PLACE for track in tracks]
+        deviations = [MERGED[0] if track.merged else PLACE for track in tracks]
         table = self._table(cells, now, np.array(deviations))
         own = np.diagonal(table)
         known = np.diagonal(self._known(meeting, table))

@@ -31,7 +31,7 @@ TURNS = 0.2  # probability that a cell has turned by itself while it was with ot
 @dataclass(slots=True, eq=False)
 class Known:
     """A cell that a track may be: its `name`, the probability `certainty` that it is that cell, and
-    its length and width `size` [um], NaN if unknown.
+    its length and width `size` [um].
 
     The filter's `row` is predicted without measurements, until the cell needs none any more. A
     lost cell was `last` seen at x, y [um], at the time `lost_s` [s].
@@ -64,11 +64,11 @@ class Meeting:
 
 @dataclass(slots=True, eq=False)
 class Question:
-    """The open question which of M `cells` are on K <= M `tracks`, asked at `since_s` [s].
+    """The open question which of K `cells` is on which of K `tracks`, asked at `since_s` [s].
 
-    `rows[t, n]` (K, M) is the filter's row that follows track t as cell n, `likelihood` (K, M) the
+    `rows[t, n]` (K, K) is the filter's row that follows track t as cell n, `likelihood` (K, K) the
     sum of its log-likelihoods. `prior` (P,) is the log-probability of each assignment in `orders`
-    (P, K) when the question was asked, `known` (K, M) the probability that nothing unknown is there
+    (P, K) when the question was asked, `known` (K, K) the probability that nothing unknown is there
     instead of the cell.
     """
 
@@ -90,7 +90,7 @@ class Question:
     def add(
         self, track: CellTrack, likelihood: Floats, size: Sequence[float] | None, seconds: float
     ) -> None:
-        """Add the log-likelihoods (M,), one per cell, of a track's measurement in one picture, and
+        """Add the log-likelihoods (K,), one per cell, of a track's measurement in one picture, and
         length and width [um] of the blob, unless it is cut off. Measurements count once the rows of
         the filter have settled on the track: where it begins is in the prior.
         """
@@ -102,7 +102,7 @@ class Question:
             sizes = np.array([cell.size for cell in self.cells])
             squared = np.square(np.log(np.array(size) / sizes) / SIZE_SD)
             each = -(TAIL + 1) / 2 * np.log1p(squared / TAIL).sum(axis=1)
-            self.likelihood[t] += np.nan_to_num(each) / SIZED
+            self.likelihood[t] += each / SIZED
 
     def probabilities(self) -> Floats:
         """Return the probability of each assignment of cells to tracks (P,), as in `orders`."""

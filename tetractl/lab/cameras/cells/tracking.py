@@ -15,8 +15,9 @@ from tetractl.lab.cameras.cells import match
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, CellTrack, Entry, SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
+from tetractl.lab.cameras.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
 from tetractl.lab.cameras.cells.match import LARGE
-from tetractl.lab.cameras.cells.names import FROM, Names
+from tetractl.lab.cameras.cells.names import FROM, LIKELIER, Names
 from tetractl.lab.cameras.cells.readings import (
     MERGED,
     PATH,
@@ -34,8 +35,6 @@ HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
 GONE_S = 0.1  # the same for a cell near the picture's edge, or one that has just been found
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
 STARTED, STARTED_S = 1.15, 1.0  # a track that has not swum so many lengths by then is not a cell
-ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
-ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
 ASTRAY = 0.67  # distance of a cell's state from its own blob above which the state is wrong
 ENTERED = 2.3  # a new cell nearer than this to the picture's edge has swum into the picture
 ENTER, APPEAR = 10.0, 0.3  # cells that are expected to appear: at the edge, and anywhere
@@ -75,10 +74,6 @@ class CellTracker:
         self._names = Names(self.bank, self._name, self._body_um, splits)
         self._time: float | None = None
         self._height = self._width = 0
-
-    def learn(self, pictures: Sequence[Grey]) -> None:
-        """Compute the background from pictures taken over a second or more."""
-        self.finder.learn(pictures)
 
     def take(self, finder: BlobFinder) -> None:
         """Go on with a finder that has learned the background."""
@@ -236,10 +231,8 @@ class CellTracker:
         """
         cell.odd = cell.odd + 1 if distance > ODD_DISTANCE else 0
         (x, y), away = self.bank.mean[cell.row, :2].tolist(), ASTRAY * self._body_um
-        if (
-            math.hypot(values[0] - x, values[1] - y) > away
-            and deviations[0] < MERGED[0] * self._body_um
-        ):
+        sure = deviations[0] < MERGED[0] * self._body_um
+        if sure and math.dist(values[:2], (x, y)) > away:
             vx, vy = values[0] - cell.last[0], values[1] - cell.last[1]
             backwards = math.cos(values[2]) * vx + math.sin(values[2]) * vy < 0
             axis = values[2] + math.pi * backwards
@@ -288,7 +281,9 @@ class CellTracker:
         track.long, track.wide = np.nanmedian(path[:, 4:6], axis=0).tolist()
         usual = [each.long * each.wide for each in self._cells() if each.begun is None]
         large = PAIR * float(np.median(usual)) if len(usual) >= USUAL else math.inf
-        track.pair, track.sized_s = track.long * track.wide > large, self._time or 0.0
+        track.sized_s = self._time or 0.0
+        if track.long * track.wide > large:
+            track.pair_s = track.sized_s + STARTED_S
         track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
         track.identity, track.begun = self._name(), (x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]
@@ -302,7 +297,7 @@ class CellTracker:
         # keep the path after the last blob too large for this cell: another cell was in that blob
         other = path[:-1, 4:6].prod(axis=1) > LARGE * track.long * track.wide
         path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
-        certainty = self._names.probability(track)
+        certainty = self._probability(track)
         self.born.append(Born(track.identity, track.number, path[:, :5], certainty, divided))
         track.near = None
 
@@ -318,12 +313,14 @@ class CellTracker:
 
     def _near_edge(self, x: float, y: float) -> bool:
         """Return whether a cell at a position [um] may just have swum into the picture."""
-        right, top = self._width * self.um_px, self._height * self.um_px
-        return min(x, y, right - x, top - y) < ENTERED * self._body_um
+        return self._to_edge(x, y) < ENTERED * self._body_um
+
+    def _to_edge(self, x: float, y: float) -> float:
+        """Return the distance [um] of a position [um] from the picture's edge."""
+        return min(x, y, self._width * self.um_px - x, self._height * self.um_px - y)
 
     def _give_up(self, seconds: float) -> None:
         """Drop objects that have not been seen for long, have left the picture, or never swam."""
-        right, top = self._width * self.um_px, self._height * self.um_px
         kept = []
         for track in self._tracks:
             if track.row is None:
@@ -331,8 +328,8 @@ class CellTracker:
                 if track.missed_s <= (HIDDEN_SPECK_S if old else SPECK_S):
                     kept.append(track)
                 continue
-            (x, y), rim = self.bank.mean[track.row, :2].tolist(), OUTSIDE * track.long
-            outside = min(x, y, right - x, top - y) < rim
+            x, y = self.bank.mean[track.row, :2].tolist()
+            outside = self._to_edge(x, y) < OUTSIDE * track.long
             late = track.missed_s > (GONE_S if outside or track.begun is not None else LOST_S)
             if late or not math.isfinite(x + y) or self._stays(track, seconds):
                 self._names.give_up(track, seconds, late and not outside and track.begun is None)
@@ -345,7 +342,6 @@ class CellTracker:
         if track.begun is None:
             return False
         x, y, began = track.begun
-        track.pair &= seconds - began < STARTED_S
         if math.dist(track.last.tolist(), (x, y)) > STARTED * self._body_um:
             track.begun = None
             return False
@@ -373,6 +369,11 @@ class CellTracker:
             found.append((left, top, round(column + reach), round(row + reach)))
         return found
 
+    def _probability(self, cell: CellTrack) -> float:
+        """Return the probability that a cell has the right name."""
+        pair = (self._time or 0.0) < cell.pair_s
+        return LIKELIER if pair else self._names.probability(cell)
+
     def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         rows = np.array([cell.row for cell in cells], int)
         seen, _ = self.bank.expected(rows)
@@ -386,7 +387,7 @@ class CellTracker:
                 heading=float(means[i, HEADING]),
                 mean=means[i],
                 covariance=covariances[i],
-                probability=self._names.probability(cell),
+                probability=self._probability(cell),
                 found=cell.blob is not None,
                 merged=cell.merged or cell.large,
                 long_um=cell.long,

@@ -69,7 +69,7 @@ def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
     made = film(seed=1, side=240, cells=2, seconds=1.0)
     pictures = [each[:200] for each in made.pictures()]
     tracker = CellTracker(2.3, known=False)
-    tracker.learn(pictures)
+    tracker.finder.learn(pictures)
     for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
         shown = tracker.see(picture, k / 30, no_field)
         assert len(tracker.finder.find(absurd)) <= BLOBS
@@ -85,3 +85,24 @@ def test_light_that_changes_makes_no_blobs():
     for level in (60, 100, 150, 200):
         assert finder.find(np.full((128, 128), level, np.uint8)) == []
         assert finder.light.gain == pytest.approx(level / 120, rel=0.02)
+
+
+def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
+    halves = np.array([[12.0, 6.0]] * 6 + [[16.0, 9.0]])  # [px]
+    middles, since = 40.0 + 40 * np.arange(7), np.array([0] * 6 + [20])
+
+    def picture(k):
+        rows, columns = np.indices((320, 600))
+        level = np.full((320, 600), 120.0)
+        for (long, wide), y, first in zip(halves, middles, since, strict=True):
+            off = np.square((columns - 30 - 5 * (k - first)) / long) + np.square((rows - y) / wide)
+            level[(off < 1) & (k >= first)] = 60.0
+        return level.astype(np.uint8)
+
+    tracker, stated = CellTracker(2.3, known=False), []
+    tracker.finder.learn([picture(12 * k) for k in range(9)])
+    for k in range(80):
+        seen = [c for c in tracker.see(picture(k), k / 30, no_field) if c.wide_um > 34]
+        stated += [(k, cell.probability) for cell in seen]
+    assert {p for k, p in stated if k < 50} == {0.5}
+    assert {p for k, p in stated if k > 60} == {1.0}

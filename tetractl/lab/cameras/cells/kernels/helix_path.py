@@ -5,6 +5,8 @@ import numpy as np
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
+    ODD_DISTANCE,
+    ODD_RUN,
     RATE,
     SLOWEST,
     STATES,
@@ -14,9 +16,6 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     forward,
     reverse,
 )
-
-ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
-ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
 
 
 @compiled(**INLINE_EXACT)

@@ -25,6 +25,9 @@ HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 9.0  # squared distance, in standard deviations, above which a measurement gets less weight
+# squared distance above which a measurement counts as far, and number of successive ones that are
+# far which make the filter uncertain
+ODD_DISTANCE, ODD_RUN = 30.0, 3
 
 
 @compiled(**INLINE_EXACT)

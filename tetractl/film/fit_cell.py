@@ -49,6 +49,10 @@ RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
 # usual noise over that of a live cell: walk of the heading; noise of blobs; walks of the speed, and
 # of position and helix
 USUAL = np.array([1.0, 1.0, 4.0, 0.5])
+# blobs whose axis is further from the way over so many pictures before and after, in the median
+# [rad], are too round, or too far out of focus, to show the cell's axis
+AROUND, ASTRAY = 3, 0.6
+NO_AXIS = 1e3  # deviation of such an axis [rad]
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
 FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
@@ -106,8 +110,9 @@ def fit_cells(
         path if fit is None else fit.smoothed(path)
         for path, fit in zip(followed.paths, fits, strict=True)
     ]
+    among = float(np.std([fit.states[:, SPEED].mean() for fit in found])) if found else 0.0
     cells = [
-        _summary(path, fit, field is not None, usual, followed.rate_hz)
+        _summary(path, fit, field is not None, usual, among, followed.rate_hz)
         for path, fit in zip(paths, fits, strict=True)
     ]
     return replace(followed, paths=tuple(paths)), tuple(cells)
@@ -135,7 +140,7 @@ class _Measured:
         """Return the measurements of a path; None if there are too few.
 
         Blobs that the picture's edge may cut off are left out; those that show other cells, too,
-        count little.
+        count little. The axis of a cell's blobs counts little if it is not along the cell's way.
         """
         body = followed.organism.body_um[0]
         measured, shared = np.full((len(path.seen), 6), np.nan), MERGED[0] * body
@@ -149,6 +154,11 @@ class _Measured:
         lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
         measured[edge < EDGE * np.median(lengths or [0.0])] = np.nan
         own = measured[:, 3] < shared
+        way = measured[2 * AROUND :, :2] - measured[: -2 * AROUND, :2]
+        off = measured[AROUND:-AROUND, 2] - np.arctan2(way[:, 1], way[:, 0])
+        off = np.abs(np.arcsin(np.sin(off)))[own[AROUND:-AROUND] & np.isfinite(off)]
+        if len(off) and np.median(off) > ASTRAY:
+            measured[:, 5] = NO_AXIS
         some = np.flatnonzero(own)
         if len(some) < START:
             return None
@@ -200,21 +210,22 @@ class _Measured:
 
 
 def _exact(measured: Sequence[_Measured]) -> Floats:
-    """Return the factors (3,), at most 1, from the stated deviations of cells' own blobs to those
-    of the film's, by differences of successive places, in which a smooth path leaves little.
+    """Return the factors (3,) from the stated deviations of cells' own blobs to those of the
+    film's, at most 1 for places, by differences of successive blobs, in which a smooth path leaves
+    little.
     """
     found = [np.zeros((0, 3))]
     for each in measured:
         values = each.values.copy()
         values[:, 2] = np.unwrap(np.nan_to_num(values[:, 2]), period=math.pi)
-        values[~each.own] = np.nan
+        values[~each.own | (each.deviations[:, 2] == NO_AXIS)] = np.nan
         found.append(np.diff(values, ORDER, axis=0) / each.deviations[ORDER:])
     off = np.abs(np.concatenate(found)) / math.sqrt(math.comb(2 * ORDER, ORDER))
     off = off[np.isfinite(off).all(axis=1)]
     if not len(off):
         return np.ones(3)
-    place, axis = np.median(off[:, :2]), np.median(off[:, 2])
-    return np.minimum(np.array([place, place, axis]) / 0.6745, 1.0)
+    place, axis = np.median(off[:, :2]) / 0.6745, np.median(off[:, 2]) / 0.6745
+    return np.array([min(place, 1.0), min(place, 1.0), axis])
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +293,7 @@ def _interval(value: float, sd: float, error: float) -> SampleInterval:
 
 
 def _summary(
-    path: CellPath, fit: _Fit | None, known: bool, usual: float, rate_hz: float
+    path: CellPath, fit: _Fit | None, known: bool, usual: float, among: float, rate_hz: float
 ) -> CellSummary:
     between, count = (
         float(path.times[-1] - path.times[0]),
@@ -296,7 +307,10 @@ def _summary(
         wider = math.sqrt(
             max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
         )
-        speed = _interval(way / between, wider * fit.sd[WAY] / between, SPEED_ERROR)
+        # the part of the way that may be another cell's, whose speed differs
+        doubt = among * float(np.mean([1 - cell.probability for cell in path.seen]))
+        sd = math.hypot(wider * float(fit.sd[WAY]) / between, doubt)
+        speed = _interval(way / between, sd, SPEED_ERROR)
         spread = float(states[:, SPEED].std())
         sway = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
         hz = float(np.median(states[:, RATE])) / math.tau

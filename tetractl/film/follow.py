@@ -25,6 +25,10 @@ BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 SHORTEST_S = 0.35  # least duration of a path that is kept [s]
+# least share of a path's pictures in which its cell has a blob; least way over SHORTEST_S, relative
+# to the way from picture to picture: what jumps to and fro does not swim
+FOUND, STEADY = 0.7, 0.6
+FADED = 0.05  # share of cells' pictures without a blob above which a warning is given
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 
@@ -115,7 +119,7 @@ def follow(
         for answer in tracker.answers:
             _rename(shown, times, answer)
         answers += tracker.answers
-        lights.append(tracker.light)
+        lights.append(tracker.finder.light)
         on_picture(number)
     tracker.finish()
     for answer in tracker.answers:
@@ -125,7 +129,7 @@ def follow(
     seen = [light.contrast for light in lights if light.contrast is not None]
     contrast = float(np.median(seen)) if seen else None
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
-    faint = faint_line(contrast, limit)
+    lines = [faint_line(contrast, limit), _faded_line(shown)]
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
@@ -138,7 +142,7 @@ def follow(
         um_px=seen_as.um_px,
         guessed_scale=seen_as.guessed,
         organism=seen_as.organism,
-        remarks=(*seen_as.remarks, *([f"warning: {faint}"] if faint else [])),
+        remarks=(*seen_as.remarks, *(f"warning: {line}" for line in lines if line)),
         bright=tracker.finder.bright,
         contrast=contrast or 0.0,
         noise=noise,
@@ -163,6 +167,17 @@ def _sample(film: FilmPictures) -> list[Grey]:
             break
     step = max(1, count // BACKGROUND, math.ceil(count * pixels / SAMPLE_PX))
     return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
+
+
+def _faded_line(shown: Sequence[dict[int, SeenCell]]) -> str | None:
+    """Return a line if followed cells have no blob in many of their pictures; None if not."""
+    lost = [not cell.found for at in shown for cell in at.values()]
+    if not lost or np.mean(lost) <= FADED:
+        return None
+    return (
+        f"followed cells are not seen in {100 * np.mean(lost):.0f} % of their pictures: what is "
+        "said of them may be wrong. Keep them in focus and in more contrast"
+    )
 
 
 def _fill_back(
@@ -210,9 +225,10 @@ def _rename(
 
 
 def _split(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> None:
-    """Give each part of a track in which the name is uncertain, and which lasts, a name of its own,
-    and another when the cell is alone again; unless the track has the same name before and after,
-    or begins with that part. A brief part has the name before until the one after is likelier.
+    """Give each part of a track in which the name is uncertain, and which lasts, a name of its own
+    once the name before is unlikely, and another when the cell is alone again; unless the track has
+    the same name before and after, or begins with that part. A brief part has the name before until
+    the one after is likelier.
     """
     last = max((cell.identity for at in shown for cell in at.values()), default=0)
     before: dict[int, int] = {}
@@ -227,10 +243,11 @@ def _split(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> None
             for i in part:
                 cell = shown[i][track]
                 alone = merged and not cell.merged and times[i] - since > SHORTEST_S
-                if alone and times[part[-1]] - times[i] > SHORTEST_S:
+                unlike = name == earlier and cell.probability < LIKELIER
+                if (alone or unlike) and times[part[-1]] - times[i] > SHORTEST_S:
                     last += 1
                     name, since = last, times[i]
-                elif name == earlier and cell.probability < LIKELIER:
+                elif unlike:
                     name = later or earlier
                 merged = cell.merged
                 shown[i][track] = replace(cell, identity=name)
@@ -247,8 +264,9 @@ def _paths(
     seconds: Sequence[float],
     organism: Organism,
 ) -> Iterator[CellPath]:
-    """Yield the cells in the order of their numbers, except those whose path is too short, or that
-    move more slowly than the organism for most of the time: debris that a cell has touched.
+    """Yield the cells in the order of their numbers, except those whose path is too short, that
+    move more slowly than the organism for most of the time, or to and fro, or that are hardly seen:
+    debris that a cell has touched.
     """
     least_um, slowest_um_s = STARTED * organism.body_um[0], organism.slowest_um_s
     by_cell: dict[int, list[tuple[int, float, SeenCell]]] = {}
@@ -266,5 +284,8 @@ def _paths(
             continue
         later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
         moved = np.linalg.norm(path.places[later] - path.places, axis=1)[: later.argmax() + 1]
-        if np.median(moved) >= slowest_um_s * SHORTEST_S:
+        steps = np.linalg.norm(np.diff(path.places, axis=0), axis=1) / np.diff(times)
+        least = max(slowest_um_s, STEADY * float(np.median(steps))) * SHORTEST_S
+        found = np.mean([cell.found for cell in path.seen])
+        if np.median(moved) >= least and found >= FOUND:
             yield path

@@ -163,9 +163,9 @@ class CellCamera(PictureCamera[SeenDish]):
         return SeenDish(
             poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
             strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),
-            light=self._tracker.light,
+            light=self._tracker.finder.light,
             level=float(np.median(picture[::8, ::8])),
-            sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.light),
+            sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.finder.light),
             sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
         )
 

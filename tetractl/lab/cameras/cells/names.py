@@ -34,7 +34,7 @@ FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a ques
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
 FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
-EITHER = 0.08  # probability that something unknown has been in a blob that it may have entered
+EITHER = 0.02  # probability that something unknown has been in a blob that it may have entered
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
 LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
 

@@ -15,6 +15,7 @@ POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob
 ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
 ROUND = 0.01  # least elongation of a blob, 1 - width / length, of which the axis says something
 OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
+LONGER = 1.35  # ratio of blob to cell length above which it shows two cells in a row
 GROWN_S = 1.0  # time for which a blob has another size than its cell, which then is the cell's
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
 PATH = 15  # number of newest blobs of a track that are kept
@@ -33,7 +34,7 @@ def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
         cell.sized_s = seconds
     elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
         cell.long, cell.wide = np.nanmedian(np.array(cell.path)[:, 4:6], axis=0).tolist()
-    cell.large = long * wide > LARGE * cell.long * cell.wide
+    cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
 
 
 def own_reading(

@@ -13,7 +13,7 @@ import numpy as np
 from tetractl.core.poses import Floats, Grey
 from tetractl.lab.cameras.cells import match
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, CellTrack, Entry, SeenCell
-from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
+from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl.lab.cameras.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
 from tetractl.lab.cameras.cells.match import LARGE
@@ -81,11 +81,6 @@ class CellTracker:
         self.finder = finder
 
     @property
-    def light(self) -> Light:
-        """Light and noise of the newest picture."""
-        return self.finder.light
-
-    @property
     def answers(self) -> Sequence[CellAnswer]:
         """The answers to questions of identity that the newest picture decided."""
         return self._names.answers
@@ -104,8 +99,8 @@ class CellTracker:
         self.born, self._names.answers = [], []
         self.bank.predict(pieces)
         blobs = self.finder.find(picture)
-        self._shift(*self.light.shift_px)
-        self._match([] if self.light.lost else blobs, seconds, passed)
+        self._shift(*self.finder.light.shift_px)
+        self._match([] if self.finder.light.lost else blobs, seconds, passed)
         self._give_up(seconds)
         cells = self._cells()
         self.finder.follow(self._kept(cells))
@@ -193,7 +188,9 @@ class CellTracker:
                 readings += shared_readings(some, expected[those], place, points, self._body_um)
                 continue
             note_size(some[0], place, seconds)
-            if some[0].large and some[0].question is None:
+            # at the picture's edge, a cell that enters may take the blob of one that leaves
+            cut = blobs[j].at_edge and some[0].begun is None
+            if (some[0].large or cut) and some[0].question is None:
                 self._names.meet(some, seconds, self._meets(some[0]))
             own = expected[those[0]], place, points
             readings.append(own_reading(some[0], *own, self.um_px, self._body_um))

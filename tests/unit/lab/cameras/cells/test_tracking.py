@@ -7,7 +7,9 @@ import pytest
 from support.dish_films import Score, film, followed
 
 from tetractl.film.field_file import no_field
+from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.detect_cells import BLOBS, BlobFinder
+from tetractl.lab.cameras.cells.readings import note_size
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 
@@ -87,17 +89,22 @@ def test_light_that_changes_makes_no_blobs():
         assert finder.light.gain == pytest.approx(level / 120, rel=0.02)
 
 
+def drawn(cells, size):
+    """Return a picture of ellipses: column, row, half length and half width [px]."""
+    rows, columns = np.indices(size)
+    level = np.full(size, 120.0)
+    for column, row, long, wide in cells:
+        level[np.square((columns - column) / long) + np.square((rows - row) / wide) < 1] = 60.0
+    return level.astype(np.uint8)
+
+
 def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
-    halves = np.array([[12.0, 6.0]] * 6 + [[16.0, 9.0]])  # [px]
-    middles, since = 40.0 + 40 * np.arange(7), np.array([0] * 6 + [20])
+    halves = [(12.0, 6.0)] * 6 + [(16.0, 9.0)]
+    rows, since = 40.0 + 40 * np.arange(7), [0] * 6 + [20]
 
     def picture(k):
-        rows, columns = np.indices((320, 600))
-        level = np.full((320, 600), 120.0)
-        for (long, wide), y, first in zip(halves, middles, since, strict=True):
-            off = np.square((columns - 30 - 5 * (k - first)) / long) + np.square((rows - y) / wide)
-            level[(off < 1) & (k >= first)] = 60.0
-        return level.astype(np.uint8)
+        seen = [i for i in range(7) if k >= since[i]]
+        return drawn([(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in seen], (320, 600))
 
     tracker, stated = CellTracker(2.3, known=False), []
     tracker.finder.learn([picture(12 * k) for k in range(9)])
@@ -106,3 +113,26 @@ def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
         stated += [(k, cell.probability) for cell in seen]
     assert {p for k, p in stated if k < 50} == {0.5}
     assert {p for k, p in stated if k > 60} == {1.0}
+
+
+def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
+    def picture(k):  # a cell leaves the picture where another one enters
+        return drawn([(380 - abs(300 - 6 * k), 100.0, 12.0, 6.0)], (200, 380))
+
+    tracker = CellTracker(2.3, known=True, splits=True)
+    tracker.finder.learn([picture(10 * k) for k in range(10)])
+    before = {c.identity for k in range(40) for c in tracker.see(picture(k), k / 30, no_field)}
+    seen = [tracker.see(picture(k), k / 30, no_field) for k in range(40, 90)]
+    after = {cell.identity for cells in seen[-10:] for cell in cells}
+    assert len(before) == len(after) == 1 and before.isdisjoint(after)
+
+
+@pytest.mark.parametrize(
+    ("long", "wide", "large"),
+    [(66, 30, False), (90, 28, True), (70, 45, True)],
+    ids=["one", "two in a row", "two abreast"],
+)
+def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
+    cell = CellTrack(1, [], long=60.0, wide=32.0)
+    note_size(cell, np.array([0.0, 0.0, 0.0, long, wide]), 1.0)
+    assert cell.large is large

@@ -108,13 +108,15 @@ def shared_costs(
     halves = np.array([blob.long / 2 for blob in blobs])
     reach = COVER * np.array([cell.wide for cell in cells]) / um_px
     away = np.linalg.norm(pixels[:, None] - middles, axis=-1) - halves[None] - reach[:, None]
-    for i, j in zip(*np.nonzero(away < 0), strict=True):
-        cell, blob = cells[i], blobs[j]
-        large = um_px**2 * blob.long * blob.wide > LARGE * cell.long * cell.wide
-        if cell.missed_s > 0 and not large:  # the cell was outside this blob before
-            continue
-        if np.linalg.norm(blob.pixels - pixels[i], axis=1).min() < reach[i]:
-            cost[i, j] = SHARED_LARGE if large else SHARED
+    for j in np.flatnonzero((away < 0).any(axis=0)).tolist():
+        blob, points = blobs[j], blobs[j].pixels
+        for i in np.flatnonzero(away[:, j] < 0).tolist():
+            cell = cells[i]
+            large = um_px**2 * blob.long * blob.wide > LARGE * cell.long * cell.wide
+            if cell.missed_s > 0 and not large:  # the cell was outside this blob before
+                continue
+            if np.linalg.norm(points - pixels[i], axis=1).min() < reach[i]:
+                cost[i, j] = SHARED_LARGE if large else SHARED
     return cost
 
 

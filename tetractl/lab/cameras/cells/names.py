@@ -91,6 +91,8 @@ class Names:
             waits = len(tracks) == 1 or any(track in awaited for track in tracks)
             wait_s = REMEMBERED_S if waits else 0.0
             apart = [t for t in tracks if t.number in places and t.together_s < seconds - wait_s]
+            if not apart:
+                continue
             shares = self._stay(meeting)
             for track, share in zip(list(tracks), shares.tolist(), strict=True):
                 if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
@@ -165,23 +167,27 @@ class Names:
         """End all meetings and questions: there are no pictures after this time [s]."""
         for meeting in list(self._meetings):
             if len(meeting.tracks) > 1:
-                for track in meeting.tracks:
+                likely = self.probabilities(meeting.tracks)
+                for track, probability in zip(list(meeting.tracks), likely, strict=True):
                     if track.together_s < seconds:
-                        self._doubt(track, self.probability(track))
+                        self._doubt(track, probability)
             self._forget(meeting)
         for question in list(self._questions):
             self._end(question)
 
-    def probability(self, track: CellTrack) -> float:
-        """Return the probability that a track has the right name."""
-        if track.question is not None:
-            order, shares = track.question.best()
-            t = track.question.tracks.index(track)
-            return float(shares[t] * track.question.cells[order[t]].certainty)
-        meeting = track.meeting
-        if meeting is None or len(meeting.tracks) == 1:
-            return track.certainty
-        return track.certainty * float(self._stay(meeting)[meeting.tracks.index(track)])
+    def probabilities(self, tracks: Sequence[CellTrack]) -> list[float]:
+        """Return the probability, for each of some tracks, that it has the right name."""
+        known: dict[int, float] = {}  # by track
+        for question in self._questions:
+            order, shares = question.best()
+            for t, track in enumerate(question.tracks):
+                known[track.number] = float(shares[t] * question.cells[order[t]].certainty)
+        for meeting in self._meetings:
+            shares = self._stay(meeting) if len(meeting.tracks) > 1 else np.ones(1)
+            for track, share in zip(meeting.tracks, shares.tolist(), strict=True):
+                if track.question is None:
+                    known[track.number] = track.certainty * share
+        return [known.get(track.number, track.certainty) for track in tracks]
 
     def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
         """Forget a track at a time [s]; its cell is lost if it `may_return`."""

@@ -8,6 +8,7 @@ from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells import match
 from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.match import LARGE
+from tetractl.lab.cameras.cells.specks import usual_size
 
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
 # deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
@@ -33,7 +34,7 @@ def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
     if 1 / LARGE <= long * wide / (cell.long * cell.wide) <= LARGE:
         cell.sized_s = seconds
     elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
-        cell.long, cell.wide = np.nanmedian(np.array(cell.path)[:, 4:6], axis=0).tolist()
+        cell.long, cell.wide = usual_size(np.array(cell.path))
     cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
 
 

@@ -27,7 +27,7 @@ def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
         return False
     if np.isfinite(path[:, 4]).sum() < WHOLE:
         return False
-    long, wide = np.nanmedian(path[:, 4:6], axis=0).tolist()
+    long, wide = usual_size(path)
     (short, longest), (thin, thick) = organism.outline_long_um, organism.outline_wide_um
     if not (short < long < longest and thin < wide < thick):
         return False
@@ -37,6 +37,12 @@ def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
     even = bool((np.nanstd(path[:, 4:6], axis=0) < (EVEN * long, EVEN * wide)).all())
     along = long < ROUND * wide or np.median(sway) > ALONG  # a round blob has no axis
     return bool(even and strayed < STRAY * body_um and along)
+
+
+def usual_size(path: Floats) -> tuple[float, float]:
+    """Return the median length and width [um] of a path's blobs (M, 6) that are not cut off."""
+    whole = path[np.isfinite(path[:, 4])]
+    return float(np.median(whole[:, 4])), float(np.median(whole[:, 5]))
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:

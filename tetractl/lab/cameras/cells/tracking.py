@@ -26,7 +26,7 @@ from tetractl.lab.cameras.cells.readings import (
     own_reading,
     shared_readings,
 )
-from tetractl.lab.cameras.cells.specks import BORN, NEAR, NEAR_BORN, straight, swims
+from tetractl.lab.cameras.cells.specks import BORN, NEAR, NEAR_BORN, straight, swims, usual_size
 from tetractl.model.organisms import TETRAHYMENA, Organism
 
 TOGETHER = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
@@ -183,15 +183,17 @@ class CellTracker:
         """
         readings: list[Reading] = []
         for j, those in owners.items():
-            some, place, points = [cells[i] for i in those], places[j], self._points(blobs[j])
+            some, place = [cells[i] for i in those], places[j]
             if len(some) > 1:
-                readings += shared_readings(some, expected[those], place, points, self._body_um)
+                at = expected[those], place, self._points(blobs[j])
+                readings += shared_readings(some, *at, self._body_um)
                 continue
             note_size(some[0], place, seconds)
             # at the picture's edge, a cell that enters may take the blob of one that leaves
             cut = blobs[j].at_edge and some[0].begun is None
             if (some[0].large or cut) and some[0].question is None:
                 self._names.meet(some, seconds, self._meets(some[0]))
+            points = self._points(blobs[j]) if some[0].large else places[:0, :2]
             own = expected[those[0]], place, points
             readings.append(own_reading(some[0], *own, self.um_px, self._body_um))
         if not readings:
@@ -275,7 +277,7 @@ class CellTracker:
         path, near = np.array(track.path), track.near
         (vx, vy), fitted = straight(path[-BORN:])
         x, y = fitted[-1].tolist()
-        track.long, track.wide = np.nanmedian(path[:, 4:6], axis=0).tolist()
+        track.long, track.wide = usual_size(path)
         usual = [each.long * each.wide for each in self._cells() if each.begun is None]
         large = PAIR * float(np.median(usual)) if len(usual) >= USUAL else math.inf
         track.sized_s = self._time or 0.0
@@ -294,7 +296,7 @@ class CellTracker:
         # keep the path after the last blob too large for this cell: another cell was in that blob
         other = path[:-1, 4:6].prod(axis=1) > LARGE * track.long * track.wide
         path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
-        certainty = self._probability(track)
+        (certainty,) = self._probabilities([track])
         self.born.append(Born(track.identity, track.number, path[:, :5], certainty, divided))
         track.near = None
 
@@ -366,10 +368,10 @@ class CellTracker:
             found.append((left, top, round(column + reach), round(row + reach)))
         return found
 
-    def _probability(self, cell: CellTrack) -> float:
-        """Return the probability that a cell has the right name."""
-        pair = (self._time or 0.0) < cell.pair_s
-        return LIKELIER if pair else self._names.probability(cell)
+    def _probabilities(self, cells: Sequence[CellTrack]) -> list[float]:
+        """Return the probability, for each of some cells, that it has the right name."""
+        now, found = self._time or 0.0, self._names.probabilities(cells)
+        return [LIKELIER if now < c.pair_s else p for c, p in zip(cells, found, strict=True)]
 
     def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         rows = np.array([cell.row for cell in cells], int)
@@ -384,7 +386,7 @@ class CellTracker:
                 heading=float(means[i, HEADING]),
                 mean=means[i],
                 covariance=covariances[i],
-                probability=self._probability(cell),
+                probability=probability,
                 found=cell.blob is not None,
                 merged=cell.merged or cell.large,
                 long_um=cell.long,
@@ -392,5 +394,7 @@ class CellTracker:
                 track=cell.number,
                 measured=cell.measured,
             )
-            for i, (cell, (x, y, axis)) in enumerate(zip(cells, seen.tolist(), strict=True))
+            for i, (cell, (x, y, axis), probability) in enumerate(
+                zip(cells, seen.tolist(), self._probabilities(cells), strict=True)
+            )
         ]

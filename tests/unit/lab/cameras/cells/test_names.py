@@ -47,7 +47,7 @@ def test_a_lost_cell_is_found_where_it_rested_and_where_the_signal_led_it(place)
     dish.lose(cell, 10.0, 1.0)
     found = dish.appear(*place, 11.0)
     assert found.identity == cell.identity
-    assert 0.5 < dish.names.probability(found) < 1.0
+    assert 0.5 < dish.names.probabilities([found])[0] < 1.0
     assert dish.appear(*place, 11.0).identity not in (cell.identity, found.number)  # taken once
 
 
@@ -76,7 +76,7 @@ def test_cells_that_the_places_tell_apart_keep_their_names_without_a_question():
     places = {1: np.array([500.0, 500.0, 0.0]), 2: np.array([500.0, 560.0, 0.0])}
     dish.names.part(places, [], 1.1)
     assert [track.question for track in tracks] == [None, None]
-    assert dish.names.probability(tracks[0]) == 1.0
+    assert dish.names.probabilities([tracks[0]])[0] == 1.0
     assert dish.bank.used.sum() == 2
 
 
@@ -85,7 +85,7 @@ def test_a_name_that_may_be_wrong_is_said_or_split(splits):
     dish = Dish(splits)
     tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
     dish.names.meet(tracks, 1.0, False)
-    assert dish.names.probability(tracks[0]) == pytest.approx(0.5, abs=0.1)
+    assert dish.names.probabilities([tracks[0]])[0] == pytest.approx(0.5, abs=0.1)
     places = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
     dish.names.part(places, [], 1.1)
     assert all(track.question is not None for track in tracks)
@@ -93,7 +93,7 @@ def test_a_name_that_may_be_wrong_is_said_or_split(splits):
     (answer,) = dish.names.answers
     assert answer.asked == (1, 2) and answer.probability < ASSERTED
     assert {track.identity for track in tracks} == ({3, 4} if splits else {1, 2})
-    assert (dish.names.probability(tracks[0]) < ASSERTED) is not splits
+    assert (dish.names.probabilities([tracks[0]])[0] < ASSERTED) is not splits
     assert dish.bank.used.sum() == 2
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Floats, Grey
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.organism_of import recognised
@@ -21,9 +20,6 @@ from tetractl.lab.cameras.cells.readings import AXIS, POSITION_UM
 from tetractl.lab.cameras.cells.tracking import STARTED, CellTracker
 from tetractl.model.organisms import Organism
 
-BACKGROUND = 25  # number of pictures for the background
-SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
-BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 SHORTEST_S = 0.35  # least duration of a path that is kept [s]
 # least share of a path's pictures in which its cell has a blob; least way over SHORTEST_S, relative
 # to the way from picture to picture: what jumps to and fro does not swim
@@ -91,11 +87,7 @@ def follow(
 
     Without `organism` or `um_px`, they are those that `recognised` returns.
     """
-    sample = _sample(film)
-    if not sample:
-        raise TetractlError(f"{film.path}: no picture of the film can be read")
-    seen_as = recognised(film, sample, um_px, organism)
-    del sample  # large pictures: the memory is needed
+    seen_as = recognised(film, um_px, organism)
     tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism, splits=True)
     tracker.take(seen_as.finder)
     pieces = no_field if field is None else field.pieces
@@ -108,6 +100,8 @@ def follow(
     for number, picture in film:
         seconds = film.seconds(number)
         cells = tracker.see(picture, seconds, pieces)
+        # 2 kB for each cell in each picture that nothing after this needs
+        cells = [replace(cell, covariance=UNKNOWN_COVARIANCE) for cell in cells]
         shown.append({cell.track: cell for cell in cells})
         frames.append(number)
         times.append(seconds)
@@ -154,19 +148,6 @@ def follow(
         ),
         divisions=tuple((at[i].identity, at[j].identity) for at, i, j in divisions),
     )
-
-
-def _sample(film: FilmPictures) -> list[Grey]:
-    """Return pictures spread evenly over the film's first BACKGROUND_S, at least BACKGROUND and at
-    most twice as many; all pictures if there are fewer. Of large pictures there are fewer.
-    """
-    count, pixels = 0, 1
-    for count, (_, picture) in enumerate(film, 1):
-        pixels = picture.size
-        if count >= BACKGROUND_S * film.rate_hz:
-            break
-    step = max(1, count // BACKGROUND, math.ceil(count * pixels / SAMPLE_PX))
-    return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
 
 
 def _faded_line(shown: Sequence[dict[int, SeenCell]]) -> str | None:

@@ -22,6 +22,9 @@ REACH = 1.5  # way from one picture to the next, in lengths of the object, up to
 SEEN = 6  # fewest pictures of an object whose speed is known
 MOVED = 0.3  # way over all its pictures, in lengths of the object, above which it moves
 STRAIGHT = 0.2  # root mean square distance from even straight motion, as a share of that way
+BACKGROUND = 25  # number of pictures for the background
+SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
+BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 FAST = 1.5  # factor by which an object may be faster than an organism is
 
 
@@ -39,19 +42,15 @@ class Recognised:
 
 
 def recognised(
-    film: FilmPictures,
-    sample: Sequence[Grey],
-    um_px: float | None,
-    organism: Organism | None = None,
+    film: FilmPictures, um_px: float | None, organism: Organism | None = None
 ) -> Recognised:
-    """Return the organism and scale of a film; `sample` are pictures that give its background.
+    """Return the organism and scale of a film; TetractlError if no picture of it can be read.
 
     Without an organism, it is the one that covers most of the way that objects swim. Sizes without
     a scale tell nothing: then it is the first that is known, Tetrahymena, and the scale is the one
     at which objects that swim have the organism's length. TetractlError if nothing swims there.
     """
-    finder = BlobFinder(LEAST_PX, MOST_SHARE * sample[0].size)
-    finder.learn(sample)
+    finder = _learned(film)
     moving = _moving(film, copy.copy(finder))
     known = list(ORGANISMS.usable().values())
     taken, scale, why = organism or known[0], um_px, ()
@@ -77,6 +76,29 @@ def recognised(
         why = (f"cells are taken for {taken.name}: {few if fits.any() else none}",)
     remarks = (*why, *_others(moving, taken, known))
     return Recognised(taken, scale, um_px is None, remarks, finder)
+
+
+def _learned(film: FilmPictures) -> BlobFinder:
+    """Return a finder that has learned the film's background."""
+    sample = _sample(film)
+    if not sample:
+        raise TetractlError(f"{film.path}: no picture of the film can be read")
+    finder = BlobFinder(LEAST_PX, MOST_SHARE * sample[0].size)
+    finder.learn(sample)
+    return finder
+
+
+def _sample(film: FilmPictures) -> list[Grey]:
+    """Return pictures spread evenly over the film's first BACKGROUND_S, at least BACKGROUND and at
+    most twice as many; all pictures if there are fewer. Of large pictures there are fewer.
+    """
+    count, pixels = 0, 1
+    for count, (_, picture) in enumerate(film, 1):
+        pixels = picture.size
+        if count >= BACKGROUND_S * film.rate_hz:
+            break
+    step = max(1, count // BACKGROUND, math.ceil(count * pixels / SAMPLE_PX))
+    return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
 
 
 def _moving(film: FilmPictures, finder: BlobFinder) -> Floats:

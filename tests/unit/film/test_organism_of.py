@@ -42,9 +42,6 @@ class Ellipses:
     def seconds(self, number):
         return number / self.rate_hz
 
-    def sample(self):
-        return [picture for number, picture in self if number % 2 == 0]
-
 
 def swimming(kind, um_px):
     """A film of the organism's usual size and speed."""
@@ -57,7 +54,7 @@ def test_an_organism_is_recognised_by_its_size_and_speed(name):
     kind = named(name)
     um_px = kind.body_um[1] / 7
     film = swimming(kind, um_px)
-    found = recognised(film, film.sample(), um_px)
+    found = recognised(film, um_px)
     assert found.organism is kind and found.um_px == um_px and not found.guessed
     assert found.remarks[0].startswith(f"cells are taken for {name}: ")
     assert len(found.remarks) == 1
@@ -65,26 +62,26 @@ def test_an_organism_is_recognised_by_its_size_and_speed(name):
 
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
     film = swimming(PARAMECIUM, 7.0)
-    (said,) = recognised(film, film.sample(), 7.0, TETRAHYMENA).remarks
+    (said,) = recognised(film, 7.0, TETRAHYMENA).remarks
     assert "objects that move have not the size and speed of tetrahymena" in said
     assert said.endswith("--organism paramecium follows them, if they swim and do not drift")
-    assert recognised(film, film.sample(), 7.0, PARAMECIUM).remarks == ()
+    assert recognised(film, 7.0, PARAMECIUM).remarks == ()
 
 
 def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():
     film = swimming(EUGLENA, 1.5)
-    found = recognised(film, film.sample(), None, EUGLENA)
+    found = recognised(film, None, EUGLENA)
     assert found.guessed and found.um_px == pytest.approx(1.5, rel=0.1)
     assert "the scale is a guess" in found.remarks[0] and "euglena of 48 um" in found.remarks[0]
-    unknown = recognised(film, film.sample(), None)
+    unknown = recognised(film, None)
     assert unknown.organism is TETRAHYMENA and "tetrahymena" in unknown.remarks[0]
 
 
 def test_if_nothing_swims_the_scale_cannot_be_guessed_and_the_organism_is_said():
     still = Ellipses(20.0, 8.0, 0.0)
     with pytest.raises(TetractlError, match="nothing swims"):
-        recognised(still, still.sample(), None)
-    found = recognised(still, still.sample(), 2.0)
+        recognised(still, None)
+    found = recognised(still, 2.0)
     assert found.organism is TETRAHYMENA and "nothing that swims" in found.remarks[0]
 
 
@@ -97,4 +94,4 @@ def test_drifting_specks_do_not_outvote_the_cells_that_swim():
                 yield number, np.minimum(one, two[::-1])
 
     both = Both(0, 0, 0)
-    assert recognised(both, both.sample(), 2.3).organism is TETRAHYMENA
+    assert recognised(both, 2.3).organism is TETRAHYMENA

@@ -13,6 +13,7 @@ from tetractl.results.kinematics import velocities
 POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
 POSES |= {"axis": "rad", "identity_probability": "", "found": "", "merged": ""}
 """Columns of the table of poses, with their units."""
+LISTED = 5  # most meetings with an uncertain end that are listed one by one
 TRACKS = ("id", "t", "y", "x", "frame", "particle")
 
 
@@ -28,7 +29,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     ]
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")
-    for names, probability in followed.doubtful:
+    for names, probability in followed.doubtful[:LISTED]:
         who = f"cells {', '.join(map(str, names))} met"
         if len(names) == 1:
             who = f"cell {names[0]} met others"
@@ -36,6 +37,8 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
             f"warning: {who} and are too similar to be distinguished afterwards: "
             f"the assignment chosen has a probability of {100 * probability:.0f} %"
         )
+    if more := len(followed.doubtful[LISTED:]):
+        found.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
     if any(cell.speed is None for cell in cells):
         found.append("Cells seen for less than 2 s have no speed.")
     return found

@@ -10,7 +10,7 @@ from support.needs_opencv import cv2, video
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
-from tetractl.film.film_tables import as_items
+from tetractl.film.film_tables import LISTED, as_items, notes
 from tetractl.film.fit_cell import fit_cells
 from tetractl.film.follow import _faded_line, _paths, _split, follow
 from tetractl.film.pictures import open_film
@@ -105,6 +105,14 @@ def test_cells_that_fade_are_said():
     ]
     assert "10 %" in str(_faded_line(shown))
     assert _faded_line(shown[1:10]) is None and _faded_line([{}]) is None
+
+
+def test_of_many_uncertain_meetings_a_few_are_listed():
+    seen = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
+    for count, more in ((LISTED, []), (LISTED + 3, ["warning: 3 more"])):
+        lines = notes(replace(seen, doubtful=(((1, 2), 0.5),) * count), ())
+        assert sum("cells 1, 2 met" in line for line in lines) == LISTED
+        assert [line[:15] for line in lines if "more meetings" in line] == more
 
 
 def test_without_a_field_there_is_no_a():

@@ -98,6 +98,7 @@ class CellTrack:
     near: "CellTrack | None" = None
     blob: Blob | None = None
     merged: bool = False  # whether its blob shows other cells, too
+    hidden_s: float = math.inf  # since then, its shared blob has been as small as one cell
     large: bool = False  # whether its own blob is too large for one cell
     sized_s: float = 0.0  # last time when the blob had the cell's size
     pair_s: float = -math.inf  # until then, its blob may show two cells that came together

@@ -47,6 +47,17 @@ def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
     return np.array(found).reshape(-1, 5)
 
 
+def points_of(blob: Blob, um_px: float, height: int) -> Floats:
+    """Return x, y (upwards) [um] of a blob's pixels (M, 2) in such a picture."""
+    columns, rows = blob.pixels.T
+    return np.column_stack([columns + 0.5, height - 0.5 - rows]) * um_px
+
+
+def pixels_of(places: Floats, um_px: float, height: int) -> Floats:
+    """Return column and row of places (N, >= 2) [um] in such a picture (N, 2)."""
+    return np.column_stack([places[:, 0] / um_px - 0.5, height - 0.5 - places[:, 1] / um_px])
+
+
 def squared_distances(expected: Floats, spread: Floats, places: Floats) -> Floats:
     """Return the squared Mahalanobis distances (C, B) of blobs `places` (B, 5) from the expected
     positions `expected` (C, 3) of cells, whose covariances are `spread` (C, 2, 2) [um^2].

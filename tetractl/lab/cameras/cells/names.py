@@ -190,11 +190,17 @@ class Names:
         return [known.get(track.number, track.certainty) for track in tracks]
 
     def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
-        """Forget a track at a time [s]; its cell is lost if it `may_return`."""
+        """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is
+        left in the blob that both have shared, it is uncertain which of the cells that is.
+        """
         if track.question is not None:
             self._end(track.question)
         if track.meeting is not None:
-            self._leave(track.meeting, track)
+            meeting, shares = track.meeting, self._stay(track.meeting).tolist()
+            likely = [each for each in zip(meeting.tracks, shares, strict=True) if each[0] != track]
+            self._leave(meeting, track)
+            if track.merged and len(likely) == 1:
+                self._doubt(*likely[0])
         size, since_s = (track.long, track.wide), seconds - track.missed_s
         lost = Known(track.identity, track.row, track.certainty, size, track.last, since_s)
         if may_return:

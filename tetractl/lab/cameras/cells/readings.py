@@ -1,5 +1,6 @@
 """What a blob says of the cell, or of the cells, that it shows."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -35,6 +36,7 @@ def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
         cell.sized_s = seconds
     elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
         cell.long, cell.wide = usual_size(np.array(cell.path))
+    cell.hidden_s = math.inf
     cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
 
 
@@ -42,12 +44,12 @@ def own_reading(
     cell: CellTrack,
     expected: Floats,
     place: Floats,
-    points: Floats,
     um_px: float,
+    height: int,
     body_um: float,
 ) -> Reading:
-    """Return what a cell's own blob says, whose pixels are at `points` (M, 2) [um]; update the
-    cell's usual size. A blob that is too large shows something else, too, on the other side of its
+    """Return what a cell's own blob says, in a picture with `height` rows; update the cell's usual
+    size. A blob that is too large shows something else, too, on the other side of its
     middle from where the cell is `expected` (3,).
     """
     x, y, axis, long, wide = place.tolist()
@@ -57,6 +59,7 @@ def own_reading(
     least = POSITION_UM + POSITION_PX * um_px
     deviations = least, least, AXIS / max(1 - wide / long, ROUND)
     if cell.large and not cut:
+        points = match.points_of(cell.blob, um_px, height)
         pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
         x, y = match.parted([cell, cell], pair, points)[0].tolist()
         off = MERGED[0] * body_um
@@ -70,11 +73,20 @@ def own_reading(
 
 
 def shared_readings(
-    cells: Sequence[CellTrack], expected: Floats, place: Floats, points: Floats, body_um: float
+    cells: Sequence[CellTrack],
+    expected: Floats,
+    place: Floats,
+    points: Floats,
+    seconds: float,
+    body_um: float,
 ) -> list[Reading]:
-    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there."""
-    most = max(cell.long * cell.wide for cell in cells)
-    sd, turn = HIDDEN if place[3] * place[4] < LARGE * most else MERGED
+    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there; note
+    since when the blob has been as small as one of them.
+    """
+    hidden = place[3] * place[4] < LARGE * max(cell.long * cell.wide for cell in cells)
+    sd, turn = HIDDEN if hidden else MERGED
+    for cell in cells:
+        cell.hidden_s = min(cell.hidden_s, seconds) if hidden else math.inf
     middles = match.parted(cells, expected, points).tolist()
     return [
         (cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))

@@ -33,6 +33,7 @@ TOGETHER = 3.2  # the largest blob that is considered, in areas of a large cell:
 LOST_S = 0.5  # time without a blob after which a cell is lost
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
 GONE_S = 0.1  # the same for a cell near the picture's edge, or one that has just been found
+GHOST_S = 1.5  # time for which two tracks may share a blob as small as one cell
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
 STARTED, STARTED_S = 1.15, 1.0  # a track that has not swum so many lengths by then is not a cell
 ASTRAY = 0.67  # distance of a cell's state from its own blob above which the state is wrong
@@ -69,8 +70,7 @@ class CellTracker:
         self.bank = HelixFilter(known, near_wall, organism)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]
-        self._tracks: list[CellTrack] = []
-        self._last_track = self._last_name = 0
+        self._tracks, self._last_track, self._last_name = list[CellTrack](), 0, 0
         self._names = Names(self.bank, self._name, self._body_um, splits)
         self._time: float | None = None
         self._height = self._width = 0
@@ -138,7 +138,8 @@ class CellTracker:
         expected, spread = self.bank.expected(rows)
         squared = match.squared_distances(expected, spread, places)
         own, loose = match.cell_costs(cells, expected, squared, places, self._body_um)
-        shared = match.shared_costs(cells, self._pixels(expected), blobs, self.um_px)
+        pixels = match.pixels_of(expected, self.um_px, self._height)
+        shared = match.shared_costs(cells, pixels, blobs, self.um_px)
         owner = match.assigned(
             own, shared, match.speck_costs(specks, places, seconds, self._body_um)
         )
@@ -185,17 +186,16 @@ class CellTracker:
         for j, those in owners.items():
             some, place = [cells[i] for i in those], places[j]
             if len(some) > 1:
-                at = expected[those], place, self._points(blobs[j])
-                readings += shared_readings(some, *at, self._body_um)
+                points = match.points_of(blobs[j], self.um_px, self._height), seconds
+                readings += shared_readings(some, expected[those], place, *points, self._body_um)
                 continue
             note_size(some[0], place, seconds)
             # at the picture's edge, a cell that enters may take the blob of one that leaves
             cut = blobs[j].at_edge and some[0].begun is None
             if (some[0].large or cut) and some[0].question is None:
                 self._names.meet(some, seconds, self._meets(some[0]))
-            points = self._points(blobs[j]) if some[0].large else places[:0, :2]
-            own = expected[those[0]], place, points
-            readings.append(own_reading(some[0], *own, self.um_px, self._body_um))
+            own = expected[those[0]], place, self.um_px, self._height
+            readings.append(own_reading(some[0], *own, self._body_um))
         if not readings:
             return
         rows = []
@@ -320,7 +320,7 @@ class CellTracker:
 
     def _give_up(self, seconds: float) -> None:
         """Drop objects that have not been seen for long, have left the picture, or never swam."""
-        kept = []
+        kept, ghosts = list[CellTrack](), self._ghosts(seconds)
         for track in self._tracks:
             if track.row is None:
                 old = len(track.path) == PATH
@@ -330,11 +330,23 @@ class CellTracker:
             x, y = self.bank.mean[track.row, :2].tolist()
             outside = self._to_edge(x, y) < OUTSIDE * track.long
             late = track.missed_s > (GONE_S if outside or track.begun is not None else LOST_S)
+            late |= track.number in ghosts
             if late or not math.isfinite(x + y) or self._stays(track, seconds):
                 self._names.give_up(track, seconds, late and not outside and track.begun is None)
             else:
                 kept.append(track)
         self._tracks = kept
+
+    def _ghosts(self, seconds: float) -> set[int]:
+        """Return the numbers of tracks in shared blobs that have been as small as one cell for too
+        long, the least likely one of each blob: its cell has left unseen.
+        """
+        cells = [c for c in self._cells() if c.merged and seconds - c.hidden_s > GHOST_S]
+        least: dict[int, tuple[float, int]] = {}  # by blob
+        for cell, likely in zip(cells, self._probabilities(cells), strict=True):
+            this = likely, -cell.number
+            least[id(cell.blob)] = min(this, least.get(id(cell.blob), this))
+        return {-number for _, number in least.values()}
 
     def _stays(self, track: CellTrack, seconds: float) -> bool:
         """Return whether a tracked object does not swim, so that it is not a cell."""
@@ -346,23 +358,11 @@ class CellTracker:
             return False
         return seconds - began > STARTED_S
 
-    def _pixels(self, places: Floats) -> Floats:
-        """Return columns and rows (N, 2) of positions [um]."""
-        columns = places[:, 0] / self.um_px - 0.5
-        return np.column_stack([columns, self._height - 0.5 - places[:, 1] / self.um_px])
-
-    def _points(self, blob: Blob) -> Floats:
-        """Return the positions of a blob's pixels (M, 2) [um]."""
-        pixels = blob.pixels
-        up = self._height - 0.5 - pixels[:, 1]
-        return np.column_stack([pixels[:, 0] + 0.5, up]) * self.um_px
-
     def _kept(self, cells: Sequence[CellTrack]) -> list[tuple[int, int, int, int]]:
         """Return rectangles [px] around the cells, in which the background is not updated."""
-        rows, found = [cell.filter_row for cell in cells], []
-        for cell, (column, row) in zip(
-            cells, self._pixels(self.bank.mean[rows, :2]).tolist(), strict=True
-        ):
+        states, found = self.bank.mean[[cell.filter_row for cell in cells]], []
+        pixels = match.pixels_of(states, self.um_px, self._height)
+        for cell, (column, row) in zip(cells, pixels.tolist(), strict=True):
             reach = 0.8 * cell.long / self.um_px + 4
             left, top = round(column - reach), round(row - reach)
             found.append((left, top, round(column + reach), round(row + reach)))

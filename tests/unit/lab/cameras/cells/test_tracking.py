@@ -136,3 +136,14 @@ def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
     cell = CellTrack(1, [], long=60.0, wide=32.0)
     note_size(cell, np.array([0.0, 0.0, 0.0, long, wide]), 1.0)
     assert cell.large is large
+
+
+def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
+    def picture(k):  # a cell comes near another, swims beside it, and is not seen any more
+        middle, aside = 30 + 5 * k, [0, max(40 - 2 * k, 9)] if k < 25 else [0]
+        return drawn([(middle, 60 + each, 12, 6) for each in aside], (140, 600))
+
+    tracker = CellTracker(2.3, known=False, splits=True)
+    tracker.finder.learn([picture(12 * k) for k in range(9)])
+    counts = [len(tracker.see(picture(k), k / 30, no_field)) for k in range(100)]
+    assert counts[20:60] == [2] * 40 and counts[-1] == 1

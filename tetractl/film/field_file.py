@@ -14,6 +14,7 @@ from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.handedness import handedness, wrong_sides
 
 TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
+STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,5 +74,9 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     if len(earlier):
         said = f"{path}, line {earlier[0] + 3}: the time is earlier than in the line before"
         raise UsageError(said)
+    (strong,) = np.nonzero(np.abs(strength) > STRONGEST)
+    if len(strong):
+        said = f"{path}, line {strong[0] + 2}: {STRENGTH}: {strength[strong[0]]:g} is too large"
+        raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
     y = strength * np.sin(direction)
     return FieldRecord(times, strength * np.cos(direction), -y if upside_down else y)

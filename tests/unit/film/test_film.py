@@ -198,6 +198,7 @@ def test_the_field_is_that_of_the_last_row_before(tmp_path):
         ("time_s,direction_rad\n1,nan\n", "line 2: has no finite number in column direction_rad"),
         ("time_s,direction_rad\n2,0\n1,0\n", "line 3: the time is earlier"),
         ("time_s,direction_rad\n", "has no rows"),
+        ("time_s,direction_rad,strength\n0,0,1\n1,0,-1e38\n", "line 3: strength: -1e\\+38 is too"),
     ],
 )
 def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):

@@ -139,7 +139,7 @@ def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
 
 
 def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
-    def picture(k):  # a cell comes near another, swims beside it, and is not seen any more
+    def picture(k):  # a cell comes near another, swims next to it, and is not seen any more
         middle, aside = 30 + 5 * k, [0, max(40 - 2 * k, 9)] if k < 25 else [0]
         return drawn([(middle, 60 + each, 12, 6) for each in aside], (140, 600))
 

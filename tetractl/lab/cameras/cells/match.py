@@ -48,13 +48,13 @@ def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
 
 
 def points_of(blob: Blob, um_px: float, height: int) -> Floats:
-    """Return x, y (upwards) [um] of a blob's pixels (M, 2) in such a picture."""
+    """Return x, y (upwards) [um] of a blob's pixels (M, 2), in a picture with `height` rows."""
     columns, rows = blob.pixels.T
     return np.column_stack([columns + 0.5, height - 0.5 - rows]) * um_px
 
 
 def pixels_of(places: Floats, um_px: float, height: int) -> Floats:
-    """Return column and row of places (N, >= 2) [um] in such a picture (N, 2)."""
+    """Return column and row (N, 2) of places (N, >= 2) [um] in a picture with `height` rows."""
     return np.column_stack([places[:, 0] / um_px - 0.5, height - 0.5 - places[:, 1] / um_px])
 
 

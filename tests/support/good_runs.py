@@ -69,7 +69,8 @@ def check(sets, played):
         trial = read_trial(log)
         assert trial.damage is None
         assert trial.result.outcome.complete
-        assert [*differences(scan(log), trial)] == []
+        differs = [*differences(scan(log), trial)]
+        assert not differs, differs
     check_poses(played, trial)
     assert played.of("robot", moving=False), "they drove, and stand"
 

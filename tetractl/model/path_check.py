@@ -36,8 +36,13 @@ class PathCheck:
         """Return an empty check for an experiment's robots."""
         return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
-    def add(self, x: Floats, y: Floats) -> None:
-        """Add M further samples in time order; x, y (M, N), NaN where a position is unknown."""
+    def add(self, x: Floats, y: Floats, known: Bools | None = None) -> None:
+        """Add M further samples in time order; x, y (M, N), NaN where a position is unknown. Where
+        `known` (M, N) is False, the position is the last known one, from which no distance to
+        another robot follows.
+        """
+        seen = x if known is None else np.where(known, x, np.nan)
+        self.apart = np.minimum(self.apart, separations(seen.T, y.T))
         if self._last is not None:
             x, y = np.vstack([self._last[0], x]), np.vstack([self._last[1], y])
         self._last = (x[-1], y[-1])
@@ -48,7 +53,6 @@ class PathCheck:
         self.entered |= self.obstacles.cross(*before, *after).any(axis=1)
         self.clearance = np.fmin(self.clearance, _least(gaps))
         self.edge = np.fmin(self.edge, _least(self.arena.inside(x, y)))
-        self.apart = np.minimum(self.apart, separations(x, y))
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
         """Return the verdict on the path so far, with the final poses `final`."""

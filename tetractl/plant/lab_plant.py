@@ -246,7 +246,7 @@ class LabPlant:
             self._heading = poses.heading
             path = poses.xy.T[:, None].copy()
             path[..., list(self.rig.guard.lost)] = np.nan
-            self._path_check.add(*path)
+            self._path_check.add(path[0], path[1], np.array([accepted.fresh]))
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
             self._recent.append(self._newest)

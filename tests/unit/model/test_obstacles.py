@@ -129,3 +129,11 @@ def test_a_path_check_keeps_how_far_out_and_how_near_one_another_robots_came():
     assert check.edge.tolist() == [100, 0, -3]
     assert check.apart == pytest.approx([10, 10, math.hypot(5, 95)])
     assert check.verdict(Poses.of(np.zeros((3, 3)))).edge == (100, 0, -3)
+
+
+def test_a_robot_that_is_not_seen_is_at_no_distance_to_another():
+    x, y = np.array([[0.0, 90.0], [50.0, 90.0], [20.0, 90.0]]), np.zeros((3, 2))
+    known = np.array([[True, True], [True, False], [True, True]])
+    check = PathCheck(Obstacles.of([]), ARENA, 2)
+    check.add(x, y, known)
+    assert check.apart == pytest.approx([70.0, 70.0])

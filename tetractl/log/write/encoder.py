@@ -79,7 +79,6 @@ class Encoder:
         if self._hosted:
             facts = provenance.host_facts(start.packages)
             self._add(channels.HOST, Host(facts=encode_facts(facts)), 0)
-            self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
         for name, text in (
             (channels.SPEC, start.spec_text),
             (channels.RESOLVED_SPEC, start.resolved),
@@ -87,6 +86,8 @@ class Encoder:
         ):
             self._attach(name, "application/yaml", text)
         self._attach(channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(setup))
+        if self._hosted:  # last, for it may be long, and a log cut off here can still be read
+            self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
         self._add(channels.SCENE, self._scene.static(self._start_ns), 0)
         self._say(0, "info", f"trial {start.trial} of {setup.name} starts")
 

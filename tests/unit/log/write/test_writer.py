@@ -41,6 +41,15 @@ def test_a_trial_without_an_end_stays_a_part(tmp_path):
     assert found.damage is not None
 
 
+def test_a_long_environment_keeps_no_reader_from_a_log_that_is_cut_off(tmp_path):
+    path = write(trial(steps=1), tmp_path / "trial.mcap", environment="+ a changed line\n" * 9000)
+    with path.open("r+b") as file:
+        file.truncate(30_000)
+    found = read_trial(path)
+    assert found.damage is not None
+    assert found.start == read_trial(write(trial(steps=1), tmp_path / "other.mcap")).start
+
+
 def test_no_robot_moves_before_the_start_is_on_the_disk(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr("tetractl.log.write.sink._sync_data", synced.append)

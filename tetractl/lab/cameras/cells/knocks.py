@@ -19,12 +19,12 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
     that explains a part of the difference between the two pictures.
     """
     scale = min(1.0, SIDE / max(now.shape))
+    if round(scale * min(now.shape)) < PLAIN:
+        return 0.0, 0.0
     one, two = (
         cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         for each in (before, now)
     )
-    if min(one.shape) < PLAIN:
-        return 0.0, 0.0
     window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
     (x, y), _ = cv2.phaseCorrelate(_features(one), _features(two), window)
     far = max(abs(x), abs(y))

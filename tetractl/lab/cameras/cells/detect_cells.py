@@ -20,6 +20,7 @@ STRIPES = 16  # number of stripes of the background; each picture updates one
 LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
 RELEARNING = 0.5  # the weight where the picture keeps differing from the background
 SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
+ROWS_PX = 300_000  # most pixels of each picture that a median takes at a time
 BOX = 1.2  # side of the averaged squares, relative to a square of the least area
 LOW, HIGH = 3.0, 4.5  # thresholds of averaged differences, in standard deviations of their noise
 LEAST = 0.33  # least standard deviation of that noise: pictures have whole grey levels
@@ -251,9 +252,8 @@ def blobs_of(
     column and row of the part's upper left pixel; `mean` are averages computed before.
     """
     mean = averaged(difference, limits[2]) if mean is None else mean
-    regions = cv2.findContours(_grey(mean > limits[0]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[
-        0
-    ]
+    above = (mean > limits[0]).view(np.uint8)
+    regions = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
     boxes = [(cv2.boundingRect(region), region) for region in regions]
     large = [each for each in boxes if each[0][2] * each[0][3] >= limits[2]]
     large.sort(key=lambda each: -each[0][2] * each[0][3])
@@ -354,8 +354,9 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
     """Return the median of scaled pictures; for some rows at a time, to save memory."""
     found = np.empty(pictures[0].shape, np.float32)
-    for top in range(0, len(found), SPARSE):
-        here = slice(top, top + SPARSE)
+    tall = max(1, min(SPARSE, ROWS_PX // found[0].size))
+    for top in range(0, len(found), tall):
+        here = slice(top, top + tall)
         rows = [g * each[here].astype(np.float32) for each, g in zip(pictures, gains, strict=True)]
         np.median(rows, axis=0, out=found[here], overwrite_input=True)
     return found

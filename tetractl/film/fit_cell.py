@@ -42,7 +42,9 @@ from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_st
 
 START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
 SHORTEST_S = 2.0  # duration of the shortest path of which a speed is stated [s]
-EDGE = 0.6  # distance to the picture's edge, in lengths of the cell, at which it may be cut off
+# distance to the picture's edge, in lengths of the cell, at which it may be cut off: if it has a
+# blob of its size, and if not
+EDGE_OWN, EDGE = 0.4, 0.6
 # helices and headings to start from: rates over the organism's, with the deviation among
 # organisms, and angles to the first way [rad]
 RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
@@ -152,8 +154,9 @@ class _Measured:
         span = np.array(followed.size) * followed.um_px
         edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
         lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
-        measured[edge < EDGE * np.median(lengths or [0.0])] = np.nan
         own = measured[:, 3] < shared
+        cut = edge < np.where(own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
+        measured[cut], own = np.nan, own & ~cut
         way = measured[2 * AROUND :, :2] - measured[: -2 * AROUND, :2]
         off = measured[AROUND:-AROUND, 2] - np.arctan2(way[:, 1], way[:, 0])
         off = np.abs(np.arcsin(np.sin(off)))[own[AROUND:-AROUND] & np.isfinite(off)]

@@ -11,6 +11,7 @@ import numpy as np
 from tetractl.core.poses import Floats, Grey
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.organism_of import recognised
+from tetractl.film.pairs import fill_pairs
 from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, SeenCell
 from tetractl.lab.cameras.cells.cells_health import faint_line
@@ -96,6 +97,7 @@ def follow(
     times: list[float] = []
     answers: list[CellAnswer] = []
     divisions: list[tuple[dict[int, SeenCell], int, int]] = []  # picture and tracks
+    partings: list[tuple[int, int, int]] = []  # first picture and tracks
     lights = []
     for number, picture in film:
         seconds = film.seconds(number)
@@ -107,7 +109,10 @@ def follow(
         times.append(seconds)
         for born in tracker.born:
             _fill_back(shown, times, born)
-            at = shown[int(np.searchsorted(times, born.path[0, 0]))]
+            first = int(np.searchsorted(times, born.path[0, 0]))
+            at = shown[first]
+            if born.near is not None:
+                partings.append((first, born.track, born.near))
             mothers = (track for track, cell in at.items() if cell.identity == born.divided)
             divisions += [(at, mother, born.track) for mother in mothers if born.track in at]
         for answer in tracker.answers:
@@ -119,6 +124,7 @@ def follow(
     for answer in tracker.answers:
         _rename(shown, times, answer)
     answers += tracker.answers
+    pairs = fill_pairs(shown, times, partings, seen_as.organism.body_um[0])
     _split(shown, times)
     seen = [light.contrast for light in lights if light.contrast is not None]
     contrast = float(np.median(seen)) if seen else None
@@ -146,7 +152,9 @@ def follow(
             for each in answers
             if each.probability < ASSERTED
         ),
-        divisions=tuple((at[i].identity, at[j].identity) for at, i, j in divisions),
+        divisions=tuple(
+            (at[i].identity, at[j].identity) for at, i, j in divisions if j not in pairs
+        ),
     )
 
 
@@ -169,7 +177,7 @@ def _fill_back(
     """Add a newly recognised cell to the earlier pictures in which it was already seen."""
     path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
-    for seconds, x, y, axis, long in path[:-1].tolist():
+    for seconds, x, y, axis, long, wide in path[:-1].tolist():
         at = int(np.searchsorted(times, seconds))
         if at >= len(times) or times[at] != seconds:
             continue
@@ -190,6 +198,7 @@ def _fill_back(
             wide_um=np.nan,
             track=born.track,
             measured=None if math.isnan(long) else (x, y, axis, POSITION_UM, POSITION_UM, 2 * AXIS),
+            blob_um=np.array((x, y, axis, long, wide)),
         )
 
 

@@ -100,7 +100,11 @@ def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
 def test_cells_that_fade_are_said():
     state = np.zeros(12)
     shown = [
-        {7: SeenCell(1, *[0.0] * 4, state, state, 1.0, k % 10 > 0, False, 50.0, 25.0, 7, None)}
+        {
+            7: SeenCell(
+                1, *[0.0] * 4, state, state, 1.0, k % 10 > 0, False, 50.0, 25.0, 7, None, None
+            )
+        }
         for k in range(100)
     ]
     assert "10 %" in str(_faded_line(shown))
@@ -279,7 +283,7 @@ def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
 ):
     state, likely = np.zeros(12), [1.0, 0.6, 0.5, 0.4, 0.4, 1.0]
     shown = [
-        {7: SeenCell(name, *[0.0] * 4, state, state, p, True, merged, 50.0, 25.0, 7, None)}
+        {7: SeenCell(name, *[0.0] * 4, state, state, p, True, merged, 50.0, 25.0, 7, None, None)}
         for name, p in zip([3, 3, 3, 3, 3, after], likely, strict=True)
     ]
     _split(shown, np.arange(6) / rate_hz)

@@ -25,7 +25,8 @@ class SeenCell:
     (12, 12) are the filter's state. `probability` is the probability that this is the cell with the
     number `identity`. `found`: the cell has a blob; `merged`: its blob shows other cells, too.
     `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
-    and their standard deviations; None if the cell has no blob of its own.
+    and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
+    x, y [um], axis [rad], length and width [um] of the blob; None if the cell has none.
     """
 
     identity: int
@@ -42,6 +43,7 @@ class SeenCell:
     wide_um: float
     track: int
     measured: tuple[float, ...] | None
+    blob_um: Floats | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +64,11 @@ class CellAnswer:
 class Born:
     """A cell that appears on a new track.
 
-    `path` (M, 5) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad]
-    and length [um], NaN for a blob cut off by the picture's edge.
+    `path` (M, 6) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad],
+    length and width [um], NaN for a blob cut off by the picture's edge.
     `certainty` is the probability of `identity`, below 1 for a lost cell that was found again.
     `divided` is the number of the cell from whose blob it separated, if no other cell had entered
-    that blob; otherwise None.
+    that blob; otherwise None. `near` is the track near whose blob it was first seen, or None.
     """
 
     identity: int
@@ -74,6 +76,7 @@ class Born:
     path: Floats
     certainty: float
     divided: int | None
+    near: int | None
 
 
 @dataclass(slots=True, eq=False)
@@ -97,6 +100,7 @@ class CellTrack:
     odd: int = 0
     near: "CellTrack | None" = None
     blob: Blob | None = None
+    place: Floats | None = None  # x, y, axis, length and width of its blob (5,) [um, rad]
     merged: bool = False  # whether its blob shows other cells, too
     hidden_s: float = math.inf  # since then, its shared blob has been as small as one cell
     large: bool = False  # whether its own blob is too large for one cell

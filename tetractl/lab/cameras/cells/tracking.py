@@ -147,7 +147,7 @@ class CellTracker:
         for i, track in enumerate([*cells, *specks]):
             j = owner.get(i)
             track.missed_s = 0.0 if j is not None else track.missed_s + passed
-            track.blob = None if j is None else blobs[j]
+            track.blob, track.place = (None, None) if j is None else (blobs[j], places[j])
             track.measured, track.merged, track.large = None, False, False
             if j is not None and i < len(cells):
                 owners.setdefault(j, []).append(i)
@@ -168,7 +168,7 @@ class CellTracker:
         self._names.part(at, new, seconds)
         self._names.answer(seconds)
         found = {j: specks[i - len(cells)] for i, j in owner.items() if i >= len(cells)}
-        self._follow_specks(found, owners, blobs, places)
+        self._follow_specks(found, set(owners), blobs, places)
 
     def _update(
         self,
@@ -243,17 +243,13 @@ class CellTracker:
             cell.odd = 0
 
     def _follow_specks(
-        self,
-        found: dict[int, CellTrack],
-        owners: dict[int, list[int]],
-        blobs: Sequence[Blob],
-        places: Floats,
+        self, found: dict[int, CellTrack], taken: set[int], blobs: Sequence[Blob], places: Floats
     ) -> None:
         """Give specks and new objects the blobs that no cell has; a speck that swims is a cell."""
         cells, seconds = self._cells(), self._time or 0.0
         here = np.array([self.bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
         for j, place in enumerate(places):
-            if j in owners:
+            if j in taken:
                 continue
             entry: Entry = (seconds, *place.tolist())
             if blobs[j].at_edge:
@@ -296,8 +292,9 @@ class CellTracker:
         # keep the path after the last blob too large for this cell: another cell was in that blob
         other = path[:-1, 4:6].prod(axis=1) > LARGE * track.long * track.wide
         path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
-        (certainty,) = self._probabilities([track])
-        self.born.append(Born(track.identity, track.number, path[:, :5], certainty, divided))
+        (sure,) = self._probabilities([track])
+        by = None if near is None else near.number
+        self.born.append(Born(track.identity, track.number, path, sure, divided, by))
         track.near = None
 
     def _meets(self, cell: CellTrack) -> bool:
@@ -393,6 +390,7 @@ class CellTracker:
                 wide_um=cell.wide,
                 track=cell.number,
                 measured=cell.measured,
+                blob_um=cell.place,
             )
             for i, (cell, (x, y, axis), probability) in enumerate(
                 zip(cells, seen.tolist(), self._probabilities(cells), strict=True)

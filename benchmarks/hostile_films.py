@@ -165,7 +165,7 @@ class InProcess:
     """Stands for the process that decodes a film: decodes it in this one."""
 
     def __init__(self, words: list[str], **_: object) -> None:
-        self.stdout = io.BytesIO()
+        self.stdout = tempfile.TemporaryFile()  # noqa: SIM115 - memory is limited
         try:
             with mock.patch.object(faulthandler, "dump_traceback_later"):  # the alarm stands for it
                 decode.main(Path(words[-1]), self.stdout)

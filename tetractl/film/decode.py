@@ -21,6 +21,7 @@ from tetractl.film import film_source as films
 MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B]
 PATIENCE_S = 20.0  # longest time to read the tags, or to decode a picture [s]
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
+HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, CZI and ND2
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
 
@@ -69,7 +70,11 @@ def _opened(path: Path) -> films.FilmSource:
             from tetractl.film.tiff_film import tiff_film
 
             return tiff_film(path)
-        return MICROSCOPES.get(head, films.video_film)(path)
+        found, size = MICROSCOPES.get(head, films.video_film)(path), path.stat().st_size
+        if (found.count or 0) * HEADER_B > size:  # the libraries make up pictures that are missing
+            said = f"{path}: cannot have {found.count} pictures in {size} bytes"
+            raise UsageError(said, "is the film damaged?")
+        return found
     except (TetractlError, MemoryError):
         raise
     except ModuleNotFoundError as error:

@@ -256,6 +256,13 @@ class Experiment(Model):
         """Whether the robots are still to be found by the trial."""
         return self.chosen is not None and not self.chosen.found
 
+    @property
+    def asked(self) -> tuple[Robot, ...] | Choice:
+        """The robots as the spec asks for them, which is the same in all trials of a spec: listed,
+        or the rule by which each trial chooses its own.
+        """
+        return self.chosen.model_copy(update={"found": False}) if self.chosen else self.robots
+
     @cached_property
     def setup(self) -> Setup:
         """The experiment's numbers as arrays."""

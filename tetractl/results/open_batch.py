@@ -264,8 +264,8 @@ def differences(one: Experiment, two: Experiment) -> list[str]:
     Fields that do not change a trial are left out: the description, the number and seed of the
     trials, and the error bound; also the robots, if both trials chose them by the same rule.
     """
-    found = one.chosen is not None and one.chosen == two.chosen
-    left_out = _BOOKKEEPING | ({"robots"} if found else set())
+    found = one.chosen is not None and one.asked == two.asked
+    left_out = _BOOKKEEPING | ({"robots", "chosen"} if found else set())
     ours, theirs = (each.model_dump(mode="json", exclude=left_out) for each in (one, two))
     return list(_differences(ours, theirs))
 

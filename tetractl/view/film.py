@@ -184,7 +184,7 @@ class FilmFrames:
         """Draw the arena, and return each robot's plan, trail and body, in order of depth."""
         setup = self._setup
         self._colors = robot_colors(setup.names, setup.colors)
-        draw_scene(axes, setup, self._colors, [tracked(log.mocap, log.valid)])
+        draw_scene(axes, [setup], self._colors, [tracked(log.mocap, log.valid)])
         arena = setup.arena
         axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
         least = 0.014 * max(arena.width, arena.height)  # to be seen

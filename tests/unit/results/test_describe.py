@@ -12,6 +12,7 @@ from tetractl.core.commands import Verdict
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
+from tetractl.experiment.choice import Choice
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.describe import flagged
 from tetractl.results.open_batch import Batch, Damaged
@@ -117,6 +118,16 @@ def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     assert "plant.dead_time: 0.0 != 0.15" in str(caught.value)
     assert caught.value.hint
     assert "--against" in caught.value.hint
+
+
+def test_a_trial_aborted_before_it_chose_its_robots_is_of_the_same_experiment():
+    rule = {"choose": 3, "targets": [[900, 900], [900, 1300], [1200, 700]], "a": 4, "speed": 200}
+    chose = experiment(chosen=rule | {"found": True})
+    wanted = chose.model_copy(update={"chosen": Choice.model_validate(rule)})
+    wanted = wanted.model_copy(update={"robots": wanted.robots[::-1]})
+    trials = batch(ERRORS[:2].tolist(), chose)
+    aborted = trial("aborted.mcap", wanted, result([1, 1, 1], outcome=Outcome.ABORTED), 2)
+    assert group([*trials, aborted]).counted == 2
 
 
 def test_other_seeds_and_counts_are_the_same_experiment():

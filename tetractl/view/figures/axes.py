@@ -99,11 +99,13 @@ def broken_off(logs: Sequence[TrialLog]) -> str:
 
 
 def check_alike(logs: Sequence[TrialLog]) -> None:
-    """Raise UsageError for logs of different robots, arenas, obstacles or units."""
+    """Raise UsageError for logs of different arenas, obstacles, units or robots; robots that each
+    trial chose by the same rule are not different.
+    """
 
     def scene(log: TrialLog) -> tuple[object, ...]:
         spec = log.experiment
-        return spec.robots, spec.arena, spec.obstacles, spec.units
+        return spec.asked, spec.arena, spec.obstacles, spec.units
 
     for log in logs[1:]:
         if scene(log) != scene(logs[0]):

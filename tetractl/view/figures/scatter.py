@@ -63,7 +63,7 @@ def _arm(panels: Sequence[Axes], name: str, logs: Sequence[TrialLog], columns: i
     """Draw the panels of one folder's robots; return the number of trials in the means."""
     setup = logs[0].start.setup
     unit, colors = unit_of(setup.unit), robot_colors(setup.names, setup.colors)
-    gaps = np.array([final_poses(log)[:, :2] for log in logs]) - setup.targets
+    gaps = np.array([final_poses(log)[:, :2] - log.start.setup.targets for log in logs])
     whole = np.array([not unfinished(log) for log in logs])
     counted = gaps[whole] if whole.any() else gaps
     reach = 0.0

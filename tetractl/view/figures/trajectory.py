@@ -75,11 +75,13 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     Trails are measured positions; true paths are dashed if they differ visibly. Raises UsageError
     for logs of different robots, arenas or obstacles.
     """
-    setup = logs[0].start.setup
+    setups = [log.start.setup for log in logs]
+    setup = setups[0]
     check_alike(logs)
     colors = robot_colors(setup.names, setup.colors)
     ends = np.array([final_poses(log)[:, :2] for log in logs])
-    title, names = _errors(logs, setup.distances(ends))
+    errors = [of.distances(end) for of, end in zip(setups, ends, strict=True)]
+    title, names = _errors(logs, np.array(errors))
     columns = _columns(names)
     rows = title.count("\n") + 1 + -(-len(names) // columns)
     width = style.COLUMN_IN
@@ -93,7 +95,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
     )  # fmt: skip
     trails = [tracked(log.mocap, log.valid) for log in logs]
-    draw_scene(axes, setup, colors, trails)
+    draw_scene(axes, setups, colors, trails)
     truth = _visible_truth(logs[0]) if len(logs) == 1 else None
     if len(logs) == 1:
         last = int(logs[0].mocap_ns.max(initial=0))
@@ -112,10 +114,13 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     return figure
 
 
-def draw_scene(axes: Axes, setup: Setup, colors: list[str], trails: Sequence[Floats]) -> None:
-    """Draw obstacles, the measured starts of one or several trails (M, N, 2), and targets; NUMBERED
-    or more robots have numbered starts and targets.
+def draw_scene(
+    axes: Axes, setups: Sequence[Setup], colors: list[str], trails: Sequence[Floats]
+) -> None:
+    """Draw obstacles, the measured starts of one or several trails (M, N, 2), and targets, in grey
+    if trials assigned them differently; NUMBERED or more robots have numbered starts and targets.
     """
+    setup = setups[0]
     unit = unit_of(setup.unit)
     axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     ticks = _nice_step(max(setup.arena.width, setup.arena.height), 9)
@@ -125,16 +130,20 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str], trails: Sequence[Flo
         axes.spines[side].set_visible(True)
     for obstacle in setup.obstacles:
         axes.add_patch(Polygon(obstacle.outline(), zorder=1, **style.OBSTACLE))
-    starts = np.array([first_seen(trail, setup.starts.xy) for trail in trails])
+    of_trials = zip(trails, setups, strict=True)
+    starts = np.array([first_seen(trail, of.starts.xy) for trail, of in of_trials])
+    targets = np.unique([of.targets for of in setups], axis=0)  # (K, N, 2)
     hold = setup.hold
-    for robot, (target, color) in enumerate(zip(setup.targets, colors, strict=True)):
+    for robot, color in enumerate(colors):
         look: dict[str, Any] = {"mec": color, "zorder": 4, "clip_on": False}
         axes.plot(*starts[:, robot].T, "o", ms=6, mfc="white", **look)
-        axes.plot(*target, "s", ms=7, mfc="none", **look)
+        look["mec"] = style.GREY if len(targets) > 1 else color
+        axes.plot(*targets[:, robot].T, "s", ms=7, mfc="none", **look)
         for point in setup.legs[:-1, robot]:
             axes.plot(*point, "s", ms=4, mfc="none", **look)
-        if hold is not None:
-            axes.add_patch(Circle(tuple(target), hold.radius, fill=False, ec=color, lw=0.6))
+        for target in targets[:, robot]:
+            if hold is not None:
+                axes.add_patch(Circle(target, hold.radius, fill=False, ec=look["mec"], lw=0.6))
     if len(setup.names) >= NUMBERED:
         for robot, color in enumerate(colors):
             for place, aside in ((starts[0, robot], (0, 0)), (setup.targets[robot], (6.5, 4))):

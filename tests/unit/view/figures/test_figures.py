@@ -338,6 +338,37 @@ def refusals():
     yield "swarm", late, LogError, "cannot be run again"
 
 
+def chose(log, order):
+    """The trial as one that chose its robots by a rule, which assigns the targets in some order."""
+    goals = [robot["target"] for robot in THREE_M3PI["robots"]]
+    rule = {"choose": 3, "targets": goals, "a": 4, "speed": 200, "found": True}
+    robots = [
+        {**robot, "target": goals[i]} for robot, i in zip(THREE_M3PI["robots"], order, strict=True)
+    ]
+    made = experiment(robots=robots, chosen=rule)
+    return replace(log, experiment=made, start=replace(log.start, setup=made.setup))
+
+
+def test_trials_that_chose_their_robots_by_one_rule_are_drawn_together(log):
+    logs = [chose(log, (0, 1, 2)), chose(log, (1, 0, 2))]
+    for kind in SEVERAL:
+        draw(kind, logs)
+    ends = [one.result.verdict.final.xy for one in logs]
+    totals = [one.start.setup.distances(end).sum() for one, end in zip(logs, ends, strict=True)]
+    assert f"total {np.mean(totals):.0f} ± {np.std(totals, ddof=1):.0f}" in words(
+        draw("trajectory", logs)
+    )
+    gaps = [end[0] - one.start.setup.targets[0] for one, end in zip(logs, ends, strict=True)]
+    (dots,) = [line for line in draw("scatter", logs).axes[0].lines if line.get_gid() == "ends"]
+    assert dots.get_xydata() == pytest.approx(np.array(gaps))
+    (axes,) = draw("trajectory", logs).axes
+    targets = [line for line in axes.lines if line.get_marker() == "s"]
+    assert [len(line.get_xydata()) for line in targets] == [2, 2, 2]
+    assert {line.get_markeredgecolor() for line in targets} == {style.GREY}
+    with pytest.raises(UsageError, match="different experiments"):
+        draw("trajectory", [logs[0], log])
+
+
 @pytest.mark.parametrize(("kind", "changed", "error", "why"), list(refusals()))
 def test_what_cannot_be_drawn_is_told(log, kind, changed, error, why):
     with pytest.raises(error, match=why):

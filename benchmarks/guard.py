@@ -17,6 +17,7 @@ Worst of the plays: how far off its robot the pose shown was when that robot was
 
 import argparse
 import math
+import re
 import sys
 from functools import partial
 from pathlib import Path
@@ -27,12 +28,13 @@ sys.path.insert(0, str(ROOT / "tests"))
 from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, trial_of  # noqa: E402
 from support.virtual_lab import VirtualLab  # noqa: E402
 
+from tetractl.core.errors import AbortError  # noqa: E402
 from tetractl.emulate import virtual_wires  # noqa: E402
 from tetractl.lab.drift_check import LIMIT  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
 SLOW = {  # what the long check is for
-    "turn": (0.1, 0.3, 0.6, 1.0, 1.25),  # rad/s
+    "turn": (0.05, 0.2, 0.3, 0.6, 1.0, 1.25),  # rad/s
     "along": (0.003, 0.01, 0.03, 0.1),
     "against": (0.003, 0.01, 0.03, 0.1),
     "sideways": (0.003, 0.01, 0.03, 0.1),
@@ -41,6 +43,7 @@ SLOW = {  # what the long check is for
     "rotation": (0.0087, 0.035),  # rad/s
 }
 NOTICED = ("another body", "all robots drift", "does not move", "backward", "the wrong way")
+REFUSED = "refused: "
 UNITS = {"turn": "rad/s", "scale": "/s", "rotation": "rad/s"}
 ALL = (0, 1, 2)
 TAIL = 5.0  # statistic above which the tail of good trials is fitted
@@ -70,27 +73,38 @@ def ghosts(kind: str) -> None:
 
 
 def slow(kind: str) -> None:
-    """Print a row for each rate of a slow kind: plays from the start on, and from later on."""
+    """Print a row for each rate of a slow kind: plays from before the start on, from the first
+    command on, and from later on.
+    """
     for rate in SLOW[kind]:
         cells: list[str] = []
-        for begins in ([0.0], [0.6, 1.35, 2.1]):
+        for begins in ([-math.inf], [0.0], [0.6, 1.35, 2.1]):
             plays = [
                 Ghost(kind, rate, ALL if kind in CAMERA else (k % 3,), at_s=at_s, limit_s=60.0)
                 for at_s in begins
-                for k in range(PLAYS if begins == [0.0] else -(-PLAYS // 3))
+                for k in range(PLAYS if len(begins) == 1 else -(-PLAYS // 3))
             ]
-            done = [trial_of(play.haunt, k, RATE_HZ) for k, play in enumerate(plays)]
-            noticed = [any(text in result.reason for text in NOTICED) for result in done]
-            offs = [play.off_mm for play in plays]
-            stopped = [off for off, was in zip(offs, noticed, strict=True) if was]
-            missed = [off for off, was in zip(offs, noticed, strict=True) if not was]
-            said = sum("all robots drift" in result.reason for result in done)
-            cells += [
-                f"{len(stopped)} of {len(plays)}" + f", {said} camera" * (kind in CAMERA),
-                f"{max(stopped):.0f}" if stopped else "",
-                f"{max(missed):.0f}" if missed else "",
-            ]
+            reasons = [reason_of(play, k) for k, play in enumerate(plays)]
+            rest = [bool(re.search("still moves|move alike", reason)) for reason in reasons]
+            drove = [any(text in reason for text in NOTICED) for reason in reasons]
+            if begins == [-math.inf]:
+                refused = sum(reason.startswith(REFUSED) for reason in reasons)
+                cells.append(f"{refused} of {len(plays)}")
+                continue
+            for seen in (drove, rest):
+                offs = [play.off_mm for play, yes in zip(plays, seen, strict=True) if yes]
+                said = sum(yes and "all robots" in r for yes, r in zip(seen, reasons, strict=True))
+                camera = f", {said} camera" * (kind in CAMERA and len(offs) > 0)
+                cells += [f"{len(offs)} of {len(plays)}{camera}", f"{max(offs, default=0):.0f}"]
         print(f"| {kind} | {rate:g} {UNITS.get(kind, 'm/s')} | {' | '.join(cells)} |", flush=True)
+
+
+def reason_of(play: Ghost, trial: int) -> str:
+    """Run a trial with a ghost; return why it was aborted or did not start."""
+    try:
+        return trial_of(play.haunt, trial, RATE_HZ).reason
+    except AbortError as refused:
+        return REFUSED + str(refused)
 
 
 def watched(labs: list[VirtualLab], peaks: list[float], lab: VirtualLab) -> None:
@@ -152,8 +166,11 @@ if __name__ == "__main__":
         virtual_wires.STEP_NS *= 2
         alarms(options.first, options.first + options.alarms)
     elif options.slow:
-        print("| pose shown | | from the start | off [mm] | missed | later | off [mm] | missed |")
-        print("|---|---|--:|--:|--:|--:|--:|--:|")
+        print(
+            "| pose shown | | refused | from the first command | off [mm] | at rest | off [mm] "
+            "| later | off [mm] | at rest | off [mm] |"
+        )
+        print(f"|---|---{'|--:' * 9}|")
         for kind in options.kinds or SLOW:
             slow(kind)
     else:

@@ -22,7 +22,7 @@ CAMERA = ("origin", "scale", "rotation")
 
 @dataclass
 class Ghost:
-    """What a camera shows of robots `who` from `at_s` after the first command on.
+    """What a camera shows of robots `who` from `at_s` after the first command on, or always (-inf).
 
     `frozen` poses repeat. A ghost goes away from its robot at a speed [m/s]: `along` its heading,
     `against` it or `sideways`. The `heading` shown turns by the speed at the wheels, or the whole
@@ -46,6 +46,7 @@ class Ghost:
         """Show it in a lab that is not open yet."""
         self.lab, self._then = lab, 0
         self._began: int | None = None
+        self._from = [(robot.x, robot.y) for robot in lab.robots]
         self._turned, self._paths = 0.0, {}
         self._shown, self._last = {}, {}
         motive = lab.emulation.camera
@@ -74,7 +75,9 @@ class Ghost:
 
     def _show(self, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
         now, last = self.lab.clock.timeline.now_ns, self.lab.plant.rig.loop.last
-        if self._began is None and last is not None and last.direction is not None:
+        if self._began is None and self.at_s == -math.inf:
+            self._began = now
+        elif self._began is None and last is not None and last.direction is not None:
             self._began = now + round(self.at_s * SECOND)
         dt, self._then = (now - self._then) / SECOND, now
         if self._began is None or now < self._began:
@@ -89,7 +92,7 @@ class Ghost:
         return tuple(shown)
 
     def _ghost(self, i: int, pose: Pose, step: float) -> Pose:
-        before = self._last[i]
+        before = self._last.get(i, pose)
         if self.kind == "frozen":
             return self._shown.get(i, before)
         if self.kind == "heading":

@@ -11,7 +11,7 @@ from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.cameras.pictures.looks import rate_hz
-from tetractl.lab.rest_check import moving_robots
+from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 
 FRAMES_CHECKED = 60  # number of camera frames that are checked
@@ -100,6 +100,7 @@ def inspect(rig: Rig) -> Preflight:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
         problems += _strangers(rig, newest.frame)
+        problems += drifting_robots(rig)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
     devices = {"camera": camera, "actuator": actuator}
     emulated = ", ".join(name for name, health in devices.items() if health.emulated)

@@ -1,24 +1,52 @@
-"""Checks with the camera whether robots stand still; an untracked robot counts as moving."""
+"""Checks with the camera whether robots stand still; an untracked robot counts as moving.
+
+A straight line is fitted by least squares to the poses of a robot over the last REST_NS. From n
+poses over a time T, each with an error of standard deviation e (estimated from what the line leaves
+over), the line's slope has the standard error
+
+    s = e sqrt(12 / n) / T,
+
+and a robot stands still if the slope is at most STILL, or what noise makes of it with a probability
+of DOUBT: q s, with q = 4 for many poses and more for few (Student's distribution). While q s is
+more than STILL, as with a slow or coarse camera, the line is fitted to a time twice and four times
+as long.
+"""
 
 import math
 
+import numpy as np
+from scipy.special import stdtrit
+
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Pose
-from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
+from tetractl.core.poses import Floats
+from tetractl.experiment.lab_section import UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.rig import Rig
 
 STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots stand still [s]
-REST_NS = SECOND // 4  # time for which the camera must see robots stand still
+REST_NS = SECOND // 4  # shortest time for which the camera must see robots stand still
+LONGER = (1, 2, 4)  # multiples of it, used in turn while the line is not certain
+STILL = np.array([2.0, 2.0, 0.02])  # greatest motion of a robot at rest [mm/s, mm/s, rad/s]
+DOUBT = 3e-5  # probability that noise alone exceeds a limit, in each direction
+ALIKE = "all robots are seen to move alike ({}), though stopped: do the camera or its origin move?"
 
 
-def moving_robots(rig: Rig) -> list[str]:
-    """Return one line for each robot that did not stand still during the last `REST_NS`."""
-    window = rig.frames.last(REST_NS)
+def moving_robots(rig: Rig, longer: tuple[int, ...] = LONGER) -> list[str]:
+    """Return one line for each robot that did not stand still during the last `REST_NS`, or the
+    multiples `longer` of it; or one line for all, if they move in the same way.
+    """
+    window = rig.frames.last(longer[-1] * REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
-    lines = [_not_at_rest(rig, i, window) for i in rig.left]
-    return [line for line in lines if line]
+    found = [_not_at_rest(rig, i, window, longer) for i in rig.left]
+    return _alike(found) or [line for line, _ in found if line]
+
+
+def drifting_robots(rig: Rig, longer: tuple[int, ...] = LONGER) -> list[str]:
+    """Return the lines of `moving_robots` of robots that are seen to move, not of unseen ones."""
+    window = rig.frames.last(longer[-1] * REST_NS)
+    found = [_not_at_rest(rig, i, window, longer) for i in rig.left if window]
+    return _alike(found) or [line for line, slope in found if slope is not None]
 
 
 def wait_for_rest(rig: Rig) -> str:
@@ -37,7 +65,7 @@ def wait_for_rest(rig: Rig) -> str:
             return ""
         if waited >= STANDSTILL_S * SECOND:
             return f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
-        if halts and lines and waited >= 2 * REST_NS:
+        if halts and waited >= 2 * REST_NS and moving_robots(rig, LONGER[:1]):
             rig.loop.stop()
         rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
 
@@ -56,23 +84,54 @@ def _lost(rig: Rig) -> list[str]:
     return [rig.not_tracked(i) for i in rig.left if not fresh[i]]
 
 
-def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
-    """Return why robot i does not count as standing still in the frames of `window`; "" if it
-    stands still.
+def _not_at_rest(
+    rig: Rig, i: int, window: list[AcceptedFrame], longer: tuple[int, ...]
+) -> tuple[str, Floats | None]:
+    """Return why robot i does not count as standing still in the frames of `window`, "" if it
+    stands still; and its motion (3,) [mm/s, mm/s, rad/s], None if it is not seen to move.
     """
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
-    seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
-    if not seen or newest - seen[-1][0] > UNTRACKED_STOP_S * SECOND:
-        return f"{rig.not_tracked(i)}, so it is not seen to stand"
-    if seen[-1][0] - seen[0][0] < 0.6 * REST_NS:
-        return f"{name} has not been watched long enough"
-    speed, turning = _speeds(*seen[0], *seen[-1])
-    moves = speed * rig.mm > STANDSTILL_MM_S or turning > 0.3  # rad/s
-    return f"{name} still moves" if moves else ""
+    seen = [
+        ((f.frame.sampled_ns - newest) / SECOND, pose.x * rig.mm, pose.y * rig.mm, pose.heading)
+        for f in window
+        if (pose := f.pose(i)) is not None
+    ]
+    if not seen or -seen[-1][0] > UNTRACKED_STOP_S:
+        return f"{rig.not_tracked(i)}, so it is not seen to stand", None
+    rows = np.array(seen)
+    rows[:, 3] = np.unwrap(rows[:, 3])
+    for span_s in (REST_NS / SECOND * times for times in longer):
+        part = rows[rows[:, 0] >= -span_s]
+        if len(part) < 3 or part[-1, 0] - part[0, 0] < 0.6 * span_s:
+            return f"{name} has not been watched long enough", None
+        slope, error = _line(part)
+        noise = stdtrit(len(part) - 2, 1 - DOUBT) * error
+        if np.any(abs(slope) > np.maximum(STILL, noise)):
+            return f"{name} still moves ({_rates(slope)})", slope
+        if np.all(noise <= STILL):
+            break
+    return "", None
 
 
-def _speeds(began: int, first: Pose, ended: int, last: Pose) -> tuple[float, float]:
-    """Return the mean speed [length unit/s] and turning rate [rad/s] between two poses."""
-    seconds = (ended - began) / SECOND
-    gone = math.hypot(last.x - first.x, last.y - first.y)
-    return gone / seconds, abs(math.remainder(last.heading - first.heading, math.tau)) / seconds
+def _alike(found: list[tuple[str, Floats | None]]) -> list[str]:
+    """Return a line that all robots move in the same way; [] if they do not."""
+    slopes = np.array([slope for _, slope in found if slope is not None])
+    if len(slopes) < len(found) or len(found) < 2 or np.any(np.ptp(slopes, axis=0) > 2 * STILL):
+        return []
+    return [ALIKE.format(_rates(slopes.mean(axis=0)))]
+
+
+def _line(rows: Floats) -> tuple[Floats, Floats]:
+    """Return the slopes (3,) of straight lines through rows (n, 4) of times [s] and values, and
+    their standard errors (3,).
+    """
+    middle = rows - rows.mean(axis=0)
+    t, values = middle[:, :1], middle[:, 1:]
+    squares = float((t**2).sum())
+    slope = (t * values).sum(axis=0) / squares
+    left = ((values - t * slope) ** 2).sum(axis=0) / (len(rows) - 2)
+    return slope, np.sqrt(left / squares)
+
+
+def _rates(slope: Floats) -> str:
+    return f"{math.hypot(slope[0], slope[1]):.0f} mm/s, {slope[2]:+.2f} rad/s"

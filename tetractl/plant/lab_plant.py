@@ -36,9 +36,11 @@ from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
-from tetractl.lab.rest_check import wait_for_rest
+from tetractl.lab.rest_check import LONGER, REST_NS, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
+
+PAUSED_NS = 3 * REST_NS  # time after a stop after which robots have stood for REST_NS
 
 
 class RigSection(LabSection):
@@ -161,6 +163,7 @@ class LabPlant:
             first = guard.state is GuardState.READY
             guard.late(not first and self.clock.now() - self._observed_ns > period_ns)
         self._observed_ns = None
+        self._check_pause()
         self._raise_abort()
         sent = self.rig.loop.hold(action)
         self._returned.add(sent.sent_ns)
@@ -200,6 +203,13 @@ class LabPlant:
         stopped = loop.last is not None and isinstance(loop.last.action, Stop)
         wheels = (loop.last.left, loop.last.right) if loop.last and stopped else (None, None)
         return Command(Stop(), self.clock.now(), reached, *wheels)
+
+    def _check_pause(self) -> None:
+        """Abort if a robot was seen to move in a pause, once all have stood for `REST_NS`."""
+        paused = self._stopped_ns and self.rig.guard.state is GuardState.READY
+        if paused and self.rig.actuator.halts and self.clock.now() - self._stopped_ns > PAUSED_NS:
+            for line in drifting_robots(self.rig, LONGER[:1]):
+                self.rig.guard.abort(f"in a pause {line}")
 
     def settle(self) -> Verdict:
         """Wait until every robot is tracked and, if robots can stand, at rest; check the path.

@@ -8,7 +8,7 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Health, Note, Steer
+from tetractl.core.commands import Health, Note, Steer, Stop
 from tetractl.core.errors import AbortError
 from tetractl.core.tour import LossRule
 from tetractl.experiment.lab_section import LabLimits
@@ -145,7 +145,7 @@ def test_robots_that_do_not_stand_after_a_stop_are_named(metres):
     lab.world.deaf = {0}
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()
-    assert verdict.not_at_rest == "2 s after the stop: green still moves"
+    assert verdict.not_at_rest.startswith("2 s after the stop: green still moves (180 mm/s, ")
     assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [
         verdict.not_at_rest
     ]
@@ -177,7 +177,24 @@ def test_a_robot_that_turns_on_the_spot_does_not_stand():
         lab.world.poses[1, 2] = lab.clock.now() / SECOND * 3.0
 
     lab.world.advance = spinning
-    assert lab.plant.settle().not_at_rest == "2 s after the stop: blue still moves"
+    not_at_rest = lab.plant.settle().not_at_rest
+    assert not_at_rest == "2 s after the stop: blue still moves (0 mm/s, +3.00 rad/s)"
+
+
+def test_a_pose_that_turns_in_a_pause_aborts():
+    """Regression: the rest in a pause was not checked."""
+    lab = driving()
+    lab.plant.send(Stop())
+    held = lab.world.advance
+
+    def spinning():
+        held()
+        lab.world.poses[1, 2] = lab.clock.now() / SECOND * 0.2
+
+    lab.world.advance = spinning
+    wait(lab, 0.7)
+    with pytest.raises(AbortError, match=r"in a pause blue still moves \(0 mm/s, \+0\.20 rad/s\)"):
+        lab.plant.send(Steer(0.5))
 
 
 def test_a_robot_that_is_seen_again_gives_its_true_final_pose():

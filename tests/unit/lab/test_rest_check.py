@@ -1,0 +1,81 @@
+"""Whether standing robots are distinguished from poses that drift, in virtual time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.labs import fake_lab
+from support.trials import experiment
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Pose
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.preflight import inspect
+from tetractl.lab.rest_check import wait_for_rest
+
+SETUP = experiment().setup
+MOTIVE, COARSE = (120.0, 0.3, 0.004), (20.0, 0.5, 0.005)  # frames a second, noise [mm, rad]
+ALL = (0, 1, 2)
+
+
+def drifting(lab, rates, who=(0,), noise=(0.0, 0.0), seed=1):
+    """Let a lab's camera show robots `who` moving at `rates` [mm/s, mm/s, rad/s], with noise."""
+    rng, frames = np.random.default_rng(seed), lab.camera.frames
+
+    def seen(i, pose, at_ns):
+        x, y, turned = np.array(rates) * (i in who) * at_ns / SECOND
+        x, y, turned = (x, y, turned) + rng.normal(size=3) * (noise[0], *noise)
+        return Pose(pose.x + x, pose.y + y, pose.heading + turned)
+
+    def shown():
+        return [
+            replace(f, poses=tuple(seen(i, p, f.sampled_ns) for i, p in enumerate(f.poses)))
+            for f in frames()
+        ]
+
+    lab.camera.frames = shown
+
+
+def at_rest(camera, rates=(0.0, 0.0, 0.0), who=(), seed=1):
+    """What is said of robots that stand before a camera."""
+    rate_hz, *noise = camera
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("support.labs.CAMERA_HZ", rate_hz)
+        lab = fake_lab(SETUP)
+        drifting(lab, rates, who, noise, seed)
+        with lab.plant.rig as rig:
+            lab.clock.sleep_until(SECOND // 2)
+            return wait_for_rest(rig)
+
+
+@pytest.mark.parametrize("camera", [MOTIVE, COARSE], ids=["120 Hz", "20 Hz, coarse"])
+def test_robots_that_stand_are_seen_to_stand(camera):
+    assert [at_rest(camera, seed=seed) for seed in range(5)] == [""] * 5
+
+
+@pytest.mark.parametrize("camera", [MOTIVE, COARSE], ids=["120 Hz", "20 Hz, coarse"])
+@pytest.mark.parametrize("rate", [0.05, 0.1, 0.2, 0.3])
+def test_a_pose_that_turns_slowly_does_not_stand(rate, camera):
+    """Regression: 0.3 rad/s and 10 mm/s were allowed, so a false pose that turned was accepted."""
+    said = at_rest(camera, (0.0, 0.0, rate), (1,))
+    assert said.startswith("2 s after the stop: blue still moves (")
+
+
+def test_poses_that_drift_together_name_the_camera():
+    """Regression: a moved origin read as robots that still move."""
+    said = at_rest(MOTIVE, (6.0, -8.0, 0.0), ALL)
+    assert said.startswith("2 s after the stop: all robots are seen to move alike (1")
+    assert said.endswith("though stopped: do the camera or its origin move?")
+
+
+def test_a_run_does_not_start_while_a_standing_robot_is_seen_to_turn():
+    """Regression: a plate that turned at 0.25 rad/s passed the preflight."""
+    limits = LabLimits(start_heading=3.0)
+    lab = fake_lab(SETUP, limits)
+    drifting(lab, (0.0, 0.0, 0.25))
+    with pytest.raises(AbortError, match=r"green still moves \(0 mm/s, \+0\.25 rad/s\)"):
+        lab.plant.open()
+    with lab.plant.rig as rig:
+        lab.clock.sleep_until(lab.clock.now() + SECOND)
+        assert inspect(rig).problems == ("green still moves (0 mm/s, +0.25 rad/s)",)

@@ -10,8 +10,10 @@ import os
 import re
 import sys
 import threading
+from contextlib import chdir
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -29,8 +31,12 @@ INSTALLED = {
     "linux": "/usr/local/lib/micro-manager",
 }
 CONFIG_MAX = 1 << 24  # largest size of a configuration [bytes]
-LIBRARIES = ("mmgr_dal_{}.dll", "libmmgr_dal_{}", "libmmgr_dal_{}.so.0")
-_DEVICE = re.compile(r"^\s*Device\s*,[^,\n]*,([^,\n]*)", re.MULTILINE)
+LIBRARY = {"win32": "mmgr_dal_{}.dll", "darwin": "libmmgr_dal_{}"}.get(
+    sys.platform, "libmmgr_dal_{}.so.0"
+)
+"""Name of the library of a device adapter, as the core makes it."""
+FAILURES = (OSError, RuntimeError, ValueError)  # as pymmcore raises them, by the kind of error
+_PLACE = re.compile(r"[/\\]|^\.\.$")
 
 
 def adapter_folder() -> Path:
@@ -45,18 +51,35 @@ def adapter_folder() -> Path:
     return folder.resolve()
 
 
-def require_adapters(config: str, folder: Path) -> None:
-    """Raise AbortError if a configuration names a device adapter that the folder lacks.
+def require_adapters(config: Path, folder: Path) -> None:
+    """Raise AbortError if a configuration names a device adapter that the folder lacks, or a file
+    in another folder.
 
-    The core would let the operating system search for its library, also next to the spec.
+    The core would let the operating system search for the adapter's library, also next to the spec,
+    and some adapters run the file that a property names. Lines are split as by the core: at commas,
+    without empty fields, up to the first carriage return. Names of a device's states, such as the
+    objective "10x/0.25", name no file.
     """
-    path = Path(config)
-    if not path.is_file() or path.stat().st_size > CONFIG_MAX:
+    if not config.is_file() or config.stat().st_size > CONFIG_MAX:
         raise AbortError(f"{config}: is not a file of at most {CONFIG_MAX >> 20} MiB")
-    for library in map(str.strip, _DEVICE.findall(path.read_text(errors="replace"))):
-        known = re.fullmatch(r"[\w-]+", library)
-        if not known or not any((folder / name.format(library)).is_file() for name in LIBRARIES):
-            raise AbortError(f"{config}: {folder} contains no device adapter {library!r}")
+    lines = config.read_bytes().decode(errors="replace").split("\n")
+    for number, line in enumerate(lines, start=1):
+        fields = [field for field in line.partition("\r")[0].split(",") if field]
+        if line.startswith("#") or not fields:
+            continue
+        if fields[0] == "Device" and len(fields) > 2:
+            known = re.fullmatch(r"[\w-]+", fields[2])
+            if not known or not (folder / LIBRARY.format(fields[2])).is_file():
+                text = f"{folder} contains no device adapter {fields[2]!r}"
+                raise AbortError(f"{config}:{number}: {text}")
+        elif fields[0] == "Label" or fields[-2:-1] == ["Label"]:
+            del fields[-1]
+        for field in filter(_PLACE.search, fields):
+            text = f"{field!r} may name a file, which a device adapter would run"
+            raise AbortError(
+                f"{config}:{number}: {text}",
+                "save a configuration with the camera alone, without / and \\",
+            )
 
 
 class MicroManagerFeed(Feed):
@@ -73,19 +96,20 @@ class MicroManagerFeed(Feed):
                 "pip install 'tetractl[microscope]'",
             ) from error
         self._clock, self._closing = clock, threading.Event()
-        folder = adapter_folder()
-        require_adapters(source.config, folder)
+        folder, config = adapter_folder(), Path(source.config).resolve()
+        require_adapters(config, folder)
         self._core: Any = core()
         try:
-            self._core.setDeviceAdapterSearchPaths([str(folder)])
-            self._core.loadSystemConfiguration(source.config)
-            self._shift = max(0, self._core.getImageBitDepth() - 8)
-            self._core.startContinuousSequenceAcquisition(0.0)
-        except RuntimeError as error:  # the core raises only this type
+            # in an empty folder, since libraries and files of adapters may be searched in this one
+            with TemporaryDirectory() as empty, chdir(empty):
+                self._core.setDeviceAdapterSearchPaths([str(folder)])
+                self._core.loadSystemConfiguration(str(config))
+                self._shift = max(0, self._core.getImageBitDepth() - 8)
+                self._core.startContinuousSequenceAcquisition(0.0)
+        except FAILURES as error:
             self._core.reset()
-            raise AbortError(
-                f"{source.config}: {error}", "does Micro-Manager itself show this camera live?"
-            ) from error
+            text = f"{config}: {' '.join(str(error).split())}"
+            raise AbortError(text, "does Micro-Manager itself show this camera live?") from error
 
     def read(self) -> Picture:
         """Wait for the next picture."""
@@ -95,7 +119,7 @@ class MicroManagerFeed(Feed):
                 if self._core.getRemainingImageCount():
                     return Picture(self._grey(self._core.popNextImage()), self._clock.now())
                 running = self._core.isSequenceRunning()
-            except RuntimeError as error:
+            except FAILURES as error:
                 raise SourceEndedError(f"Micro-Manager reports: {error}") from error
             if not running or self._clock.now() > silent:
                 raise SourceEndedError("Micro-Manager's camera delivers no more pictures")

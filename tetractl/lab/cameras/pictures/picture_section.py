@@ -53,7 +53,7 @@ class MicroManagerSource(Model):
     config: str = Field(min_length=1, max_length=500)
     """The configuration file that Micro-Manager's wizard wrote. Its device adapters are taken from
     the folder where Micro-Manager is installed; the environment variable MICROMANAGER_PATH names
-    another.
+    another. A field with a slash or backslash is refused; the camera alone is enough.
     """
 
 

@@ -26,7 +26,7 @@ COLOUR = np.array([[0x00102030]], np.uint32)  # a byte each: blue, green, red, n
 class Core:
     """What is used of CMMCore; `waiting` are the pictures in its buffer."""
 
-    fails, depth, waiting = "", 12, ()
+    fails, depth, waiting = None, 12, ()
 
     def __init__(self):
         self.done, self.left = [], list(self.waiting)
@@ -35,8 +35,9 @@ class Core:
         self.folders = folders
 
     def loadSystemConfiguration(self, config):  # noqa: N802
+        assert list(Path().iterdir()) == [] and Path(config).is_file()
         if self.fails:
-            raise RuntimeError(self.fails)
+            raise self.fails
 
     def getImageBitDepth(self):  # noqa: N802
         return self.depth
@@ -96,8 +97,9 @@ def test_pictures_come_one_by_one_as_eight_bits_and_a_silent_camera_ends(depth, 
 
 
 def test_what_keeps_it_from_opening_is_one_line(feed, monkeypatch):
-    with pytest.raises(AbortError, match=r"scope.cfg: no such camera"):
-        feed(fails="no such camera")
+    for error in (RuntimeError, OSError, ValueError):  # all three come from the real core
+        with pytest.raises(AbortError, match=r"(?m)scope.cfg: Line 1: no such camera$"):
+            feed(fails=error("Line 1:\nno such camera\n\n"))
     opened = sys.modules["pymmcore"]
     monkeypatch.setitem(sys.modules, "pymmcore", None)
     with pytest.raises(AbortError, match="pymmcore") as caught:
@@ -110,16 +112,41 @@ def test_what_keeps_it_from_opening_is_one_line(feed, monkeypatch):
     assert "MICROMANAGER_PATH=" in caught.value.hint
 
 
-@pytest.mark.parametrize("library", ["Planted", "../Planted", "x/Planted", "", "DemoCamera.so"])
-def test_only_libraries_of_the_installed_folder_are_run(library, feed, tmp_path, monkeypatch):
-    """Regression: those in the folder of the configuration were."""
+LIBRARIES = ("Planted", "../Planted", "x/Planted", "DemoCamera.so", " DemoCamera", "Demo\0Camera")
+HOSTILE = (
+    *(f"Device,Evil,{library},E" for library in LIBRARIES),
+    "Device,,DemoCamera,x/Planted,Dev",
+    ",Device,DemoCamera,x/Planted,Dev",
+    "Device,Evil,,,x\\\\Planted,,E,",
+    "Device,Evil,Planted,E\r,DemoCamera",
+    "Device,\u2028Evil,Planted,E",
+    "Device,x/Planted,DemoCamera,E",
+    "Property,Hub,Script,x/planted.py",
+    "Property,Hub,,Script,..",
+    "ConfigGroup,System,Startup,Hub,Script,./planted.py",
+    "Load,x/Planted",
+)
+
+
+@pytest.mark.parametrize("line", HOSTILE)
+def test_only_libraries_of_the_installed_folder_are_run(line, feed, tmp_path, monkeypatch):
+    """Regression: those in the folder of the configuration were, and those of a line that the core
+    splits otherwise: it leaves out empty fields."""
     monkeypatch.chdir(tmp_path)
     for place in (tmp_path, tmp_path / "libmmgr_dal_x"):
         place.mkdir(exist_ok=True)
         (place / "libmmgr_dal_Planted.so.0").touch()
-    with pytest.raises(AbortError, match=r"scope.cfg: .* device adapter"):
-        feed(f"Device,Camera,DemoCamera,DCam\nDevice, Evil,{library},E\n")
+    with pytest.raises(AbortError, match=r"scope.cfg:2: .* device adapter"):
+        feed(f"Device,Camera,DemoCamera,DCam\n{line}\n")
     assert feed()._core.folders == [str(tmp_path / "installed")]
+    assert Path.cwd() == tmp_path
+
+
+def test_states_may_have_a_slash_in_their_name(feed):
+    feed(
+        f"{CONFIG}\r\n# x/y\r\nLabel,Objective,0,10x/0.25\r\nConfigGroup,Channel\r\n"
+        "ConfigGroup,Objective,Low,Objective,Label,10x/0.25\r\n#\rDevice,A,x/y,B\r\n"
+    )
 
 
 def test_no_spec_names_the_folder_of_the_libraries():

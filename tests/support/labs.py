@@ -40,7 +40,7 @@ class World:
         self.moving = (False,) * len(self.poses)
 
     def advance(self) -> None:
-        seconds = (self.clock.now() - self.then_ns) / SECOND * np.array(self.moving)
+        seconds, moving = (self.clock.now() - self.then_ns) / SECOND, np.array(self.moving)
         self.then_ns = self.clock.now()
         moved = exact(
             *self.poses.T,
@@ -49,7 +49,7 @@ class World:
             self.setup.speed * self.ahead,
             seconds,
         )
-        self.poses = np.column_stack(moved)
+        self.poses = np.where(moving[:, None], np.column_stack(moved), self.poses)
 
 
 class FakeCamera:

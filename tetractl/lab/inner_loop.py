@@ -56,6 +56,7 @@ class InnerLoop:
         self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._aborted = False
+        self._stop: Transmission | None = None  # the first since `stop` was called
         self._stops_left = 0
         self._next_ns = self._due_ns = 0
         self._closing = threading.Event()
@@ -90,10 +91,11 @@ class InnerLoop:
         with self._lock:
             self.guard, self.frames = guard, FrameBuffer()
 
-    def stop(self) -> None:
-        """Send a stop to every robot ten times within 200 ms; never raises."""
+    def stop(self) -> Transmission | None:
+        """Send a stop to every robot ten times within 200 ms; return the first, None if none could
+        be sent; never raises."""
         with self._locked(STOP_S) as locked:
-            self._held = self.idle = None
+            self._held = self.idle = self._stop = None
             self.guard.rest()
             self._stops_left, self._next_ns = STOPS, self._clock.now()
         while locked and self._stops_left:
@@ -107,6 +109,7 @@ class InnerLoop:
                 with suppress(AbortError):
                     self._actuator.stop()
                 self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
+        return self._stop
 
     def step(self) -> None:
         """Check the new frames, and send a transmission if one is due."""
@@ -208,7 +211,9 @@ class InnerLoop:
         self._next_ns = now + STOP_GAP_NS
         self._stops_left -= 1
         try:
-            self._note(self._actuator.stop(emergency=self.guard.emergency))
+            sent = self._actuator.stop(emergency=self.guard.emergency)
+            self._note(sent)
+            self._stop = self._stop or sent
         except AbortError as error:  # a failed actuator cannot send the remaining stops either
             self._stops_left = 0
             self.guard.abort(str(error))

@@ -195,14 +195,15 @@ class LabPlant:
         return self._stop
 
     def _halt(self) -> Command:
-        """Stop every robot until another action is sent."""
-        loop, self._stopped_ns = self.rig.loop, self.clock.now()
-        loop.stop()
+        """Stop every robot until another action is sent; return the first of the stops."""
+        self._stopped_ns = self.clock.now()
+        first = self.rig.loop.stop()
         self._observed_ns = None
         reached = (self.rig.actuator.failure is None,) * len(self.setup.names)
-        stopped = loop.last is not None and isinstance(loop.last.action, Stop)
-        wheels = (loop.last.left, loop.last.right) if loop.last and stopped else (None, None)
-        return Command(Stop(), self.clock.now(), reached, *wheels)
+        if first is None:
+            return Command(Stop(), self._stopped_ns, reached)
+        self._returned.add(first.sent_ns)
+        return Command(Stop(), first.sent_ns, reached, first.left, first.right)
 
     def _check_pause(self) -> None:
         """Abort if a robot was seen to move in a pause, once all have stood for `REST_NS`."""

@@ -16,7 +16,7 @@ from tetractl.control.kernels import filter as kernel
 from tetractl.control.kernels.filter_state import BIAS, FLOW_X, FLOW_Y, HEADING, MARKER, X
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Steer
+from tetractl.core.commands import Steer, Stop
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
@@ -38,9 +38,18 @@ class Late(Disturbance):
 
 
 def know(
-    settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=None, seed=3, late_s=None
+    settings=(),
+    seconds=6,
+    rate=5,
+    spec=EXPERIMENT,
+    altered=None,
+    until=None,
+    seed=3,
+    late_s=None,
+    stop_s=math.inf,
 ):
-    """Drive simulated robots in smoothly varying directions; what is known of them, and the plant.
+    """Drive simulated robots in smoothly varying directions until they are stopped at `stop_s`;
+    what is known of them, and the plant.
 
     `altered` changes each frame that the estimator is given; `until` is called at each step with
     the problem predicted, and the plant when a direction sent then acts.
@@ -67,7 +76,8 @@ def know(
         problem = estimator.seen(frames[-1] if frames else seen, command, frames[:-1])
         if until:
             until(k, problem, estimator, plant)
-        command = plant.send(Steer(float(np.interp(2 * k / rate, np.arange(len(knots)), knots))))
+        direction = float(np.interp(2 * k / rate, np.arange(len(knots)), knots))
+        command = plant.send(Steer(direction) if k < stop_s * rate else Stop())
     assert estimator.estimate is not None
     return estimator.estimate, plant, estimator
 
@@ -221,6 +231,17 @@ def test_a_picture_that_is_shown_again_is_no_measurement():
     assert max(off) < 10
     assert found.speed == pytest.approx(plant.setup.speed, rel=0.01)
     assert found.a == pytest.approx(plant.setup.a, rel=0.06)
+
+
+def test_equal_poses_of_robots_that_were_commanded_to_stand_are_measurements():
+    """A camera without noise sees them 30 mm from where the stop should have left them."""
+
+    def slid(frame):
+        off = 30.0 * (frame.frame >= 250)
+        return replace(frame, poses=replace(frame.poses, x=frame.poses.x + off))
+
+    _, plant, estimator = know(seconds=3, rate=20, altered=slid, stop_s=2.0)
+    assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 30, abs=1)
 
 
 def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():

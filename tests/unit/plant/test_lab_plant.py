@@ -8,10 +8,10 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Health, Note, Steer, Stop
+from tetractl.core.commands import Command, Health, Note, Steer, Stop
 from tetractl.core.errors import AbortError
 from tetractl.core.tour import LossRule
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.rest_check import REST_NS
 
 PERIOD = SECOND // 5
@@ -127,6 +127,25 @@ def test_a_long_first_plan_is_no_late_step():
     wait(lab, 0.3)
     with pytest.raises(AbortError, match="2 control steps in a row were late"):
         lab.plant.send(Steer(0.5))
+
+
+@pytest.mark.parametrize("call", ["send", "stop"])
+def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(call):
+    lab = driving()
+    lab.plant.news()
+    stop = lab.plant.send(Stop()) if call == "send" else lab.plant.stop()
+    stops = [sent.sent_ns for sent in lab.actuator.sent if isinstance(sent.action, Stop)]
+    assert len(stops) == STOPS
+    assert (stop.action, stop.sent_ns) == (Stop(), stops[0])
+    others = [one.sent_ns for one in lab.plant.news() if isinstance(one, Command)]
+    assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]
+
+
+def test_a_stop_that_cannot_be_sent_has_the_time_of_the_attempt():
+    lab = driving()
+    lab.actuator.failure, now = "the port is gone", lab.clock.now()
+    stop = lab.plant.stop()
+    assert (stop.sent_ns, stop.delivered, stop.left) == (now, (False,) * 3, None)
 
 
 def test_cells_are_not_waited_for_after_a_stop():

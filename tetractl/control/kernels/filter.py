@@ -280,12 +280,19 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (F, N, 3) are
     measured at `time` (F,) [s]; those with `seen` (F, N) True are used, from the second frame on.
     A frame all poses of which are those of the frame before is one that the camera has repeated,
-    and if measurements are `noisy`, so is each equal pose. Returns ln of the likelihoods (B, N).
+    unless a stop acts by any dead time, and if measurements are `noisy`, so is each equal pose.
+    Returns ln of the likelihoods (B, N).
     """
+    latest = bank.tau.max()
     found, off, best = np.zeros(bank.unfit.shape), np.zeros(3), np.zeros(3)
     work = np.empty((MOVED, SIZE)), np.zeros(BY.shape), np.empty(3), np.empty(3), np.empty(SIZE)
     for f in range(1, time.size):
-        since, until, frozen = time[f - 1], time[f], model.a.size > 1
+        since, until = time[f - 1], time[f]
+        acting = when.size - 1
+        while acting >= 0 and when[acting] > since - latest:
+            acting -= 1
+        # without noise, robots that are commanded to stand are seen at the same poses
+        frozen = model.a.size > 1 and not (acting >= 0 and math.isnan(u[acting]))
         for i in range(model.a.size):
             frozen &= _equal(poses[f, i], poses[f - 1, i])
         for i in range(model.a.size):

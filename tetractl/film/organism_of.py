@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Bools, Floats, Grey
 from tetractl.core.registries import ORGANISMS
 from tetractl.film.pictures import FilmPictures
+from tetractl.lab.cameras.cells.cells_health import SMALL_PX
 from tetractl.lab.cameras.cells.detect_cells import BlobFinder
 from tetractl.model.organisms import Organism
 
@@ -26,6 +27,7 @@ BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 FAST = 1.5  # factor by which an object may be faster than an organism is
+FAR = 2.0  # way of the fastest cells between pictures, in lengths, above which links are uncertain
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ def recognised(
         few = f"{fits.sum()} of {len(moving)} objects that swim have its size and speed"
         none = "nothing that swims in the first pictures has a known size and speed"
         why = (f"cells are taken for {taken.name}: {few if fits.any() else none}",)
-    remarks = (*why, *_others(moving, taken, known))
+    remarks = (*why, *_others(moving, taken, known), *_coarse(taken, scale, film.rate_hz))
     return Recognised(taken, scale, um_px is None, remarks, finder)
 
 
@@ -159,6 +161,22 @@ def _shares(moving: Floats, kinds: Sequence[Organism]) -> Floats:
     unlike = np.where(fits, np.square(off).sum(axis=-1), np.inf)
     nearest = fits & (unlike == unlike.min(axis=0))
     return nearest @ moving[:, 3]
+
+
+def _coarse(taken: Organism, um_px: float, rate_hz: float) -> Iterator[str]:
+    """Yield a line if the pictures are too coarse, and one if they are too rare."""
+    (long, wide), fast = taken.body_um, taken.speed_um_s[1]
+    if wide / um_px < SMALL_PX:
+        yield (
+            f"warning: {taken.name} is {wide / um_px:.1f} px wide at {um_px:.3g} um/px; "
+            f"{SMALL_PX:.0f} px or more are needed: cells may be missed, or be of another kind"
+        )
+    if fast / rate_hz > FAR * long:
+        yield (
+            f"warning: {rate_hz:.3g} pictures a second are too few to distinguish cells: "
+            f"{taken.name} of {fast:.0f} um/s moves {fast / rate_hz / long:.1f} lengths; "
+            f"film at {math.ceil(fast / (FAR * long))} or more"
+        )
 
 
 def _others(moving: Floats, taken: Organism, kinds: Sequence[Organism]) -> tuple[str, ...]:

@@ -52,7 +52,7 @@ def swimming(kind, um_px):
 @pytest.mark.parametrize("name", ORGANISMS.names())
 def test_an_organism_is_recognised_by_its_size_and_speed(name):
     kind = named(name)
-    um_px = kind.body_um[1] / 7
+    um_px = kind.body_um[1] / 9
     film = swimming(kind, um_px)
     found = recognised(film, um_px)
     assert found.organism is kind and found.um_px == um_px and not found.guessed
@@ -61,11 +61,21 @@ def test_an_organism_is_recognised_by_its_size_and_speed(name):
 
 
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
-    film = swimming(PARAMECIUM, 7.0)
-    (said,) = recognised(film, 7.0, TETRAHYMENA).remarks
+    film = swimming(PARAMECIUM, 6.0)
+    said, coarse = recognised(film, 6.0, TETRAHYMENA).remarks
+    assert "tetrahymena is 4.4 px wide at 6 um/px; 8 px or more are needed" in coarse
     assert "objects that move have not the size and speed of tetrahymena" in said
     assert said.endswith("--organism paramecium follows them, if they swim and do not drift")
-    assert recognised(film, 7.0, PARAMECIUM).remarks == ()
+    assert recognised(film, 6.0, PARAMECIUM).remarks == ()
+
+
+def test_pictures_too_rare_to_tell_cells_apart_are_said():
+    film = swimming(TETRAHYMENA, 2.3)
+    film.rate_hz = 5.0
+    (said,) = recognised(film, 2.3, TETRAHYMENA).remarks
+    assert "5 pictures a second are too few" in said and said.endswith("film at 8 or more")
+    film.rate_hz = 10.0
+    assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
 
 
 def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():

@@ -29,8 +29,10 @@ LOOKED_S = 0.2  # time without a blob for which it is looked for there
 # cost of a place in a blob that is too large for one cell, or not
 SHARED_LARGE, SHARED = 40.0, 70.0
 COVER = 0.6  # largest distance of a cell from a blob it is in, relative to the cell's width
-SPECK, SPECK_SD = 6.0, 0.115  # least cost of a speck's blob; deviation of its place [lengths]
-REACH, FIRST = 0.48, 0.77  # radius of search for a speck, and for a new one [lengths of a cell]
+# of a speck's blob: least cost; deviation from its expected place, and radius of search there, and
+# for a new one [lengths of a cell in 1 / USUAL_HZ, as speeds are what differs]
+SPECK, SPECK_SD, REACH, FIRST = 6.0, 0.115, 0.48, 0.77
+USUAL_HZ = 30.0
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
 ROUNDS, SAMPLED = 4, 200  # iterations when a blob is divided among cells; pixels that are used
@@ -93,14 +95,16 @@ def cell_costs(
 
 
 def speck_costs(
-    specks: Sequence[CellTrack], places: Floats, seconds: float, body_um: float
+    specks: Sequence[CellTrack], places: Floats, seconds: float, passed: float, body_um: float
 ) -> tuple[Floats, Floats]:
     """Return the costs (S, B) of blobs for S specks, at their expected places at a time [s], and
-    those of no blob (S,). Cells are `body_um` long.
+    those of no blob (S,); `passed` is the time since the last picture [s]. Cells are `body_um`
+    long.
     """
     ahead = np.array([speck.ahead(seconds) for speck in specks]).reshape(-1, 1, 2)
     reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
-    away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / body_um
+    length = body_um * max(1.0, USUAL_HZ * passed)
+    away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / length
     none = np.array([min(NONE, NONE_SPECK + NONE_EACH * len(speck.path)) for speck in specks])
     cost = np.minimum(SPECK + np.square(away / SPECK_SD), none[:, None] - 1)
     return np.where(away < reach[:, None], cost, 1e6), none

@@ -73,6 +73,7 @@ class CellTracker:
         self._tracks, self._last_track, self._last_name = list[CellTrack](), 0, 0
         self._names = Names(self.bank, self._name, self._body_um, splits)
         self._time: float | None = None
+        self._brief_s = SPECK_S  # SPECK_S, or as long as one picture is missing
         self._height = self._width = 0
 
     def take(self, finder: BlobFinder) -> None:
@@ -94,6 +95,7 @@ class CellTracker:
         since the picture before.
         """
         passed = 0.0 if self._time is None else seconds - self._time
+        self._brief_s = max(SPECK_S, 1.5 * passed)
         pieces = () if self._time is None else field(self._time, seconds)
         self._time, (self._height, self._width) = seconds, picture.shape
         self.born, self._names.answers = [], []
@@ -141,7 +143,7 @@ class CellTracker:
         pixels = match.pixels_of(expected, self.um_px, self._height)
         shared = match.shared_costs(cells, pixels, blobs, self.um_px)
         owner = match.assigned(
-            own, shared, match.speck_costs(specks, places, seconds, self._body_um)
+            own, shared, match.speck_costs(specks, places, seconds, passed, self._body_um)
         )
         owners: dict[int, list[int]] = {}
         for i, track in enumerate([*cells, *specks]):
@@ -262,7 +264,7 @@ class CellTracker:
                 self._tracks.append(CellTrack(self._last_track, [entry], near=near))
                 continue
             speck = found[j]
-            hidden = seconds - speck.path[-1][0] > SPECK_S
+            hidden = seconds - speck.path[-1][0] > self._brief_s
             speck.path = [entry] if hidden else [*speck.path[1 - PATH :], entry]
             needed = NEAR_BORN if nearest < NEAR * self._body_um else BORN
             if swims(speck.path, needed, self._organism):
@@ -303,7 +305,7 @@ class CellTracker:
         near = any(
             math.dist(each.path[-1][1:3], (x, y)) < FROM * self._body_um
             for each in self._tracks
-            if each.row is None and each.missed_s < SPECK_S
+            if each.row is None and each.missed_s < self._brief_s
         )
         return near or cell.begun is not None or self._near_edge(x, y)
 
@@ -321,7 +323,7 @@ class CellTracker:
         for track in self._tracks:
             if track.row is None:
                 old = len(track.path) == PATH
-                if track.missed_s <= (HIDDEN_SPECK_S if old else SPECK_S):
+                if track.missed_s <= (HIDDEN_SPECK_S if old else self._brief_s):
                     kept.append(track)
                 continue
             x, y = self.bank.mean[track.row, :2].tolist()

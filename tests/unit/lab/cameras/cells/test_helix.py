@@ -108,6 +108,18 @@ def test_rows_are_used_again_and_an_outlier_moves_little():
     assert np.isfinite(likelihood).all()
 
 
+def test_a_long_gap_is_moved_over_in_steps():
+    long, short = HelixFilter(), HelixFilter()
+    for bank in (long, short):
+        bank.mean[bank.add(0.0, 0.0, 0.0, 400.0), [A, TURN]] = 5.0, 0.0
+        bank.covariance[0, :, :] *= 1e-6
+    long.predict([(0.5, 0.0, 1.0)])  # a picture is missing for half a second
+    for _ in range(100):
+        short.predict([(0.005, 0.0, 1.0)])
+    assert math.dist(long.mean[0, :2], short.mean[0, :2]) < 0.5
+    assert long.mean[0, HEADING] == pytest.approx(short.mean[0, HEADING], abs=0.01)
+
+
 def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
     """A cell is kept at a wall for a second by a field that it would follow in open water."""
 

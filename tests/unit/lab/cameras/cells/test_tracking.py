@@ -23,6 +23,11 @@ def test_poses_of_swimming_cells(seed, known):
     assert np.median(np.abs(found.heading)) < 0.05
 
 
+def test_cells_are_followed_at_ten_pictures_a_second():
+    made = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
+    assert Score().add(made, followed(made)).f1 > 0.98
+
+
 def test_numbers_are_kept_through_crossings():
     made = film(seed=12, side=512, cells=4, seconds=4.0)
     for numbers in Score().add(made, followed(made)).numbers.values():

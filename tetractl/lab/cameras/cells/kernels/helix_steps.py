@@ -23,6 +23,7 @@ EXACT, SLOWEST, MODEL = 10, 11, 12
 RESTING_HEADING, RESTING_SPEED, WALL_TURN = 0.5, 2.5, 1.0
 HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
+STEP_S = 0.04  # longest step of the motion [s]
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 9.0  # squared distance, in standard deviations, above which a measurement gets less weight
 # squared distance above which a measurement counts as far, and number of successive ones that are
@@ -148,13 +149,19 @@ def move(m, p, total, model, walled, piece):
 @compiled(**ENTRY)
 def forward(m, p, total, model, walled, before, pieces):
     """Move a cell's state m and covariance p over pieces (P, 3) of constant field, each the
-    duration [s] and the field's x and y, after the piece `before` (3,).
+    duration [s] and the field's x and y, after the piece `before` (3,). A long piece is moved over
+    in steps of at most STEP_S: the middle of a turn of a radian is not where its ends suggest.
     """
+    step = np.empty(3)
     for i in range(len(pieces)):
         last = pieces[i - 1] if i else before
         if not walled and (pieces[i, 1] != last[1] or pieces[i, 2] != last[2]):
             switch(m, p, total, m[SPEED] < model[SLOWEST], last, pieces[i])
-        move(m, p, total, model, walled, pieces[i])
+        steps = max(1, math.ceil(pieces[i, 0] / STEP_S))
+        step[:] = pieces[i]
+        step[0] /= steps
+        for _ in range(steps):
+            move(m, p, total, model, walled, step)
 
 
 @compiled(**ENTRY)

@@ -1,9 +1,12 @@
 """How often the 95 % intervals of `tetractl identify` hold the truth, on simulated logs.
 
     nice python benchmarks/identify_coverage.py --logs 500 --jobs 2
+    nice python benchmarks/identify_coverage.py --logs 40 --trials 20
 
-Each log is of three robots that drive ten seconds in random directions, with a, speeds and a dead
-time drawn for each log, camera noise, a random walk of the headings, and 5 % of the commands lost.
+Each log is of three robots that drive ten seconds in random directions or, with --trials, of a
+trial in which the controller steers them to their targets at that rate. a, speeds and a dead time
+are drawn for each log; there is camera noise, a random walk of the headings, and 5 % of the
+commands are lost.
 """
 
 import argparse
@@ -11,6 +14,7 @@ import json
 import sys
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -31,8 +35,15 @@ NOISE = [
 ]
 
 
-def _log(number: int, sets: list[str]):
-    """Return a log of random directions, and its spec."""
+def _log(number: int, sets: list[str], rate: float | None):
+    """Return a log of random directions, or of a trial with control steps at a rate [Hz], and its
+    spec.
+    """
+    if rate is not None:
+        steps = f"controller.period={1 / rate}"
+        spec = api.load_spec(SPEC, f"trials.seed={number}", steps, *sets, *NOISE)
+        with TemporaryDirectory() as folder:
+            return api.run_trial(spec, folder=folder), spec
     rng = np.random.default_rng([number, 1])
     timing = (f"controller.period={PERIOD}", "controller.signal_periods=1", "wheels.watchdog=null")
     loaded = api.load_spec(SPEC, f"trials.seed={number}", *timing, *sets, *NOISE)
@@ -51,11 +62,11 @@ def _hits(found, truths):
     return hits
 
 
-def coverage(number: int):
+def coverage(number: int, rate: float | None = None):
     """Return which intervals of one log hold the truth."""
     dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
     sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
-    log, spec = _log(number, [*sets, f"plant.dead_time={dead_time}"])
+    log, spec = _log(number, [*sets, f"plant.dead_time={dead_time}"], rate)
     found = identify([track_of(log)], spec.experiment.setup.a)
     facts = log.start.plant.facts
     hits = _hits(
@@ -79,12 +90,13 @@ def main() -> None:
     )
     parser.add_argument("--logs", type=int, default=500)
     parser.add_argument("--first", type=int, default=0, help="number of the first log, its seed")
+    parser.add_argument("--trials", type=float, metavar="HZ", help="logs of trials, at this rate")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.logs)
     total: dict[str, list[bool]] = defaultdict(list)
     with ProcessPoolExecutor(options.jobs) as pool:
-        for done, hits in enumerate(pool.map(coverage, numbers)):
+        for done, hits in enumerate(pool.map(coverage, numbers, repeat(options.trials))):
             for name, each in hits.items():
                 total[name] += each
             if done % 50 == 49:

@@ -45,13 +45,20 @@ class Hypothesis:
 class RobotFilter:
     """Robot i of a kernel's model with one dead time: hypotheses by slot, the stuck one last."""
 
-    def __init__(self, model: kernel.FilterModel, i: int, z: Floats, cov: Floats) -> None:
+    def __init__(
+        self,
+        model: kernel.FilterModel,
+        i: int,
+        z: Floats,
+        cov: Floats,
+        follows: int = kernel.FOLLOWS,
+    ) -> None:
         self.a, self.v, self.helix, self.lag = model.a[i], model.speed[i], model.helix, model.lag
         self.watchdog = model.watchdog
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)
         self.slots: list[Hypothesis | None] = [Hypothesis(math.nan, 0.0, z.copy(), cov.copy())]
-        self.slots += [None] * (kernel.SLOTS - 1)
+        self.slots += [None] * follows
 
     def follow(self, seconds: float, pose: Floats) -> float:
         """Predict and update by a measured pose; return the ln of its likelihood."""
@@ -176,7 +183,7 @@ class RobotFilter:
 
     def best(self) -> int:
         """Return the likely slot of the directions followed."""
-        weights = [-math.inf if s is None else s.ln_weight for s in self.slots[: kernel.FOLLOWS]]
+        weights = [-math.inf if s is None else s.ln_weight for s in self.slots[:-1]]
         return int(np.argmax(weights))
 
     def copy(self, source: int, u: float, ln_weight: float) -> Hypothesis:
@@ -191,10 +198,15 @@ class RobotFilter:
         before = self.slots[best]
         new = self.copy(best, u, before.ln_weight + math.log(1 - ASSUMED.lost))
         new.left = self.watchdog
-        lns = [-math.inf if s is None else s.ln_weight for s in self.slots[: kernel.FOLLOWS]]
+        lns = [-math.inf if s is None else s.ln_weight for s in self.slots[:-1]]
         place = int(np.argmin(lns))
-        for one in filter(None, self.slots[: kernel.FOLLOWS]):
+        for one in filter(None, self.slots[:-1]):
             one.ln_weight += math.log(ASSUMED.lost)
+        self.blur(new, before.u, u, step)
+        self.slots[place] = new
+
+    def blur(self, new: Hypothesis, before: float, u: float, step: float) -> None:
+        """Add the uncertainty of a pose because the time at which u acts is uncertain by `step`."""
 
         def rate(direction: float) -> float:
             if math.isnan(direction):
@@ -202,28 +214,53 @@ class RobotFilter:
             a = self.a * math.exp(new.z[LN_A])
             return a * math.sin(direction + new.z[BIAS] - new.z[HEADING])
 
-        new.cov[HEADING, HEADING] += (step * (rate(u) - rate(before.u))) ** 2 / 12
-        if math.isnan(before.u) != math.isnan(u):
+        new.cov[HEADING, HEADING] += (step * (rate(u) - rate(before))) ** 2 / 12
+        if math.isnan(before) != math.isnan(u):
             far = step * self.v * math.exp(new.z[LN_V])
             new.cov[[X, Y], [X, Y]] += far**2 / 12
-        self.slots[place] = new
+
+    def branch(self, u: float, step: float) -> None:
+        """Let a command act that each hypothesis heard, or not; keep the likeliest of both."""
+        told: list[tuple[float, Hypothesis, bool]] = []
+        for one in filter(None, self.slots[:-1]):
+            same = one.u == u
+            told.append((one.ln_weight + (0 if same else math.log(1 - ASSUMED.lost)), one, True))
+            if not same:
+                told.append((one.ln_weight + math.log(ASSUMED.lost), one, False))
+        kept: list[tuple[Hypothesis, Hypothesis]] = []
+        for ln, one, heard in sorted(told, key=lambda each: -each[0]):
+            way = u if heard else one.u
+            least = ASSUMED.alike * one.cov[HEADING, HEADING]
+            for source, twin in kept:
+                if twin.u == way and (source.z[HEADING] - one.z[HEADING]) ** 2 < least:
+                    twin.ln_weight = float(np.logaddexp(twin.ln_weight, ln))
+                    break
+            else:
+                new = Hypothesis(way, ln, one.z.copy(), one.cov.copy(), one.left)
+                if heard:
+                    self.blur(new, one.u, u, step)
+                    new.left = self.watchdog
+                kept.append((one, new))
+        room = len(self.slots) - 1
+        kept = kept[:room]
+        self.slots[:-1] = [new for _, new in kept] + [None] * (room - len(kept))
 
     def stick(self, seconds: float) -> None:
         """Let the robot get stuck, or come free."""
         best = self.best()
-        moving, stuck = self.slots[best], self.slots[kernel.STUCK]
+        moving, stuck = self.slots[best], self.slots[-1]
         if math.isnan(moving.u):
-            self.slots[kernel.STUCK] = None
+            self.slots[-1] = None
             return
         share = min(0.5, seconds / ASSUMED.stuck_for_s)
         weight = -math.inf if stuck is None else stuck.ln_weight
         sticks = moving.ln_weight + math.log(min(0.5, seconds / ASSUMED.stuck_every_s))
         if weight + math.log(share) > moving.ln_weight:
-            free = self.copy(kernel.STUCK, moving.u, weight + math.log(share))
+            free = self.copy(-1, moving.u, weight + math.log(share))
             free.left = moving.left
             self.slots[best] = free
         elif sticks > weight + math.log(1 - share):
-            self.slots[kernel.STUCK] = self.copy(best, math.nan, sticks)
+            self.slots[-1] = self.copy(best, math.nan, sticks)
             return
         if stuck is not None:
             stuck.ln_weight = weight + math.log(1 - share)

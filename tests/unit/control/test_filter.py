@@ -13,7 +13,17 @@ from support.paths import ROOT
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels import filter as kernel
-from tetractl.control.kernels.filter_state import BIAS, FLOW_X, FLOW_Y, HEADING, MARKER, X
+from tetractl.control.kernels.filter_state import (
+    BIAS,
+    FLOW_X,
+    FLOW_Y,
+    FOLLOWS,
+    HEADING,
+    LOG_FOLLOWS,
+    MARKER,
+    Bank,
+    X,
+)
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer, Stop
@@ -255,8 +265,11 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
     assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 150, abs=5)
 
 
-@pytest.mark.parametrize(("lag", "watchdog"), [(0.0, math.inf), (0.04, math.inf), (0.04, 0.15)])
-def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
+@pytest.mark.parametrize(
+    ("lag", "watchdog", "follows"),
+    [(0.0, math.inf, 3), (0.04, math.inf, 3), (0.04, 0.15, 3), (0.0, math.inf, LOG_FOLLOWS)],
+)
+def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows):
     """Random commands and poses near the path, until weights, states and covariances agree."""
     rng = np.random.default_rng(5)
     prior = Prior(
@@ -265,10 +278,14 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
     bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog))
     model, made = bank._model, bank._bank
     made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
+    if follows > FOLLOWS:
+        mean, std = made.state[:, :, 0], np.sqrt(made.cov[0, :, 0].diagonal(axis1=1, axis2=2))
+        made = Bank.start(made.tau[:, 0], mean, std, made.pitch[:, 0], follows)
     made.tau[:] = 0.1
     start = np.array([10.0, 20.0, 3.1])
     kernel.place(made, model, np.empty(0), np.empty(0), 0.0, start[None], np.array([True]))
-    slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0])
+    slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0], follows)
+    command = slow.branch if follows > FOLLOWS else slow.switch
     when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
     u[5] = math.nan  # a stop
     acts, now, pose, score = list(when + 0.1), 0.0, start.copy(), 0.0
@@ -285,7 +302,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
             for one in filter(None, slow.slots):
                 slow.advance(one, acts[0] - at)
             at = acts.pop(0)
-            slow.switch(float(u[len(u) - len(acts) - 1]), 0.02)
+            command(float(u[len(u) - len(acts) - 1]), 0.02)
         for one in filter(None, slow.slots):
             slow.advance(one, until - at)
         if seen[1, 0]:

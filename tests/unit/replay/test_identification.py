@@ -25,20 +25,23 @@ NOISY = (
 )
 
 
-def drive(seed, *sets, steps=50, period_s=0.2):
-    """Drive simulated robots in random directions; return the plant and their track."""
+def drive(seed, *sets, steps=50, period_s=0.2, directions=None):
+    """Drive simulated robots in random directions, or in those given; return the plant and their
+    track."""
     experiment = load_spec(EXPERIMENT, sets).experiment
     clock, setup = VirtualClock(), experiment.setup
     plant = SimPlant(experiment.plant, setup, clock, np.random.SeedSequence(seed))
     plant.open()
     samples, commands = [], []
-    for k, u in enumerate(np.random.default_rng(seed).uniform(-2, 2, steps)):
+    if directions is None:
+        directions = np.random.default_rng(seed).uniform(-2, 2, steps)
+    for k, u in enumerate(directions):
         clock.sleep_until(round(k * period_s * SECOND))
         plant.observe()
         command = plant.send(Steer(float(u)))
         samples += plant.samples()
         commands += [*plant.news(), command]
-    clock.sleep_until(round(steps * period_s * SECOND))
+    clock.sleep_until(round(len(directions) * period_s * SECOND))
     stop = plant.stop()
     plant.settle()
     samples += plant.samples()
@@ -55,6 +58,7 @@ def drive(seed, *sets, steps=50, period_s=0.2):
         sent=np.array([one.sent_ns for one in commands]) / SECOND,
         u=np.array([one.direction for one in commands]),
         until=stop.sent_ns / SECOND,
+        watchdog=setup.watchdog_s,
     )
 
 
@@ -89,6 +93,36 @@ def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time):
         assert abs(interval.value - truth) <= 2 * width + 1e-4
     held = sum(interval.low <= truth <= interval.high for interval, truth in intervals)
     assert held >= 0.8 * len(intervals)
+
+
+def noise_is_right(found):
+    """Whether most intervals of the noise hold the truth of NOISY, and all are near it."""
+    each = [
+        (interval, truth)
+        for robot in found.robots
+        for interval, truth in (
+            (robot.position_noise, 0.5), (robot.heading_noise, 0.01), (robot.heading_walk, 0.03)
+        )
+    ]  # fmt: skip
+    near = [abs(one.value - truth) < 2 * (one.high - one.low) for one, truth in each]
+    return sum(one.low <= truth <= one.high for one, truth in each) >= 7 and all(near)
+
+
+def test_a_lost_command_that_stops_a_robot_by_its_watchdog_is_no_noise():
+    sets = (*NOISY[:2], "plant.dead_time=0.08", "plant.lost_commands=0.05")
+    _, track = drive(9, *sets)
+    found = identify([track], EXPECTED)
+    assert not any(robot.misfits for robot in found.robots)
+    assert noise_is_right(found)
+
+
+def test_commands_that_follow_before_a_frame_tells_are_no_noise():
+    """Directions as of a controller at 20 Hz: each sent four times, and most turn little."""
+    rng = np.random.default_rng(6)
+    turns = np.where(rng.uniform(size=50) < 0.15, rng.uniform(-2, 2, 50), 0.1 * rng.normal(size=50))
+    sets = (*NOISY[:2], "plant.dead_time=0.08", "plant.lost_commands=0.05")
+    _, track = drive(6, *sets, period_s=0.05, directions=np.repeat(np.cumsum(turns), 4))
+    assert noise_is_right(identify([track], EXPECTED))
 
 
 def test_lost_commands_are_counted():

@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter_motion import advance
-from tetractl.control.kernels.filter_state import ASSUMED, FOLLOWS, MOVED, SIZE, SLOTS
+from tetractl.control.kernels.filter_state import ASSUMED, MOVED, SIZE, SLOTS
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.model.motion.polynomials import wrap
@@ -131,17 +131,27 @@ def likeliest(weight, count):
 
 
 @compiled(**INLINE_FAST)
-def _switch(bank, model, b, i, u, step, now):
-    """Add the hypotheses that robot i follows u [rad] from `now` [s] on, or did not receive it.
+def _blur(model, i, z, cov, before, u, step):
+    """Add the uncertainty of the pose because the time at which u replaces `before` is uncertain by
+    `step`, the spacing of the bank's dead times [s]."""
+    changes = _rate(model, i, z, u) - _rate(model, i, z, before)
+    cov[at.HEADING, at.HEADING] += (step * changes) ** 2 / 12
+    if math.isnan(before) != math.isnan(u):
+        speed = model.speed[i] * math.exp(z[at.LN_V])
+        cov[at.X, at.X] += (step * speed) ** 2 / 12
+        cov[at.Y, at.Y] += (step * speed) ** 2 / 12
 
-    The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
-    """
+
+@compiled(**INLINE_FAST)
+def _switch(bank, model, b, i, u, step, now):
+    """Add the hypothesis that robot i, in its likeliest state, follows u [rad] from `now` [s]."""
     weight, held, until = bank.weight[b, i], bank.u[b, i], bank.until[b, i]
-    best = place = likeliest(weight, FOLLOWS)
-    for s in range(FOLLOWS):
+    follows = weight.size - 1
+    best = place = likeliest(weight, follows)
+    for s in range(follows):
         place = s if weight[s] < weight[place] else place
     heard = weight[best] + math.log(1 - ASSUMED.lost)
-    for s in range(FOLLOWS):
+    for s in range(follows):
         if held[s] == u and weight[s] > -math.inf:  # the direction is the same as before
             if weight[s] < heard:
                 _copy(bank, b, i, best, s)
@@ -149,24 +159,55 @@ def _switch(bank, model, b, i, u, step, now):
             until[s] = now + model.watchdog
             return
     _copy(bank, b, i, best, place)
-    for s in range(FOLLOWS):
+    for s in range(follows):
         weight[s] += math.log(ASSUMED.lost)
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
     before = held[best] if now < until[best] else math.nan
-    changes = _rate(model, i, z, u) - _rate(model, i, z, before)
-    cov[at.HEADING, at.HEADING] += (step * changes) ** 2 / 12
-    if math.isnan(before) != math.isnan(u):
-        speed = model.speed[i] * math.exp(z[at.LN_V])
-        cov[at.X, at.X] += (step * speed) ** 2 / 12
-        cov[at.Y, at.Y] += (step * speed) ** 2 / 12
+    _blur(model, i, z, cov, before, u, step)
     held[place], until[place], weight[place] = u, now + model.watchdog, heard
+
+
+@compiled(**INLINE_FAST)
+def _branch(bank, model, b, i, u, step, now):
+    """Let robot i, in the state of each hypothesis, follow u [rad] from `now` [s], or not receive
+    it, and keep the likeliest; two that follow one direction at like headings are one.
+    """
+    weight, held, until = bank.weight[b, i], bank.u[b, i], bank.until[b, i]
+    follows = weight.size - 1
+    state, cov = bank.state[b, i, :follows].copy(), bank.cov[b, i, :follows].copy()
+    before, stops = held[:follows].copy(), until[:follows].copy()
+    source, kept, ln = np.empty(follows, np.int64), 0, np.empty(2 * follows)
+    for s in range(follows):
+        same = before[s] == u
+        ln[s] = weight[s] + (0.0 if same else math.log(1 - ASSUMED.lost))
+        ln[follows + s] = -math.inf if same else weight[s] + math.log(ASSUMED.lost)
+        weight[s] = -math.inf
+    for _ in range(2 * follows):
+        best = likeliest(ln, 2 * follows)
+        s, chance, twin = best % follows, ln[best], -1
+        way = u if best < follows else before[s]
+        ln[best] = -math.inf
+        for k in range(kept):
+            gap = state[source[k], at.HEADING] - state[s, at.HEADING]
+            like = gap**2 < ASSUMED.alike * cov[s, at.HEADING, at.HEADING]
+            twin = k if twin < 0 and like and held[k] == way else twin
+        if twin >= 0 and chance > -math.inf:
+            weight[twin] += math.log(1 + math.exp(chance - weight[twin]))
+        elif kept < follows and chance > -math.inf:
+            z, p = bank.state[b, i, kept], bank.cov[b, i, kept]
+            z[:], p[...] = state[s], cov[s]
+            source[kept], weight[kept], held[kept], until[kept] = s, chance, way, stops[s]
+            if best < follows:
+                until[kept] = now + model.watchdog
+                _blur(model, i, z, p, before[s] if now < stops[s] else math.nan, u, step)
+            kept += 1
 
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds, now):
     """Exchange probability between driving and being stuck, for the `seconds` before `now`."""
     weight = bank.weight[b, i]
-    best, stuck = likeliest(weight, FOLLOWS), weight.size - 1
+    best, stuck = likeliest(weight, weight.size - 1), weight.size - 1
     if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
         weight[stuck] = -math.inf
         return
@@ -187,7 +228,7 @@ def _weigh(bank, b, i, model, pose, seconds, found, best, work):
     """Update all hypotheses of robot i by a pose; return the logarithm of the pose's likelihood."""
     weight, scale = bank.weight[b, i], bank.scale[b, i]
     most, total = -math.inf, 0.0
-    for s in range(SLOTS):
+    for s in range(bank.weight.shape[2]):
         if weight[s] > -math.inf:
             z, cov = bank.state[b, i, s], bank.cov[b, i, s]
             weight[s] += _measure(model, i, z, cov, scale, pose, found, work)
@@ -195,10 +236,10 @@ def _weigh(bank, b, i, model, pose, seconds, found, best, work):
                 most = weight[s]
                 for k in range(3):
                     best[k] = found[k]
-    for s in range(SLOTS):
+    for s in range(bank.weight.shape[2]):
         total += math.exp(weight[s] - most)
     total = most + math.log(total)
-    for s in range(SLOTS):
+    for s in range(bank.weight.shape[2]):
         if weight[s] > -math.inf:
             weight[s] = max(weight[s] - total, ASSUMED.least_weight)
     places, turns = best[0] ** 2 + best[1] ** 2, best[2] ** 2
@@ -240,7 +281,7 @@ def _test(white, found):
 def _place(bank, b, i, model, pose):
     """Set the pose of every hypothesis of robot i to a measured pose (3,)."""
     bank.unfit[b, i] = 0.0
-    for s in range(SLOTS):
+    for s in range(bank.weight.shape[2]):
         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
         z[at.X], z[at.Y], z[at.HEADING] = pose[0], pose[1], pose[2] - z[at.MARKER]
         for j in (at.X, at.Y, at.HEADING):
@@ -262,7 +303,7 @@ def place(bank, model, when, u, time, poses, which):
                 acting -= 1
             if acting > 0:
                 bank.next[b, i] = acting
-                for s in range(SLOTS):
+                for s in range(bank.weight.shape[2]):
                     bank.u[b, i, s] = u[acting - 1]
                     bank.until[b, i, s] = when[acting - 1] + model.watchdog + bank.tau[b, i]
 
@@ -307,7 +348,7 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
                     if coming < when.size:
                         acts = when[coming] + bank.tau[b, i]
                     end = max(t, min(acts, until))
-                    for s in range(SLOTS):
+                    for s in range(bank.weight.shape[2]):
                         if bank.weight[b, i, s] > -math.inf:
                             z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
                             stops = min(max(bank.until[b, i, s], t), end)
@@ -316,7 +357,10 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
                                     advance(model, i, z, cov, way, scale, left, work[0])
                     t = end
                     if acts <= until:
-                        _switch(bank, model, b, i, u[coming], step, t)
+                        if bank.weight.shape[2] > SLOTS:
+                            _branch(bank, model, b, i, u[coming], step, t)
+                        else:
+                            _switch(bank, model, b, i, u[coming], step, t)
                         bank.next[b, i] += 1
                 if used:
                     pose, gap = poses[f, i], until - since

@@ -24,6 +24,9 @@ FOLLOWS = STUCK = 3
 """Number of latest commands that a robot may follow; then comes the slot of the hypothesis that a
 robot stands although it was sent a direction."""
 SLOTS = STUCK + 1
+LOG_FOLLOWS = 6
+"""The same number for logs, where commands may follow each other sooner than the frames tell
+whether a robot heard the one before: it may have heard any of them, and the likeliest are kept."""
 
 
 class Assumed(NamedTuple):
@@ -32,6 +35,7 @@ class Assumed(NamedTuple):
     still: float = 1e-3  # pace below which a stopped robot counts as standing
     substep_s: float = 0.025  # longest step of the prediction
     lost: float = 0.05  # probability that a command does not arrive
+    alike: float = 0.1  # squared difference of two hypotheses' headings, over the variance
     stuck_every_s: float = 30.0  # mean time until a robot gets stuck
     stuck_for_s: float = 0.5  # mean time for which it is stuck
     gate: float = 30.0  # squared deviation above which a measurement is an outlier
@@ -87,7 +91,7 @@ class FilterModel(NamedTuple):
 
 
 class Bank(NamedTuple):
-    """B filters of each of N robots, each with its own dead time and SLOTS hypotheses."""
+    """B filters of each of N robots, each with its own dead time and SLOTS or more hypotheses."""
 
     state: Floats  # (B, N, SLOTS, STATE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
@@ -105,17 +109,25 @@ class Bank(NamedTuple):
     pitch: NDArray[np.int64]  # (B, N) which frequency of the helix the filter started from
 
     @classmethod
-    def start(cls, tau: Floats, mean: Floats, std: Floats, pitch: NDArray[np.int64]) -> Self:
+    def start(
+        cls,
+        tau: Floats,
+        mean: Floats,
+        std: Floats,
+        pitch: NDArray[np.int64],
+        follows: int = FOLLOWS,
+    ) -> Self:
         """Return filters with dead times tau (B,) of robots that stand, with one hypothesis each:
         means and standard deviations of the states, (B, N, STATE) and (N, SIZE), and `pitch` (B,).
+        There is room for `follows` hypotheses of robots that drive, and one of a stuck robot.
         """
-        count, total = len(std), len(tau)
-        weight = np.full((total, count, SLOTS), -np.inf)
+        count, total, slots = len(std), len(tau), follows + 1
+        weight = np.full((total, count, slots), -np.inf)
         weight[..., 0] = 0.0
-        cov = np.zeros((total, count, SLOTS, SIZE, SIZE))
+        cov = np.zeros((total, count, slots, SIZE, SIZE))
         cov[..., range(SIZE), range(SIZE)] = std[:, None] ** 2
         return cls(
-            np.repeat(mean[:, :, None], SLOTS, axis=2),
+            np.repeat(mean[:, :, None], slots, axis=2),
             cov,
             np.full(weight.shape, np.nan),
             np.full(weight.shape, np.inf),

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from tetractl.control.kernels.filter_state import (
     BIAS,
-    FOLLOWS,
     LN_A,
     LN_V,
+    LOG_FOLLOWS,
     SIZE,
     STATE,
     Bank,
@@ -42,7 +42,7 @@ class TrackFrames:
     """M frames of a track and the C directions u [rad], sent `when` (C,) [s], that act in them.
 
     `used` (M, N) is which of the poses (M, N, 3) the filter is updated by; at those with `placed`
-    (M, N) it starts from the camera's pose.
+    (M, N) it starts from the camera's pose. Robots that receive nothing for `watchdog` [s] stop.
     """
 
     time: Floats
@@ -51,6 +51,7 @@ class TrackFrames:
     placed: Bools
     when: Floats
     u: Floats
+    watchdog: float
 
     @classmethod
     def of(cls, track: Track) -> "TrackFrames":
@@ -76,12 +77,10 @@ class TrackFrames:
         latest = np.maximum.accumulate(np.where(seen, time[:, None], -np.inf), axis=0)
         before = np.vstack([np.full((1, seen.shape[1]), -np.inf), latest])[: len(time)]
         placed = seen & (time[:, None] - before > UNSEEN_S)
-        changes = np.append(True, np.diff(track.u) != 0)  # a repeated direction changes nothing
-        when = track.sent[changes]
-        most = np.diff(np.searchsorted(when, time)).max(initial=0)
+        most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
         if most > DIRECTIONS_MAX:
             raise UsageError(f"{most} directions were sent between two frames", "log more frames")
-        return cls(time, poses, seen & ~placed, placed, when, track.u[changes])
+        return cls(time, poses, seen & ~placed, placed, track.sent, track.u, track.watchdog)
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
@@ -141,13 +140,15 @@ def run(
     """
     from tetractl.control.kernels import filter as kernel
 
-    model, bank = _start(belief, tau)
+    first, bank = _start(belief, tau)
     each, middle = np.arange(len(rows)), len(tau) // 2
     likelihood, lost = np.zeros((len(tau), len(rows))), np.zeros(len(rows))
     residuals = []
     for track in tracks:
         bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
         bank.u[...], bank.next[:] = track.u[0], 1  # the first direction also acts before its time
+        bank.until[...] = bank.tau[..., None] + track.when[0] + track.watchdog
+        model = first._replace(watchdog=track.watchdog)
         of_all = track.poses, track.used, track.placed
         poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
         missed = np.zeros((len(track.u), len(rows)))
@@ -166,7 +167,7 @@ def run(
                 z = bank.state[middle, each, weight.argmax(axis=1)]
                 residuals.append(np.where(use[:, None], _residual(pose, z), np.nan))
                 others = np.exp(weight) * (bank.u[middle] != track.u[latest][:, None])
-                missed[latest, each] = others[:, :FOLLOWS].sum(axis=1)
+                missed[latest, each] = others[:, :-1].sum(axis=1)
         lost += missed.sum(axis=0)
         best = bank.weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
@@ -205,7 +206,7 @@ def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
     walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
     mean, std, one = np.zeros((len(tau), count, STATE)), np.zeros((count, SIZE)), np.ones(count)
     mean[..., STATES], std[:, STATES] = belief.mean, belief.std
-    bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64))
+    bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64), LOG_FOLLOWS)
     noise = np.ascontiguousarray(noise)
     return FilterModel(one, one, noise, walk, 0.0, 0.0, np.inf), bank
 

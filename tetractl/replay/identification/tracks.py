@@ -32,7 +32,8 @@ class Track:
     [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
     sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
-    command decided on it, None if unknown. `left_out` are cells that were seen too briefly.
+    command decided on it, None if unknown. `left_out` are cells that were seen too briefly. Robots
+    that receive nothing for `watchdog` [s] stop.
     """
 
     source: str
@@ -47,6 +48,7 @@ class Track:
     until: float
     frame_age: float | None = None
     left_out: tuple[str, ...] = ()
+    watchdog: float = math.inf
 
 
 def track_of(log: TrialLog) -> Track:
@@ -71,6 +73,7 @@ def track_of(log: TrialLog) -> Track:
         u=np.array([one.direction for one in sent], dtype=float),
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
+        watchdog=setup.watchdog_s,
     )
 
 

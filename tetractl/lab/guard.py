@@ -17,6 +17,7 @@ from enum import StrEnum
 from functools import partial
 
 from tetractl.core.clock import SECOND
+from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
@@ -167,7 +168,7 @@ class Guard:
 
     def late(self, missed: bool) -> None:
         """Count a control step that missed its deadline; abort after `late_steps` in a row."""
-        self._late = self._late + 1 if missed else 0
+        self._late = self._late + 1 if missed and self._ahead else 0
         if self._late >= self.rules.limits.late_steps and self._active:
             self.abort(f"{self._late} control steps in a row were late")
 
@@ -259,7 +260,7 @@ class Guard:
             if asleep_ns >= limits.stream_lost * SECOND:
                 self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
             silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
-            if silent_ns >= self.rules.silence_ns:
+            if self._ahead and silent_ns >= self.rules.silence_ns:
                 silent = f"the controller gave no direction for {silent_ns / SECOND:.1f} s"
                 self.abort(f"{steps} control steps in a row were late: {silent}")
             if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= limits.stream_lost * SECOND:
@@ -273,6 +274,9 @@ class Guard:
         if not self._active:
             return Ruling(self.state, still, accepted, self.reason, warnings)
         fresh = now_ns - (self._last_frame_ns or 0) <= limits.stale * SECOND
+        # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
+        turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
+        fresh &= self._ahead or now_ns - self._steered_ns < turn_ns
         let = tracked if self.rules.individual else (True,) * len(tracked)
         moving = let if fresh else still
         well = zip(moving, tracked, self._left, strict=True)

@@ -215,6 +215,25 @@ def test_late_steps_abort_in_a_row_only():
     assert course.guard.reason == "5 control steps in a row were late"
 
 
+def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
+    """Regression: every turn at 20 Hz, which lasts 0.55 s, ended the trial."""
+    course = running(replace(RULES, silence_ns=500 * MS))
+    course.guard.steered(course.at, ahead=False)
+    began = course.at
+    while course.at - began < 990 * MS:
+        assert course.frame().moving == (True, True)
+    for _ in range(250):
+        ruling = course.frame()
+    assert (ruling.state, ruling.moving) == (GuardState.HOLD, (False, False))
+    for _ in range(5):
+        course.guard.late(True)
+    course.guard.steered(course.at)
+    assert course.frame().moving == (True, True)
+    for _ in range(63):
+        course.frame()
+    assert "gave no direction for 0.5 s" in course.guard.reason
+
+
 def test_a_controller_that_falls_silent_stops_the_robots():
     course = running()
     while course.guard.state is not GuardState.ABORT:

@@ -8,8 +8,9 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Health, Note, Steer, Stop
+from tetractl.core.commands import Command, Health, Note, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
+from tetractl.core.plan import PAUSE_S
 from tetractl.core.tour import LossRule
 from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.rest_check import REST_NS
@@ -139,6 +140,16 @@ def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(cal
     assert (stop.action, stop.sent_ns) == (Stop(), stops[0])
     others = [one.sent_ns for one in lab.plant.news() if isinstance(one, Command)]
     assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]
+
+
+def test_a_trial_at_20_hz_goes_on_after_a_turn_on_the_spot_and_a_long_search():
+    lab = opened(replace(SETUP, period_s=0.05))
+    for search_s in (0.0, 3.0):
+        lab.plant.send(Turn(0.5))
+        wait(lab, PAUSE_S + 0.05)
+        lab.plant.observe()
+        wait(lab, search_s)
+        assert lab.plant.send(Steer(0.5)).delivered == (True,) * 3
 
 
 def test_a_stop_that_cannot_be_sent_has_the_time_of_the_attempt():

@@ -26,7 +26,6 @@ from solverbench.problems import OURS
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load
 
-from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import PlantInfo, Sample
 from tetractl.core.poses import Floats
@@ -38,6 +37,7 @@ from tetractl.model.motion.exact import step as exact
 from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval
 from tetractl.results.mean_difference import paired_t
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds

@@ -25,7 +25,6 @@ from solverbench.problems import OURS, PAPER
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.control.build import build_controller
 from tetractl.control.filter import Ahead, FilterBank
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import RecommendedMpc
@@ -42,6 +41,7 @@ from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.results.estimate import distributions, percent
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds

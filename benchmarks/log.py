@@ -41,7 +41,7 @@ from support.fuzz import Original, fuzz  # noqa: E402
 from support.running import ENDLESS  # noqa: E402
 from support.tampering import lab_log, score, sim_log  # noqa: E402
 
-from tetractl.control.build import build_controller, warm_up  # noqa: E402
+from tetractl.control.build import warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402
 from tetractl.core.commands import PlantInfo  # noqa: E402
 from tetractl.core.protocols import LabSupervision, Observer  # noqa: E402
@@ -54,6 +54,7 @@ from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
 from tetractl.log.write.writer import LogWriter  # noqa: E402
 from tetractl.replay.verify import verify  # noqa: E402
+from tetractl.run.checked_controller import build_controller  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.run_trial import Trial  # noqa: E402
 from tetractl.run.task import (  # noqa: E402

@@ -27,13 +27,13 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.experiment.controller import Square
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
 from tetractl.plant.simulation import SimSection
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from tetractl.control.build import build_controller
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
@@ -16,6 +15,7 @@ from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds

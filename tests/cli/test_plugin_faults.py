@@ -29,6 +29,7 @@ from tetractl.experiment.controller import ALONE, ControllerSection
 class East(ControllerSection):
     type: Literal["east"]
     fails_at: int = 99
+    ends: str = "no"
     def build(self, setup, key, host=ALONE):
         return Driver(self)
 
@@ -41,6 +42,10 @@ class Driver:
             return Outcome.STEPS_MAX
         1 / (self.section.fails_at - self.k)
         cost, signals = 1.0, np.zeros(1)
+        if self.k == 3 and self.section.ends == "exit":
+            raise SystemExit(0)
+        if self.k == 3 and self.section.ends == "nan":
+            cost = np.nan
         search = Search(1, signals, cost, np.array([cost]), 1, StopReason.CRITERION)
         path = np.stack([observation.poses.array()] * 2)
         return Plan(signals, path, cost, cost, 0.0, (search,), 0, 0)
@@ -113,3 +118,16 @@ def test_a_robot_that_a_plug_in_holds_for_ever_is_told_in_log_and_table(tetractl
     assert "warning  a does not move though commanded to" in shown
     assert "steps max (a stood for 4 s though commanded to move) after 21" in shown
     assert tetractl("verify", "logs").returncode == 0
+
+
+def test_what_a_controller_returns_is_checked_and_names_it(tetractl):
+    """`sys.exit` is an error too; in both cases the log is complete and can be read."""
+    for out, told in (
+        ("nan", "(mine 1.0) returned a Plan that cannot be used: a cost is nan"),
+        ("exit", "raised SystemExit: 0"),
+    ):
+        done = tetractl("run", "one.yaml", "--out", out, "-q", "--set", f"controller.ends={out}")
+        assert done.returncode == 1
+        assert done.stderr.startswith("error: trial 1: plug-in controller 'east' (mine 1.0")
+        assert told in done.stderr
+        assert tetractl("verify", out).ok().stdout.startswith(f"{out}/trial-000.mcap: ok")

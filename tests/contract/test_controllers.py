@@ -9,7 +9,6 @@ from support.plants import sim
 from support.scripted import seen
 from support.trials import THREE_M3PI, experiment
 
-from tetractl.control.build import build_controller
 from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
@@ -18,6 +17,7 @@ from tetractl.experiment.load import LoadedSpec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import verify
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 

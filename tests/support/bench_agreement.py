@@ -18,13 +18,13 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 import tetractl
 from tetractl import TrialLog
-from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
 from tetractl.core.trial import EPOCH_NS, TrialRecords
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.simulation import SimSection
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.control.build import build_controller
 from tetractl.core.poses import Observation
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
+from tetractl.run.checked_controller import build_controller
 
 
 def spec(

@@ -21,7 +21,8 @@ import sys, time
 from contextlib import ExitStack
 from pathlib import Path
 from tetractl.core.clock import MonotonicClock
-from tetractl.control.build import build_controller, warm_up
+from tetractl.control.build import warm_up
+from tetractl.run.checked_controller import build_controller
 from tetractl.core.trial import EPOCH_NS, Start
 from tetractl.log.write.writer import LogWriter
 from tetractl.core.protocols import LabSupervision

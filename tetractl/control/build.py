@@ -1,26 +1,14 @@
-"""Builds the controller of a spec, and compiles the functions that it runs."""
+"""Compiles the functions that the controller of a spec runs."""
 
 import gc
 import time
 from collections.abc import Callable
 
-from tetractl.control.work_clock import WorkClock
 from tetractl.core.cache import compiling
-from tetractl.core.protocols import Controller
-from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.section_abilities import Modelled, Searches
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
-
-
-def build_controller(experiment: Experiment, key: int) -> Controller:
-    """Return the controller of one trial, seeded by `key`; in virtual time, its timer counts
-    work."""
-    if experiment.plant.real_time:
-        return experiment.controller.build(experiment.setup, key)
-    work = WorkClock()
-    return experiment.controller.build(experiment.setup, key, Host(work.wrap, work))
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:

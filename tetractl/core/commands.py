@@ -75,12 +75,18 @@ class Command(Sent):
 
     `delivered` (N,) is False for a robot
     that did not receive it, as far as is known. `left`, `right` (N,) are the wheel speeds of the
-    paper's equations (24)-(25) [length unit/s], None for robots without wheels.
+    paper's equations (24)-(25) [length unit/s], None for robots without wheels; these arrays cannot
+    be written.
     """
 
     delivered: tuple[bool, ...]
     left: Floats | None = None
     right: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if self.left is not None and self.right is not None:
+            self.left.setflags(write=False)
+            self.right.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,14 @@ class AbortError(TetractlError):
     """The plant cannot go on, because of a fault in the lab; the robots are stopped."""
 
 
+class WrongValueError(TetractlError):
+    """`who`, an object of the class of `giver`, returned `what`, which cannot be sent or logged."""
+
+    def __init__(self, giver: object, who: str, what: str) -> None:
+        super().__init__(f"{who} returned {what}")
+        self.giver, self.who, self.what = giver, who, what
+
+
 class WireError(ValueError):
     """Bytes that do not follow a wire format, or values that cannot be sent in it.
 
@@ -87,3 +95,12 @@ def cell(text: str) -> str:
 def unit_of(unit: str) -> str:
     """Return a spec's length unit as written for readers, such as "µm"."""
     return unit.replace("um", "µm")
+
+
+def text_of(error: BaseException) -> str:
+    """Return class and text of an exception for one line, even if its text cannot be made."""
+    try:
+        text = " ".join(str(error)[:2000].split())
+    except Exception as fault:
+        text = f"its text raises {type(fault).__name__}"
+    return printable(f"{type(error).__name__}: {text}" if text else type(error).__name__, 300)

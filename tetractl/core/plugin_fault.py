@@ -2,15 +2,16 @@
 
 import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from traceback import extract_tb
 
-from tetractl.core.errors import TetractlError, printable
+from tetractl.core.errors import TetractlError, WrongValueError, printable, text_of
 from tetractl.core.registries import REGISTRIES
 
 HINT = "PYTHONDEVMODE=1 prints its traceback"
+CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
 # reason, file and line in an error of numba's compiler
 COMPILED = re.compile(r'(\S[^\n]*)\n\s*File "([^"]+)", line (\d+)')
 
@@ -23,33 +24,49 @@ class FaultyPluginError(TetractlError):
 
 @contextmanager
 def plugins_blamed() -> Iterator[None]:
-    """Raise FaultyPluginError for an unexpected error of a plug-in inside the `with` block."""
+    """Raise FaultyPluginError for an unexpected error of a plug-in, such as `sys.exit`, inside the
+    `with` block."""
     try:
         yield
-    except TetractlError:
+    except KeyboardInterrupt:
         raise
-    except Exception as error:
+    except BaseException as error:
         if fault := plugin_fault(error):
             raise fault from error
         raise
 
 
-def plugin_fault(error: Exception) -> FaultyPluginError | None:
-    """Return an error that names the plug-in whose code raised `error`, or called what raised it;
-    None if there is no such plug-in.
+def plugin_fault(
+    error: BaseException, packages: Mapping[str, str] | None = None
+) -> FaultyPluginError | None:
+    """Return an error that names the plug-in whose code raised `error`, called what raised it, or
+    returned a wrong value; None if there is no such plug-in, or for another TetractlError.
+
+    If none is found, but `packages`, name and version, provide kinds, these are named: one may have
+    returned a value with which tetractl's code fails.
     """
-    calls, why = extract_tb(error.__traceback__), " ".join(str(error).split())
+    if isinstance(error, WrongValueError):
+        if owner := _owner(_file(type(error.giver).__module__)):
+            text = f"plug-in {error.who} ({owner[1]}) returned {error.what}"
+            return FaultyPluginError(text, CHECK)
+    elif isinstance(error, TetractlError):
+        return None
+    calls, why = extract_tb(error.__traceback__), text_of(error)
+    places: list[tuple[str, str, object]]
     places = [(why, call.filename, call.lineno) for call in reversed(calls)]
-    for what, file, line in [*places, *COMPILED.findall(str(error))]:
+    with suppress(Exception):  # it may have no text
+        places += COMPILED.findall(str(error)[:20_000])
+    for what, file, line in places:
         if owner := _owner(Path(file).absolute()):
-            what = printable(f"{type(error).__name__}: {what}", 300)
+            what = printable(what, 300)
             text = f"plug-in {owner[0]} ({owner[1]}, {file}:{line}) raised {what}"
             fault = FaultyPluginError(text, HINT)
             fault.calls = tuple(
                 f"{call.filename}:{call.lineno} in {call.name}: {call.line}" for call in calls[-20:]
             )
             return fault
-    return None
+    used = ", ".join(f"{name} {version}" for name, version in (packages or {}).items())
+    return FaultyPluginError(f"{why}; the spec uses plug-ins of {used}", CHECK) if used else None
 
 
 def _owner(file: Path) -> tuple[str, str] | None:

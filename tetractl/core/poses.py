@@ -91,7 +91,7 @@ class Observation:
 
     `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
     the trial's clock; `valid` (N,) is True for robots tracked in that frame. A robot that was
-    not tracked keeps its last pose.
+    not tracked keeps its last pose. The arrays cannot be written: they are shared with the log.
     """
 
     frame: int
@@ -99,6 +99,10 @@ class Observation:
     received_ns: int
     poses: Poses
     valid: Bools
+
+    def __post_init__(self) -> None:
+        for each in (self.poses.x, self.poses.y, self.poses.heading, self.valid):
+            each.setflags(write=False)
 
 
 INSIDE = 0.95

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, text_of
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.worker import WAITING_MAX, drained
@@ -161,13 +161,13 @@ class InnerLoop:
             self._tick()
         except AbortError as error:
             self.guard.abort(str(error))
-        except Exception as error:
-            reason, now = f"{type(error).__name__}: {error}", self._clock.now()
+        except (Exception, SystemExit) as error:
+            reason, now = text_of(error), self._clock.now()
             self.guard.abort(reason)
             if not self._aborted:
                 self._aborted, self._stops_left, self._next_ns = True, STOPS, now
             if self._stops_left:  # here, as the next step may fail before its stop
-                with suppress(Exception):
+                with suppress(Exception, SystemExit):
                     self._repeat_stop(now)
             fault = plugin_fault(error)  # slow, so after the stop
             if fault and self.guard.reason == reason:

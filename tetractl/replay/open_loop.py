@@ -28,6 +28,7 @@ from tetractl.log.format.codec import drawn
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.identification.tracks import require_field, stopped_ns
 from tetractl.replay.recompute import first_steps, plan_again
+from tetractl.run.checked_controller import CheckedController
 from tetractl.run.task import trial_seeds
 
 
@@ -201,7 +202,7 @@ def what_if(log: TrialLog, other: Experiment) -> WhatIf:
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     setup = other.setup
     work = WorkClock()
-    controller = other.controller.build(setup, key, Host(work.wrap, work))
+    controller = CheckedController(other.controller, setup, key, Host(work.wrap, work))
     found, ended, last = [], "", None
     steps = first_steps(log)
     for step in steps:

@@ -18,6 +18,7 @@ from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Problem, Search, StopReason
+from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Result, Step
@@ -32,6 +33,7 @@ from tetractl.replay.comparison import (
     TooLongError,
     first_difference,
 )
+from tetractl.run.checked_controller import CheckedController
 from tetractl.run.task import trial_seeds
 
 TOLERANCE = 1e-9
@@ -79,7 +81,7 @@ class Rerun:
     def controller(self, log: TrialLog, key: int) -> Controller:
         """Return the controller of a log, with the logged searches and the random key `key`."""
         host = Host(lambda optimizer: _Repeated(optimizer, self), self._timer)
-        return log.experiment.controller.build(log.start.setup, key, host)
+        return CheckedController(log.experiment.controller, log.start.setup, key, host)
 
     def expired(self) -> bool:
         """Return whether the time limit is exceeded."""
@@ -213,14 +215,16 @@ def plan_again(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> Plan | Outcome | End:
     """Return a controller's decision on an observation that follows the control step `last` of a
-    log, or on the first observation if `last` is None.
+    log, or on the first observation if `last` is None. FaultyPluginError if a plug-in fails.
     """
     if last is None:
-        return controller.plan(observation)
+        with plugins_blamed():
+            return controller.plan(observation)
     began, times = last.observation.sampled_ns, log.mocap_ns
     between = np.flatnonzero((times > began) & (times < observation.sampled_ns))
     earlier = [log.sample(int(i)).observation for i in between]
-    return controller.plan(observation, last.command, earlier)
+    with plugins_blamed():
+        return controller.plan(observation, last.command, earlier)
 
 
 def first_steps(log: TrialLog) -> list[Step]:

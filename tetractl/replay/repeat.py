@@ -76,6 +76,10 @@ class Repetition(Encoder):
         logged = self.result
         if result.reason not in ("", ENDED, logged.reason, result.verdict.stood):
             self.failure = result.reason
+        if self._log.start.plant.simulated and logged.outcome is Outcome.ABORTED:
+            for note in self._log.notes[:-1]:  # the calls that led to a plug-in's exception
+                if note.level == "error":
+                    super().on_note(note)
         super().on_stop(stop, replace(result, outcome=logged.outcome, reason=logged.reason))
 
     @property

@@ -4,12 +4,12 @@ import itertools
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Action, Command, Note, PlantInfo, Sample, Steer, Turn
-from tetractl.core.errors import TetractlError
+from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.poses import Observation
@@ -58,14 +58,15 @@ class Trial:
         """Run the trial and return its result.
 
         After any end or error, the robots are stopped first. A TetractlError or an interruption
-        becomes the outcome, and so does any exception of a plug-in; another exception is raised
-        again after the observers were called with the result.
+        becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
+        another exception is raised again after the observers were called with the result.
         """
-        bug: Exception | None = None
+        bug: BaseException | None = None
         try:
             info = self.plant.open()
         except BaseException:
-            self.plant.stop()
+            with suppress(Exception, SystemExit):  # not every plant stops before it is open
+                self.plant.stop()
             self.plant.close()
             raise
         opened_ns = self.clock.now()
@@ -77,10 +78,9 @@ class Trial:
         except KeyboardInterrupt:
             reason = AT_ONCE if self.interrupt.count > 1 else "interrupted before the first step"
             outcome = Outcome.INTERRUPTED
-        except TetractlError as error:
-            outcome, reason = self._failed(str(error))
-        except Exception as error:
-            outcome, reason = self._failed(f"{type(error).__name__}: {error}")
+        except BaseException as error:
+            known = isinstance(error, TetractlError)
+            outcome, reason = self._failed(str(error) if known else text_of(error))
             bug = error if outcome is Outcome.ABORTED else None
         return self._end(outcome, reason, bug, opened_ns)
 
@@ -243,7 +243,9 @@ class Trial:
             observer.on_samples(samples)
             _pass_news(observer, news)
 
-    def _end(self, outcome: Outcome, reason: str, bug: Exception | None, opened_ns: int) -> Result:
+    def _end(
+        self, outcome: Outcome, reason: str, bug: BaseException | None, opened_ns: int
+    ) -> Result:
         """Stop the robots, wait until they rest, and call every observer, even one that failed
         before. If an observer raises an exception, the others are still called; bugs are raised at
         the end.
@@ -256,7 +258,7 @@ class Trial:
             self._tour.add(samples, stop.sent_ns)
         finally:
             self.plant.close()
-        if bug is not None and (fault := plugin_fault(bug)):
+        if bug is not None and (fault := plugin_fault(bug, self.start.packages)):
             reason, bug = str(fault), None
             news = [*news, *(Note(stop.sent_ns, "error", call) for call in fault.calls)]
         if verdict.not_at_rest and outcome is not Outcome.ABORTED:
@@ -281,9 +283,9 @@ class Trial:
                     observer.on_stop(stop, result)
             except Exception as error:
                 failures.append(error)
-        bug = bug or next((f for f in failures if not isinstance(f, TetractlError)), None)
-        if bug is not None:
-            raise bug
+        bugs = [one for one in (bug, *failures) if not isinstance(one, TetractlError | None)]
+        if bugs:
+            raise bugs[0]
         if failures and outcome is not Outcome.ABORTED:
             result = replace(result, outcome=Outcome.ABORTED, reason=str(failures[0]))
         return result

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.build import build_controller, warm_up
+from tetractl.control.build import warm_up
 from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
@@ -29,6 +29,7 @@ from tetractl.log.format.digest import LogDigests
 from tetractl.log.provenance import host, processor, trial_code
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.writer import LogWriter
+from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 

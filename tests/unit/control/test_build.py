@@ -13,7 +13,8 @@ WATCH = """
 from pathlib import Path
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from tetractl.control.build import build_controller, warm_up
+from tetractl.control.build import warm_up
+from tetractl.run.checked_controller import build_controller
 from tetractl.core.commands import Command
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Observation, Poses

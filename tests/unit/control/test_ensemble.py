@@ -7,13 +7,13 @@ from support.paths import ROOT
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
+from tetractl.run.checked_controller import build_controller
 
 FIELDS = {"type": "ensemble", "steps_max": 1000, "period": 0.2}
 

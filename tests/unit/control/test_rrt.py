@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from support.plants import sim
 from support.trials import THREE_M3PI, experiment
 
-from tetractl.control.build import build_controller
 from tetractl.control.rng import uniform
 from tetractl.control.rrt import grow
 from tetractl.core.clock import SECOND
@@ -16,6 +15,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.circle import Circle
+from tetractl.run.checked_controller import build_controller
 
 ONE = [{"name": "r", "start": [900, 1200], "target": [1700, 1200], "a": 6, "speed": 180}]
 START, TARGET = np.array([900.0, 1200]), np.array([1700.0, 1200])

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from tetractl.control.build import build_controller
 from tetractl.control.stop import (
     BudgetStop,
     PaperStop,
@@ -16,6 +15,7 @@ from tetractl.control.stop import (
 from tetractl.core.plan import Plan, StopReason
 from tetractl.core.poses import Observation
 from tetractl.experiment.load import load_spec
+from tetractl.run.checked_controller import build_controller
 
 PAPER = PaperStop(type="paper")
 

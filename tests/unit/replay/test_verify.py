@@ -125,7 +125,7 @@ class Late:
 )
 @pytest.mark.parametrize("looks", [1, 2, 4, 9, 20])
 def test_what_a_deadline_cut_short_comes_out_too(tmp_path, monkeypatch, swarm, looks):
-    monkeypatch.setattr("tetractl.control.build.WorkClock", lambda: Late(looks))
+    monkeypatch.setattr("tetractl.run.checked_controller.WorkClock", lambda: Late(looks))
     sets = [MPC.format(12, swarm), "controller.deadline=0.5", "controller.estimate=false"]
     path = run(tmp_path, sets)
     stopped = [s.stopped for step in read_trial(path).steps for s in step.plan.searches]

@@ -140,6 +140,30 @@ def test_a_plant_that_does_not_open_is_stopped_closed_and_nobody_is_told(error):
     assert made.happenings.names == ["open", "stop", "close"]
 
 
+def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
+    made = bench()
+    made.happenings.faults["open", 1] = BugError("the reason")
+    made.happenings.faults["stop", 1] = AssertionError("never opened")
+    with pytest.raises(BugError, match="the reason"):
+        made.run()
+    assert made.happenings.names == ["open", "stop", "close"]
+
+
+class MuteError(Exception):
+    def __str__(self):
+        raise ValueError("no text")
+
+
+@pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), MuteError()])
+def test_robots_stop_whatever_a_controller_raises(error):
+    made = bench()
+    made.happenings.faults["plan", 2] = error
+    with pytest.raises(type(error)):
+        made.run()
+    result = assert_ended_well(made, Outcome.ABORTED)
+    assert result.reason.startswith(type(error).__name__)
+
+
 def test_a_plant_that_cannot_settle_is_closed():
     made = bench()
     made.happenings.faults["settle", 1] = BugError("lost")

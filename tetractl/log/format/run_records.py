@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from tetractl.core.commands import PlantInfo, Verdict
+from tetractl.core.errors import printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Start
 from tetractl.log.format import tetractl_pb2 as pb
-from tetractl.log.format.channels import FORMAT_VERSION
+from tetractl.log.format.channels import FORMAT_VERSION, TEXT
 from tetractl.log.format.codec import named, stated
 
 OF_RESULT = ("reason", "steps", "duration_s", "passed", "inside", "lost")
@@ -77,6 +78,7 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     verdict = result.verdict
     final = {f"final_{name}": value for name, value in named(verdict.final, *OF_POSES).items()}
     numbers = named(result, *OF_RESULT, *OF_ERRORS) | named(verdict, *OF_VERDICT) | final
+    numbers["reason"] = printable(result.reason, TEXT)
     return pb.Result(outcome=result.outcome.value, unit=unit, warnings=warnings, **numbers)
 
 

@@ -29,9 +29,11 @@ from numpy.typing import NDArray
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Note
+from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
+from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames, drawn
 
 WORLD = "world"
@@ -57,7 +59,8 @@ def stamp(unix_ns: int) -> Timestamp:
 def encode_note(note: Note, start_ns: int) -> Log:
     """Encode an operator message for /log; the trial starts at `start_ns` [Unix ns]."""
     unix = stamp(start_ns + note.t_ns)
-    return Log(timestamp=unix, level=_LEVELS[note.level], message=note.text, name="tetractl")
+    text = printable(note.text, TEXT)
+    return Log(timestamp=unix, level=_LEVELS[note.level], message=text, name="tetractl")
 
 
 def decode_note(message: Log, start_ns: int) -> Note:

@@ -6,16 +6,17 @@ that no trial can have.
 """
 
 from collections.abc import Iterable
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
-from tetractl.core.commands import Command, Sample, Steer, Turn
+from tetractl.core.commands import Action, Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
+from tetractl.core.plan import Plan
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT
-from tetractl.log.format.codec import Frames
+from tetractl.log.format.codec import OF_ESTIMATE, Frames, drawn
 from tetractl.log.format.run_records import decode_result
 
 VALUE_MAX = 1e9
@@ -25,6 +26,8 @@ TIME_MAX_NS = 10**18
 """Limit of times since the trial began [ns]: thirty years."""
 INTEGER_MAX = 2**53
 """Limit of counts such as steps: integers that a double represents exactly."""
+STEP_MAX = 4_000_000
+"""Largest size of a plan's numbers [bytes], so that its message is less than RECORD_MAX long."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
 
 
@@ -51,9 +54,7 @@ def check_frames(frames: Frames) -> None:
 
 def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
-    match command.action:
-        case Steer(u) | Turn(u):
-            _within("a direction", [u], VALUE_MAX)
+    check_action(command.action)
     check_times([command.sent_ns])
     if len(command.delivered) != robots:
         raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")
@@ -66,6 +67,15 @@ def check_command(command: Command, robots: int) -> None:
         _within("a wheel's speed", wheel, VALUE_MAX)
 
 
+def check_action(action: Action) -> None:
+    """Check the direction of an action."""
+    match action:
+        case Steer(u) | Turn(u):
+            _within("a direction", [u], VALUE_MAX)
+        case _:
+            pass
+
+
 def check_step(step: Step) -> None:
     """Check a control step of N robots."""
     seen, plan = step.observation, step.plan
@@ -74,26 +84,45 @@ def check_step(step: Step) -> None:
     check_command(step.command, robots)
     check_counts("k", [step.k])
     check_counts("a solve time", [step.solve_ns])
-    if len(plan.path) != len(plan.signals) + 1:
-        raise ValueError(f"a path has {len(plan.path)} poses for {len(plan.signals)} signals")
-    _within("a predicted position", plan.path[..., :2], VALUE_MAX)
-    for search in plan.searches:
-        if not search.length == len(search.signals) > 0:
+    check_plan(plan, robots)
+
+
+def check_plan(plan: Plan, robots: int) -> None:
+    """Check a plan for N robots, as it is logged or before: headings of its path may be NaN."""
+    searches, known, count = plan.searches, plan.estimate, plan.signals.size
+    if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
+        shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
+        raise ValueError(f"a path has shape {shapes} and {robots} robots")
+    for search in searches:
+        if not (search.signals.shape == (search.length,) and search.length):
             raise ValueError(
                 f"a search of length {_shown(search.length)} has a different number of signals"
             )
-        if not len(search.history):
+        if search.history.ndim != 1 or not search.history.size:
             raise ValueError("a search has no history")
-    parts = (plan, *plan.searches)
-    _within("a signal", np.concatenate([one.signals for one in parts]), VALUE_MAX)
-    costs = [plan.target_cost, plan.obstacle_cost, *(one.cost for one in parts)]
-    histories = (search.history for search in plan.searches)
-    _within("a cost", np.concatenate([costs, *histories]), 1e100)
-    check_counts("evaluations", (search.evaluations for search in plan.searches))
-    for one in fields(plan.estimate) if plan.estimate else ():
-        if (value := getattr(plan.estimate, one.name)) is not None:
-            most = TIME_MAX_NS / 1e9 if one.name.startswith("dead_time") else VALUE_MAX
-            _within(f"an estimated {one.name}", np.atleast_1d(value), most)
+    check_counts("evaluations", (search.evaluations for search in searches))
+    costs = [plan.cost, plan.target_cost, plan.obstacle_cost, *(one.cost for one in searches)]
+    found = {
+        "a predicted position": plan.path[..., :2].ravel(),
+        "a signal": np.concatenate([plan.signals, *(one.signals for one in searches)]),
+        "a cost": np.concatenate([costs, *(one.history for one in searches)]),
+    }
+    if 8 * sum(each.size for each in found.values()) > STEP_MAX:
+        raise ValueError("a plan has very many numbers")
+    for name in OF_ESTIMATE if known else ():
+        value = getattr(known, name)
+        if isinstance(value, np.ndarray):
+            found[name] = value.ravel()
+            if value.shape != ((robots, 3) if name == "misfit" else (robots,)):
+                raise ValueError(f"an estimated {name} has shape {value.shape}")
+        elif value is not None:
+            found[name] = np.array([value])
+    if (np.abs(np.concatenate([*found.values()])) <= VALUE_MAX / 2).all():
+        return  # at once, as this is done in every control step
+    found["a predicted position"] = drawn(plan.path[..., :2])  # which may round it up
+    for what, values in found.items():
+        name = f"an estimated {what}" if what in OF_ESTIMATE else what
+        _within(name, values, 1e100 if what == "a cost" else VALUE_MAX)
 
 
 def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit: str) -> Result:

@@ -4,6 +4,7 @@ import base64
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,8 +38,12 @@ def reader(tmp_path_factory):
 
 def test_our_messages_decode_to_the_values_written(reader, tmp_path):
     made = trial(steps=12)
-    made.samples[0].observation.poses.x[1] = np.nan
-    made.samples[0].observation.valid[1] = False
+    samples, _ = made.rounds[0]
+    seen = samples[0].observation
+    x, valid = seen.poses.x.copy(), seen.valid.copy()
+    x[1], valid[1] = np.nan, False
+    seen = replace(seen, poses=replace(seen.poses, x=x), valid=valid)
+    samples[0] = replace(samples[0], observation=seen)
     log, step = write(made, tmp_path / "trial.mcap"), made.steps[0]
     done = subprocess.run(["node", reader, log], capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)

@@ -126,9 +126,12 @@ def test_a_lost_result_is_computed_from_the_last_true_poses(tmp_path, log, whole
 
 def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
     made = trial(steps=12, simulated=False)
-    made.samples[-1].observation.valid[:] = [False, True, True]
-    for sample in made.samples:  # an untracked robot's pose is no measurement
-        sample.observation.poses.x[~sample.observation.valid] = 1e9
+    for samples, _ in made.rounds:  # an untracked robot's pose is no measurement
+        for i, sample in enumerate(samples):
+            seen, last = sample.observation, sample is made.samples[-1]
+            valid = np.array([False, True, True]) if last else seen.valid
+            poses = replace(seen.poses, x=np.where(valid, seen.poses.x, 1e9))
+            samples[i] = replace(sample, observation=replace(seen, poses=poses, valid=valid))
     contents = scan(write(made, tmp_path / "trial.mcap"))
     spoilt = rewrite(contents, tmp_path / "no.mcap", stating(contents, RESULT, steps=-1))
     summary = read_result(spoilt)

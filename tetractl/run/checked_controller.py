@@ -1,0 +1,129 @@
+"""A controller whose decisions are checked, once, before they are sent and logged."""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from operator import index
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from tetractl.control.work_clock import WorkClock
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, FieldOff, Stop, Turn
+from tetractl.core.errors import WrongValueError, printable, text_of
+from tetractl.core.plan import End, Estimate, Outcome, Plan, Search, State, StopReason
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup
+from tetractl.experiment.controller import ALONE, ControllerSection, Host
+from tetractl.experiment.experiment import Experiment
+from tetractl.log.format.codec import STOP_REASON_MAX
+from tetractl.log.read.validate import STEP_MAX, check_action, check_plan
+
+
+def build_controller(experiment: Experiment, key: int) -> "CheckedController":
+    """Return the controller of one trial, seeded by `key`; in virtual time, its timer counts
+    work."""
+    work = WorkClock()
+    host = ALONE if experiment.plant.real_time else Host(work.wrap, work)
+    return CheckedController(experiment.controller, experiment.setup, key, host)
+
+
+class CheckedController:
+    """A `Controller` that `section` builds. One of another package gets a setup of its own, and its
+    plans are copied: what it writes into arrays later changes neither what is sent nor the log."""
+
+    def __init__(
+        self, section: ControllerSection, setup: Setup, key: int, host: Host = ALONE
+    ) -> None:
+        self._section, self._setup = section, setup
+        self._ours = type(section).__module__.startswith("tetractl.")
+        self._controller = section.build(setup if self._ours else copy.deepcopy(setup), key, host)
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Return the decision; WrongValueError for one that cannot be sent and logged."""
+        found: Any = self._controller.plan(observation, last_command, earlier)
+        try:
+            return self._checked(found)
+        except ValueError as error:
+            text = f"a {type(found).__name__} that cannot be used: {error}"
+            who = f"controller '{self._section.type}'"
+            raise WrongValueError(self._section, who, text) from None
+
+    def _checked(self, found: Any) -> Plan | Outcome | End:
+        if isinstance(found, Outcome):
+            return _outcome(found)
+        if not isinstance(found, Plan | End):
+            raise ValueError("it is not a Plan, an Outcome or an End")
+        made: Plan | End = found
+        if not self._ours:
+            made = _made(Plan if isinstance(found, Plan) else End, found)
+        if isinstance(made, Plan):
+            check_plan(made, len(self._setup.names))
+            if not 0 <= made.chosen < len(made.searches):
+                raise ValueError(f"chosen is {made.chosen} of {len(made.searches)} searches")
+            if not (0 <= made.leg <= len(self._setup.legs) and 0 <= made.generator < 1 << 64):
+                raise ValueError(f"leg is {made.leg}, generator is {made.generator}")
+        if not 0 <= made.delay_ns <= round(self._setup.period_s * SECOND):
+            raise ValueError(f"delay_ns is {made.delay_ns}, not within a control period")
+        return made
+
+
+class _FieldError(ValueError):
+    pass
+
+
+def _made(kind: type[Any], given: object) -> Any:
+    """Return a record of class `kind` with the values of the fields of `given`, converted."""
+    found: dict[str, Any] = {}
+    for name, hint in _hints(kind).items():
+        try:
+            found[name] = _CONVERT[hint](getattr(given, name))
+        except _FieldError:
+            raise
+        except Exception as error:  # objects of any class may raise anything
+            raise _FieldError(f"{name}: {text_of(error)}") from None
+    return kind(**found)
+
+
+_hints = cache(get_type_hints)
+
+
+def _array(value: Any) -> Floats:
+    found = np.asarray(value)
+    if found.size > STEP_MAX // 8:
+        raise ValueError(f"{found.size} numbers")
+    return found.astype(np.float64, casting="same_kind")  # not of text, objects, complex numbers
+
+
+def _outcome(value: Any) -> Outcome:
+    if not (isinstance(value, Outcome) and value.complete):
+        raise ValueError(f"{value} is not an Outcome that a controller decides")
+    return value
+
+
+def _instead(value: Any) -> Turn | Stop | FieldOff | None:
+    if not isinstance(value, Turn | Stop | FieldOff | None):
+        raise TypeError(f"it is a {type(value).__name__}")
+    if value is not None:
+        check_action(value)
+    return value
+
+
+def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda value: None if value is None else convert(value)
+
+
+_CONVERT: Mapping[Any, Callable[[Any], Any]] = {
+    Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
+    Floats | None: _or_none(_array), float | None: _or_none(float),
+    StopReason | str: lambda text: StopReason.read(printable(text, STOP_REASON_MAX)),
+    tuple[Search, ...]: lambda found: tuple(_made(Search, one) for one in found),
+    Estimate | None: _or_none(lambda known: _made(Estimate, known)),
+    Turn | Stop | FieldOff | None: _instead,
+}  # fmt: skip

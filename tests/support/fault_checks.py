@@ -4,6 +4,7 @@ the robots truly did by the emulator's own record."""
 import re
 from pathlib import Path
 
+import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from support.lab_processes import camera_of
 from support.paths import ROOT
@@ -13,6 +14,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
+from tetractl.model.obstacles import Obstacles
 from tetractl.replay.verify import differences
 
 SCRIPTS = sorted((ROOT / "experiments" / "faults").rglob("*.yaml"))
@@ -99,11 +101,14 @@ def check_motion(expect, played):
 
 def check_space(expect, played):
     """True positions: inside the arena, and apart from one another, where that is expected."""
-    arena = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.arena.bounds
+    setup = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.setup
+    arena, obstacles = setup.arena, Obstacles.of(setup.obstacles)
     for truth in played.of("truth"):
         spots = [complex(x, y) for x, y, _ in truth["poses"]]
         if expect.inside:
             assert all(arena.contains(spot.real, spot.imag) for spot in spots)
+        if expect.clear:
+            assert not obstacles.contain(*np.array(truth["poses"]).T[:2]).any()
         if expect.apart_mm is not None:
             gaps = [abs(a - b) for i, a in enumerate(spots) for b in spots[:i]]
             assert min(gaps) >= expect.apart_mm

@@ -44,6 +44,8 @@ class Expect(Model):
     """Whether every robot's centre must stay inside the arena."""
     apart_mm: Positive | None = None
     """Least distance that the centres of robots must keep from each other [mm]."""
+    clear: bool = False
+    """Whether every robot's centre must stay outside of obstacles."""
 
 
 def load_script(path, camera="optitrack"):

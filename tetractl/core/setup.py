@@ -57,10 +57,11 @@ class Setup:
     largest number of control steps, `iterations_max` the largest number of iterations of one
     search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without
     wheels; `watchdog_s` the time without a command after which a robot stops, inf if it never does;
-    `lag_s` the time constant with which wheels follow a command. `way_points` (M, N, 2) are passed
-    before the targets, by all robots together; `hold` is the task after the targets, None if the
-    trial ends there. `loss` is the rule by which a robot counts as lost and the trial goes on
-    without it, None if the trial ends when a robot is lost.
+    `lag_s` the time constant with which wheels follow a command. `body_radius` is that of every
+    robot, 0 for points. `way_points` (M, N, 2) are passed before the targets, by all robots
+    together; `hold` is the task after the targets, None if the trial ends there. `loss` is the rule
+    by which a robot counts as lost and the trial goes on without it, None if the trial ends when a
+    robot is lost.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Setup:
     loss: LossRule | None = None
     watchdog_s: float = math.inf
     lag_s: float = 0.0
+    body_radius: float = 0.0
 
     @property
     def legs(self) -> Floats:

@@ -286,6 +286,7 @@ class Experiment(Model):
             wheel_radius=self.wheels.radius if self.wheels else None,
             watchdog_s=(self.wheels and self.wheels.watchdog) or math.inf,
             lag_s=self.wheels.lag if self.wheels else 0.0,
+            body_radius=control.body_radius,
             way_points=np.array([robot.via for robot in self.robots], dtype=np.float64)
             .reshape(len(self.robots), -1, 2)
             .swapaxes(0, 1),

@@ -171,8 +171,8 @@ class LabLimits(Model):
     separation_mm: NonNegative = 110.0
     """Least distance between the centres of two robots [mm]; 0 disables the test."""
     reaction: NonNegative = 0.15
-    """Time from detecting an edge or another robot until a robot stands still [s]; the guard
-    predicts motion over this time."""
+    """Time from detecting an edge, an obstacle or another robot until a robot stands still [s]; the
+    guard predicts motion over this time."""
     wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
     """Largest error of a wheel's speed, as a fraction of the commanded speed; a larger error ends
     the run.

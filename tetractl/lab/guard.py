@@ -20,10 +20,12 @@ from tetractl.core.clock import SECOND
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import REPEATS, MotionCheck
+from tetractl.lab.places import Places
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
@@ -55,6 +57,7 @@ class GuardRules:
     turning: tuple[float, ...]
     arena: Bounds
     limits: LabLimits
+    obstacles: tuple[Shape, ...] = ()  # each grown by the radius of a body
     mm: float = 1.0
     silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
     wheel_radius: float = 0.0  # 0 for robots without wheels
@@ -92,6 +95,7 @@ class Guard:
     _motion: MotionCheck = field(init=False)
     _drift: DriftCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
+    _places: Places = field(init=False)
     _last_frame_ns: int | None = None
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
@@ -121,6 +125,7 @@ class Guard:
         self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
         self._drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
         self._swaps = SwapDetector(rules.names)
+        self._places = Places(rules.arena, rules.obstacles, limits.reaction, NOISE_MM / mm)
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -141,6 +146,7 @@ class Guard:
             self._swaps.restart()
             self._motion.restart()
             self._drift.rest()
+            self._places.restart()
             self._disobedient.clear()
             for track in self._filters:  # motion before the run is ignored: robots were carried
                 track.forget()
@@ -175,6 +181,7 @@ class Guard:
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
         share = self.rules.limits.wheel_error if self.rules.individual else 0.7  # cells wander
+        self._places.sent(speed, turning)
         self._motion.sent(now_ns, speed, turning, share)
         self._drift.sent(now_ns, speed, turning)
         self._swaps.sent(now_ns, turning)
@@ -357,7 +364,8 @@ class Guard:
         return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
-        """Abort before a robot leaves the arena or touches another; a cell that leaves is lost."""
+        """Abort before a robot leaves the arena, touches another or enters an obstacle; a cell that
+        leaves is lost, and one that meets an obstacle swims on."""
         rules, limits = self.rules, self.rules.limits
         coming: list[tuple[str, Pose, Pose]] = []
         for i, pose in enumerate(poses):
@@ -368,9 +376,11 @@ class Guard:
             way = 0.0 if i in self.lost or not self._ahead else rules.speeds[i] * limits.reaction
             dx, dy = way * math.cos(pose.heading), way * math.sin(pose.heading)
             then = Pose(pose.x + dx, pose.y + dy, pose.heading)
-            if self._outside(then) > self._outside(pose):
+            if self._places.outside(then) > self._places.outside(pose):
                 leave = self.abort if rules.individual else partial(self.lose, i)
                 leave(f"{rules.names[i]} is about to leave the arena")
+            if rules.individual and self._places.enters(i, pose):
+                self.abort(f"{rules.names[i]} is about to enter an obstacle")
             coming.append((rules.names[i], pose, then))
         for i, (name, now, then) in enumerate(coming):
             for other, other_now, other_then in coming[:i]:
@@ -378,14 +388,6 @@ class Guard:
                 before = math.hypot(now.x - other_now.x, now.y - other_now.y)
                 if min(gap, before) * rules.mm < limits.separation_mm and gap <= before:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
-
-    def _outside(self, pose: Pose) -> float:
-        """Return a pose's distance from the arena, 0 inside."""
-        arena = self.rules.arena
-        return math.hypot(
-            max(arena.left - pose.x, 0.0, pose.x - arena.right),
-            max(arena.bottom - pose.y, 0.0, pose.y - arena.top),
-        )
 
     def _count_damaged(self, now_ns: int, total: int) -> None:
         """Abort if too many pictures or datagrams within a second could not be read."""

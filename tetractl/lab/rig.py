@@ -136,6 +136,7 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         turning=tuple(setup.a.tolist()),
         arena=setup.arena,
         limits=limits,
+        obstacles=tuple(shape.grown(setup.body_radius) for shape in setup.obstacles),
         mm=1 / per_mm,
         silence_ns=round(max(silence_s, 0.5) * SECOND),
         wheel_radius=setup.wheel_radius or 0.0,

@@ -11,6 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.drift_check import DriftCheck
@@ -320,6 +321,30 @@ def test_a_robot_is_stopped_before_it_leaves_the_arena():
     assert guard.reason == "green is about to leave the arena"
     ahead = 0.15 * 200.0 * math.cos(0.3)  # in the reaction time
     assert drive.x == pytest.approx(2000.0 - ahead, abs=3.0)
+
+
+BOX = Shape(np.array([[700.0, 400.0], [900.0, 400.0], [900.0, 700.0], [700.0, 700.0]]), 47.0)
+
+
+def test_a_robot_is_stopped_before_its_body_enters_an_obstacle():
+    drive = Drive(obstacles=(BOX,))
+    assert drive.go(10.0).reason == "green is about to enter an obstacle"
+    ahead = 0.15 * 200.0 * math.cos(0.3)  # in the reaction time
+    assert drive.x == pytest.approx(700.0 - 47.0 - ahead, abs=3.0)
+
+
+def test_cells_which_cannot_be_stopped_may_meet_obstacles():
+    drive = Drive(obstacles=(BOX,), told=0.0, individual=False, done=(50.0, 0.0, 0.0))
+    assert drive.go(5.0).state is GuardState.RUN
+    assert drive.x > 700.0
+
+
+def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_it_but_not_go_deeper():
+    touched = replace(BOX, radius=210.0)  # 17 mm deep at the start
+    assert Drive(obstacles=(touched,), done=(-50.0, 0.0, 0.0)).go(0.1).state is GuardState.RUN
+    deeper = Drive(obstacles=(touched,))
+    assert deeper.go(1.0).reason == "green is about to enter an obstacle"
+    assert deeper.x < 507.0
 
 
 def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():

@@ -1,0 +1,41 @@
+"""Where robots must not drive."""
+
+import math
+
+import numpy as np
+
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
+from tetractl.lab.places import Places
+
+DISC = Shape(np.array([[500.0, 500.0]]), 100.0)
+
+
+def places(speed=0.0, turning=0.0):
+    found = Places(Bounds(0.0, 0.0, 1000.0, 1000.0), (DISC,), 0.5, 2.0)
+    found.sent((speed,), (turning,))
+    return found
+
+
+def test_a_robot_in_an_obstacle_is_found_there_whatever_it_is_commanded():
+    found = places()
+    assert not found.enters(0, Pose(395.0, 500.0, 0.0))
+    assert found.enters(0, Pose(401.0, 500.0, 0.0))
+
+
+def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
+    """By 100 mm ahead in half a second, or round an eighth of a circle."""
+    assert places(speed=200.0).enters(0, Pose(310.0, 500.0, 0.0))
+    assert not places(speed=200.0).enters(0, Pose(290.0, 500.0, 0.0))
+    assert not places(speed=200.0, turning=math.pi).enters(0, Pose(330.0, 500.0, 0.0))
+    assert not places(speed=200.0).enters(0, Pose(310.0, 500.0, math.pi))
+
+
+def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():
+    found = places(speed=200.0)
+    assert not found.enters(0, Pose(410.0, 500.0, 0.0))
+    assert not found.enters(0, Pose(405.0, 500.0, 0.0))
+    assert found.enters(0, Pose(408.0, 500.0, 0.0))
+    found.restart()
+    assert not found.enters(0, Pose(408.0, 500.0, 0.0))

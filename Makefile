@@ -8,10 +8,11 @@ DEMO := logs/demo
 
 .PHONY: demo demo-ours demo-paper demo-statistics test test-fast test-all lint clean
 
+# With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(PIP) -e .
+	$(PIP) -e . 'setuptools>=77'
 	touch $(RUNTIME)
 
 $(STAMP): $(RUNTIME)

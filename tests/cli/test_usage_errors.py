@@ -94,7 +94,7 @@ what-if LOG --set plant.dead_time=0 | only fields of 'controller' can be replace
 analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | --plans: must be at least 1
-kinds --set x=1 | --set needs --check
+kinds --set x=1 | --set and --spec need --check
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
 kinds --check json:dumps | json:dumps: there is no check for this kind
 kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing

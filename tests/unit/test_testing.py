@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from support.cli import tetractl
 from tetractl.cli.specs import template
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.sequence import SequenceSection
+from tetractl.core.commands import Stop, Transmission
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Health
@@ -281,6 +283,67 @@ def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
     found = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
     assert found[0].problem == "lacks __enter__, __exit__, check, poll, send, stop"
     assert wrong(found)[1:] == ["period_ns: above 0", "individual: true or false"]
+
+
+class PortSection(ActuatorSection):
+    """An actuator that writes text to a port."""
+
+    type: Literal["port"] = "port"
+    port: str = "nowhere"
+    divisor: float = 1.0
+
+    def build(self, setup, clock):
+        return PortActuator(self, setup, clock)
+
+
+class PortActuator:
+    individual, halts, period_ns, failure = False, False, 10**7, None
+
+    def __init__(self, section, setup, clock):
+        self.section, self.setup, self.clock = section, setup, clock
+
+    def __enter__(self):
+        self.port = Path(self.section.port).open("w", encoding="ascii")
+        return self
+
+    def __exit__(self, *_):
+        self.port.close()
+
+    def check(self):
+        return Health()
+
+    def poll(self, timeout_s):
+        return []
+
+    def send(self, action, poses, moving, exposed_ns):
+        headings = np.array([0.0 if pose is None else pose.heading for pose in poses])
+        print(action.direction / self.section.divisor, file=self.port, flush=True)
+        turning = self.setup.a * np.sin(action.direction - headings)
+        return Transmission(action, self.clock.now(), tuple(moving), self.setup.speed, turning)
+
+    def stop(self, emergency=False):
+        print("off" * 10_000, file=self.port, flush=True)  # more than the port holds
+        zeros = np.zeros(len(self.setup.names))
+        return Transmission(Stop(), self.clock.now(), (True,) * zeros.size, zeros, zeros)
+
+
+def test_an_actuator_sends_to_a_port_behind_which_nothing_is():
+    found = list(check_actuator(PortSection(), SETUP))
+    assert (len(found), wrong(found)) == (16, [])
+    with pytest.raises(ZeroDivisionError):
+        list(check_actuator(PortSection(divisor=0.0), SETUP))
+
+
+def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
+    (tmp_path / "one.yaml").write_text(template("one", "one", "cells"), encoding="utf-8")
+    words = ("kinds", "--check", "tetractl.control.sequence:SequenceSection", "--json")
+    words += ("--set", "directions=[0.5]")
+    done = tetractl(tmp_path, *words, "--spec", "one.yaml")
+    assert done.returncode in (0, 1), done.stderr
+    done = tetractl(tmp_path, "kinds", "--spec", "one.yaml")
+    assert (done.returncode, "need --check" in done.stderr) == (2, True)
+    done = tetractl(tmp_path, *words, "--spec", "none.yaml")
+    assert (done.returncode, "none.yaml" in done.stderr) == (2, True)
 
 
 def test_the_command_says_what_was_checked(tmp_path):

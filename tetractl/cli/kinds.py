@@ -1,6 +1,7 @@
 """`tetractl kinds`: lists the kinds that a spec, study, table, figure or emulated lab can name."""
 
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 from tetractl.cli import ui
@@ -10,6 +11,7 @@ from tetractl.core.table.table_files import json_text
 
 def kinds(
     check: str | None = None,
+    spec: Path | None = None,
     sets: Annotated[list[str] | None, "--set"] = None,
     as_json: ui.AsJson = False,
 ) -> int:
@@ -22,18 +24,20 @@ def kinds(
     With --check it tests a kind of your own: that its NumPy functions, compiled functions and
     derivatives agree, that its bounds hold, and that equal seeds give equal results. Exits with 1
     if something is wrong. Controllers and disturbances are tested in simulations. A camera is
-    opened if possible; an actuator is not opened, and nothing moves.
+    opened if possible. An actuator with a field `port` is opened on a fake port, and steered there;
+    no robot moves.
 
     Example: tetractl kinds --check pivot:PIVOT
 
     Options:
       check MODULE:NAME: Check your own motion, or section of a shape, optimiser, controller,
         disturbance, camera or actuator, given as module:NAME.
+      spec SPEC: With --check: a spec whose robots, arena and obstacles are used in the tests.
       sets FIELD=VALUE: With --check: set a field of the kind; may be repeated.
     """
-    if check is None and sets:
-        raise UsageError("--set needs --check")
-    return _list(as_json) if check is None else _check(check, sets or [], as_json)
+    if check is None and (sets or spec):
+        raise UsageError("--set and --spec need --check")
+    return _list(as_json) if check is None else _check(check, spec, sets or [], as_json)
 
 
 def _list(as_json: bool) -> int:
@@ -68,7 +72,7 @@ def _list(as_json: bool) -> int:
     return Exit.USAGE if problems else Exit.DONE
 
 
-def _check(code: str, sets: list[str], as_json: bool) -> int:
+def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     from tetractl.cli.specs import template
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value
@@ -81,8 +85,9 @@ def _check(code: str, sets: list[str], as_json: bool) -> int:
         if not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
         fields[name] = frozen(parse_value(text, f"--set {setting}", (name,)))
-    setup = parse_spec(template("check", "check", "robots"), "check").experiment.setup
-    found = list(check_kind(code, fields, setup))
+    text = template("check", "check", "robots")
+    loaded = parse_spec(text, "check") if spec is None else ui.load(spec, None)
+    found = list(check_kind(code, fields, loaded.experiment.setup))
     wrong = [finding for finding in found if finding.problem]
     if as_json:
         print(json_text({"code": code, "ok": not wrong, "findings": found}))

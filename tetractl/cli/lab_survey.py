@@ -133,7 +133,8 @@ def _print_cells(
         magnet = "" if cell.magnetised else ", does not respond to the field"
         near = "" if cell.free else ", was near the edge: its turning rate a is unreliable"
         print(
-            f"cell {cell.number}: a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "
+            f"cell {cell.number} at ({cell.pose.x:.0f}, {cell.pose.y:.0f}) {unit}: "
+            f"a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "
             f"{cell.speed:.0f} ± {Z * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
         )
     for one, two in pairs:

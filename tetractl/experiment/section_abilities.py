@@ -1,10 +1,17 @@
-"""What sections of controllers and plants may have besides their interface, for checks and
+"""What sections of controllers, plants and devices may have besides their interface, for checks and
 predictions: ask by isinstance. A section of a plug-in has an ability if it has these fields.
 """
 
 from typing import Protocol, runtime_checkable
 
 from tetractl.experiment.controller import OptimizerSection
+
+
+@runtime_checkable
+class OnPort(Protocol):
+    """An actuator on the serial port with this name."""
+
+    port: str
 
 
 @runtime_checkable

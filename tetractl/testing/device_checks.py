@@ -3,9 +3,12 @@ emulated one all that the lab relies on.
 """
 
 import math
+import os
+import tty
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from threading import Thread
 
 import numpy as np
 
@@ -16,6 +19,7 @@ from tetractl.core.poses import CameraFrame, Floats, Pose
 from tetractl.core.protocols import Actuator, Camera, Device
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
+from tetractl.experiment.section_abilities import OnPort
 from tetractl.testing.finding import Finding, Findings, near, true
 
 EMULATED_S = 120.0  # in which an emulated device must do what it shall, on a host that is busy
@@ -127,8 +131,8 @@ def _check_scene(
 def check_actuator(
     section: ActuatorSection, setup: Setup, robots: MovedRobots | None = None
 ) -> Findings:
-    """Check that an actuator can be built; nothing is opened or moved without emulated `robots`,
-    which are steered and stopped in every way.
+    """Check that an actuator can be built; emulated `robots` are steered and stopped in every way.
+    Without them, an actuator with a field `port` sends to a port behind which there is nothing.
     """
     actuator = section.build(setup, robots.clock if robots else MonotonicClock())
     yield _members("actuator", actuator, Actuator)
@@ -139,6 +143,7 @@ def check_actuator(
     wrong = (f"{'.'.join(map(str, loc))} {text}" for loc, text in section.contradictions(setup))
     yield Finding("section: fits the spec's robots", "; ".join(wrong))
     if robots is None:
+        yield from _check_sending(section, setup)
         return
     with actuator as entered:
         yield true("__enter__: returns the actuator", entered is actuator)
@@ -149,6 +154,33 @@ def check_actuator(
         yield true("poll, check: nothing moves", not any(robots.moves()))
         yield from _Steered(actuator, setup, robots).check()
     yield from _check_leaving(actuator, section.build(setup, robots.clock))
+
+
+def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
+    """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends."""
+    if not isinstance(section, OnPort):
+        yield Finding("send: not called, as the section has no field `port`")
+        return
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    Thread(target=_swallow, args=(ours,), daemon=True).start()
+    clock = MonotonicClock()
+    fake = section.model_copy(update={"port": os.ttyname(theirs)})
+    with ExitStack() as stack:
+        stack.callback(os.close, theirs)
+        try:
+            actuator = stack.enter_context(fake.build(setup, clock))
+        except AbortError as error:
+            yield Finding(f"send: not called, as a port without a device is refused ({error})")
+            return
+        yield from _Steered(actuator, setup, MovedRobots(clock, list, lambda: None)).sent()
+
+
+def _swallow(port: int) -> None:
+    """Read from a pseudo-terminal until its other end is closed."""
+    with suppress(OSError), open(port, "rb", buffering=0) as file:
+        while file.read(1000):
+            pass
 
 
 class _Steered:
@@ -179,9 +211,9 @@ class _Steered:
         wished = self.setup.a * np.sin(towards - self.setup.starts.heading)
         return near(what, turning, wished, float(self.setup.a.max()), 0.2)
 
-    def check(self) -> Findings:
-        """Steer, stop, turn, hold, stop in an emergency, and lose the device."""
-        actuator, clock, speed = self.actuator, self.robots.clock, self.setup.speed
+    def sent(self) -> Findings:
+        """Steer, and check what was sent; then stop."""
+        clock, speed = self.robots.clock, self.setup.speed
         for direction in (0.0, 1.5, -2.5, 0.5):
             sent = self.steer(direction, self.all)
             yield self.turning("steer: robots turn towards the direction", sent.turning, direction)
@@ -191,6 +223,16 @@ class _Steered:
         wheels = [each is None or each.shape == speed.shape for each in (sent.left, sent.right)]
         outputs = all(isinstance(value, float) for value in sent.outputs.values())
         yield true("steer: wheels (N,) or None; outputs are numbers", all(wheels) and outputs)
+        sent = self.steer(0.5, (not self.actuator.individual, *self.all[1:]), first=False)
+        finite = np.isfinite([sent.speed, sent.turning]).all()
+        yield true("steer: past a robot that is not tracked", finite)
+        yield true("steer: then stop", self.actuator.stop().action == Stop())
+
+    def check(self) -> Findings:
+        """Steer, stop, turn, hold, stop in an emergency, and lose the device."""
+        actuator = self.actuator
+        yield from self.sent()
+        self.steer(0.5, self.all)
         moved = self.wait(lambda: all(self.robots.moves()))
         yield true("steer: robots move", moved)
         yield from self.stopped("stop", actuator.stop())
@@ -202,9 +244,6 @@ class _Steered:
             held = not (sent.moving[0] or sent.speed[0] or sent.turning[0])
             held &= self.wait(lambda: all(self.robots.moves()[1:])) and not self.robots.moves()[0]
             yield true("individual: one robot is held, the others move", held)
-        sent = self.steer(0.5, (not actuator.individual, *self.all[1:]), first=False)
-        finite = np.isfinite([sent.speed, sent.turning]).all()
-        yield true("steer: past a robot that is not tracked", finite)
         yield from self.stopped("emergency stop", actuator.stop(emergency=True))
         yield true("failure: None", actuator.failure is None)
         self.robots.unplug()

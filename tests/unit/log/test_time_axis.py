@@ -72,3 +72,5 @@ def test_undelivered_commands_and_lost_robots_are_notes(tmp_path):
     lost = sum(np.count_nonzero(~np.array(step.command.delivered)) for step in made.steps)
     assert sum("did not get the command" in text for text in texts) == lost > 0
     assert any(text.endswith("is lost") for text in texts)
+    events = [event.text for event in read_trial(tmp_path / "trial.mcap").events]
+    assert any("is lost: the camera does not track it; is it hidden" in text for text in events)

@@ -101,13 +101,25 @@ class TrialLog(TrialRecords):
     @property
     def events(self) -> tuple[Event, ...]:
         """The operator messages, with the times shown to users, in order of time."""
-        found = [Event(self.elapsed_s(one.t_ns), one.level, one.text) for one in self.notes]
+        found = [
+            Event(self.elapsed_s(one.t_ns), one.level, one.text + _next_step(one.text))
+            for one in self.notes
+        ]
         return tuple(sorted(found, key=lambda event: event.time_s))
 
     @property
     def origin(self) -> Origin:
         """The origin of the trial: simulation, emulated lab or lab."""
         return Origin.of(self.experiment, self.start.plant)
+
+
+def _next_step(text: str) -> str:
+    """Return the reason for a message and what to do, which logs do not contain."""
+    if text.endswith(" is lost"):
+        return ": the camera does not track it; is it hidden, out of view or switched off?"
+    if text.startswith("the model does not fit"):
+        return ": it moves unlike the spec says; `tetractl identify` measures a and speed"
+    return ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,15 +23,15 @@ class FaultyPluginError(TetractlError):
 
 
 @contextmanager
-def plugins_blamed() -> Iterator[None]:
+def plugins_blamed(packages: Mapping[str, str] | None = None) -> Iterator[None]:
     """Raise FaultyPluginError for an unexpected error of a plug-in, such as `sys.exit`, inside the
-    `with` block."""
+    `with` block, by `plugin_fault`."""
     try:
         yield
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        if fault := plugin_fault(error):
+        if fault := plugin_fault(error, packages):
             raise fault from error
         raise
 
@@ -51,7 +51,7 @@ def plugin_fault(
             return FaultyPluginError(text, CHECK)
     elif isinstance(error, TetractlError):
         return None
-    calls, why = extract_tb(error.__traceback__), text_of(error)
+    calls, why = extract_tb(error.__traceback__), text_of(error).removeprefix("WrongValueError: ")
     places: list[tuple[str, str, object]]
     places = [(why, call.filename, call.lineno) for call in reversed(calls)]
     with suppress(Exception):  # it may have no text

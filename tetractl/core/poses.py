@@ -12,6 +12,9 @@ Bools = NDArray[np.bool_]
 Times = NDArray[np.int64]  # [ns]
 Grey = NDArray[np.uint8]  # a picture (height, width)
 
+POSE_MAX = 1e9
+"""Limit of coordinates [length unit] and headings [rad]: logs hold no others."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pose:

@@ -8,7 +8,8 @@ import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Sample
-from tetractl.core.poses import Bools, Floats, Observation, Poses, Times
+from tetractl.core.errors import WrongValueError
+from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Times
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance, overriding
 
@@ -133,6 +134,8 @@ class SimCamera:
         valid = self._tracked.copy()
         for disturbance in self._measured:
             measured, valid = disturbance.measured(measured, valid, when / SECOND)
+        if not (np.abs(measured.array()[valid]) <= POSE_MAX).all():
+            raise WrongValueError(self, "a disturbance", "a measured pose that no log can hold")
         # a robot that is not tracked keeps its last pose
         if self._shown is not None and not valid.all():
             last, now = self._shown.array(), measured.array()

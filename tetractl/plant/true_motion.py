@@ -9,7 +9,8 @@ import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Stop
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.errors import WrongValueError
+from tetractl.core.poses import POSE_MAX, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
@@ -200,6 +201,8 @@ class TrueMotion:
             self._disturb(end)
             p = self.drive.poses
             path[-1] = p.x, p.y, p.heading
+        if not (np.abs(path) <= POSE_MAX).all():  # not so for NaN
+            raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
         self._path.append(path)
         if len(self._path) > UNCHECKED:
             self.check()

@@ -203,7 +203,7 @@ def run_with(
     section, real_time = spec.experiment.plant, spec.experiment.plant.real_time
     clock, start_unix_ns = section.clock(), _unix_ns() if real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
-    with plugins_blamed(), ExitStack() as stack:
+    with plugins_blamed(packages(spec.experiment)), ExitStack() as stack:
         if real_time:
             observers = [stack.enter_context(closing(ObserverRelay(one))) for one in observers]
         unsupervised = LabSupervision(cancelled=lambda: interrupt.requested)

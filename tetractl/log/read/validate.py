@@ -13,13 +13,14 @@ import numpy as np
 from tetractl.core.commands import Action, Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
 from tetractl.core.plan import Plan
+from tetractl.core.poses import POSE_MAX
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import OF_ESTIMATE, Frames, drawn
 from tetractl.log.format.run_records import decode_result
 
-VALUE_MAX = 1e9
+VALUE_MAX = POSE_MAX
 """Limit of coordinates, distances and speeds [length unit], a thousand kilometres in mm, and of
 headings and directions, which are not wrapped [rad]."""
 TIME_MAX_NS = 10**18

@@ -143,7 +143,8 @@ def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_ag
     assert sum(cell["magnetised"] for cell in items["cells"]) >= len(items["choices"][0]["cells"])
     errors = [choice["error"] for choice in items["choices"] if choice["error"] is not None]
     assert errors == sorted(errors)
-    listed = re.findall(r"cell \d+ at \(\d+, \d+\) um: a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s"
+    listed = re.findall(r"cell \d+ at \(\d+, \d+\) um: "
+                        r"a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s"
                         r"(?:, was near .*)?$", done.stdout, re.MULTILINE)  # fmt: skip
     assert len(listed) >= 2
     gaps = np.abs(np.array(listed, float)[:, None] / magnets - 1).min(axis=1)

@@ -5,7 +5,9 @@ import time
 from collections.abc import Callable
 
 from tetractl.core.cache import compiling
+from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.registry_fields import packages
 from tetractl.experiment.section_abilities import Modelled, Searches
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
@@ -34,7 +36,8 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     compiling.append(say)
     gc.disable()
     try:
-        experiment.controller.warm_up(experiment.setup)
+        with plugins_blamed(packages(experiment)):
+            experiment.controller.warm_up(experiment.setup)
     finally:
         compiling.remove(say)
         if collects:

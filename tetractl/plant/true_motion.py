@@ -201,7 +201,8 @@ class TrueMotion:
             self._disturb(end)
             p = self.drive.poses
             path[-1] = p.x, p.y, p.heading
-        if not (np.abs(path) <= POSE_MAX).all():  # not so for NaN
+        fits = self.drive.poses.x.shape == path.shape[2:]
+        if not (fits and (np.abs(path) <= POSE_MAX).all()):  # not so for NaN
             raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
         self._path.append(path)
         if len(self._path) > UNCHECKED:

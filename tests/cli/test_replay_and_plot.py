@@ -182,7 +182,7 @@ def test_without_a_terminal_one_line_a_step(folder):
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line
         assert f"evaluations {step.plan.evaluations} " in line
-        assert line.endswith(f"stopped {step.plan.search.stopped}")
+        assert line.endswith(step.plan.search.ended)
     assert "\x1b" not in done.stdout
 
 

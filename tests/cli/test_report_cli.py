@@ -98,7 +98,8 @@ def test_the_page_shows_the_numbers_of_stats(page, statistics):
     for trial in range(3):
         page.key("End")
         shown = float(text(page, "total"))
-        assert shown == pytest.approx(statistics["trials"][trial]["total_error"], rel=0.1, abs=1)
+        assert shown == pytest.approx(statistics["trials"][trial]["total_error"], rel=5e-3)
+        assert text(page, "known") == "true, as in the tables"
         page.key("]")
         page.run("player.opened")
 
@@ -129,6 +130,7 @@ def test_it_plays_and_scrubs_and_steps(page):
     assert text(page, "step") == "2"
     said = page.run("document.getElementById('scrub').getAttribute('aria-valuetext')")
     assert said.startswith("0.40 s, step 2, total error ")
+    assert said.endswith(", measured")
     page.key("Home")
     assert text(page, "time").startswith("0.00 s of ")
     page.run("location.hash = '#trial-3'")

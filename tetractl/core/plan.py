@@ -65,6 +65,15 @@ class StopReason(StrEnum):
         return next((reason for reason in cls if reason.value == text), text)
 
 
+_ENDED = {
+    StopReason.CRITERION: "stop criterion",
+    StopReason.ITERATIONS: "iteration limit",
+    StopReason.TARGET: "cost low enough",
+    StopReason.EVALUATIONS: "evaluation limit",
+    StopReason.FIXED: "no search",
+}
+
+
 class State(StrEnum):
     """What the robots do in a control step; the value is the text in a log."""
 
@@ -74,6 +83,9 @@ class State(StrEnum):
     TURNING = "turning"  # they stand and turn on the spot
     HOLDING = "holding"  # they cannot stand, and stay near their targets
     STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
+
+
+_DOING = {State.RESTING: "standing", State.STUCK: "standing", State.TURNING: "turning on the spot"}
 
 
 PAUSE_S = 0.5
@@ -124,6 +136,11 @@ class Search:
     history: Floats = field(repr=False)  # (iterations + 1,)
     evaluations: int
     stopped: StopReason | str
+
+    @property
+    def ended(self) -> str:
+        """Words for why the search ended."""
+        return next((words for why, words in _ENDED.items() if why == self.stopped), self.stopped)
 
 
 INNOVATIONS = "way along the course", "way across the course", "heading"
@@ -224,7 +241,9 @@ class Plan:
     @property
     def doing(self) -> str:
         """Words for what the robots do."""
-        return "field off" if isinstance(self.instead, FieldOff) else self.state.value
+        if isinstance(self.instead, FieldOff):
+            return "field off"
+        return _DOING.get(self.state, self.state.value)
 
     @property
     def direction(self) -> float | None:

@@ -25,7 +25,8 @@ class Moment:
     `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the newest
     control step and `totals` (K,) the total error at each step. `end_s` is the duration of the
     trial and `steps_end` the number of its control steps; None and 0 for a running trial. `events`
-    are the messages so far, oldest first.
+    are the messages so far, oldest first. With `result`, `poses` are those at which it was taken,
+    which are not measured but `true` in a simulation.
     """
 
     setup: Setup
@@ -38,11 +39,19 @@ class Moment:
     steps_end: int
     result: Result | None
     events: tuple[Event, ...] = ()
+    true: bool = False
 
     @property
     def distances(self) -> Floats:
-        """The distance of each robot to its target, shape (N,)."""
+        """The distance of each robot to its target, shape (N,); at the end that of the result."""
+        if self.result is not None:
+            return np.array(self.result.robot_errors)
         return self.setup.distances(self.poses[:, :2])
+
+    @property
+    def known(self) -> str:
+        """How poses and distances are known: "true" or "measured"."""
+        return "true" if self.result is not None and self.true else "measured"
 
 
 def first_seen(trail: Floats, starts: Floats) -> Floats:
@@ -57,6 +66,31 @@ def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
     return np.where(valid[..., None], mocap[..., :2], np.nan)
 
 
+def end_ns(log: TrialLog) -> int:
+    """Return when a recorded trial ends [ns]: with the last of the frames that show the poses of
+    its result, which cells that swim on leave before the last frame.
+    """
+    ends = [step.command.sent_ns for step in log.steps[-1:]]
+    after = log.mocap_ns >= max(ends, default=0)
+    if log.result is None or not after.any():
+        ends += [int(t) for t in log.mocap_ns[-1:]]
+        if log.stop:
+            ends.append(log.stop.sent_ns)
+        elif log.result:
+            ends.append(log.began_ns + round(log.result.duration_s * SECOND))
+        return max(ends, default=0)
+    true = log.truth if log.start.plant.simulated else None
+    shown = (
+        _held(log.mocap, log.valid, log.start.setup.starts.array())[1:] if true is None else true
+    )
+    gaps = np.abs(shown[after, :, :2] - log.result.verdict.final.xy).max(axis=(1, 2))
+    close = gaps <= gaps.min() + SAME * log.start.setup.arena.width
+    return int(log.mocap_ns[after][close][-1])
+
+
+SAME = 1e-6  # distance of poses that count as the same, over the arena's width
+
+
 class Recording:
     """A recorded trial; `at` returns its state at any time.
 
@@ -67,12 +101,7 @@ class Recording:
     def __init__(self, log: TrialLog) -> None:
         self.log = log
         self.step_ns = np.array([step.command.sent_ns for step in log.steps], dtype=np.int64)
-        ends = [*log.mocap_ns[-1:], *self.step_ns[-1:]]
-        if log.stop:
-            ends.append(log.stop.sent_ns)
-        elif log.result:
-            ends.append(log.began_ns + round(log.result.duration_s * SECOND))
-        self.end_ns = int(max(ends, default=0))
+        self.end_ns = end_ns(log)
         self.began_ns, self.events = log.began_ns, log.events
         self._event_s = [event.time_s for event in self.events]
         self.event_ns = np.array(sorted(note.t_ns for note in log.notes), dtype=np.int64)
@@ -87,17 +116,20 @@ class Recording:
         log = self.log
         seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
+        result = log.result if time_ns >= self.end_ns else None
+        until_s = self.elapsed_s(time_ns) if result is None else math.inf
         return Moment(
             setup=log.start.setup,
             time_s=self.elapsed_s(time_ns),
             end_s=self.elapsed_s(self.end_ns),
-            poses=self._poses[seen],
+            poses=self._poses[seen] if result is None else result.verdict.final.array(),
             trail=self._trail[:seen],
             step=log.steps[done - 1] if done else None,
             totals=self.totals[:done],
             steps_end=len(log.steps),
-            result=log.result if time_ns >= self.end_ns else None,
-            events=self.events[: bisect_right(self._event_s, self.elapsed_s(time_ns))],
+            result=result,
+            events=self.events[: bisect_right(self._event_s, until_s)],
+            true=log.start.plant.simulated,
         )
 
     def elapsed_s(self, time_ns: int) -> float:

@@ -17,7 +17,7 @@ from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
-from tetractl.replay.player import first_seen, tracked
+from tetractl.replay.player import end_ns, first_seen, tracked
 
 """Largest rate of camera frames on the page [Hz], since screens show no more."""
 
@@ -47,18 +47,20 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     direction sent.
 
     `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `SHOWN_HZ`.
-    For each of K control steps, `steps` contains time, direction u (None while robots pause or
-    turn, which `doing` states), cost J, number of signals, solve time and the robots' distances to
-    their targets (K, N). With `plans`, `plan` contains the predicted positions (K, H, N, 2) and
-    `history` the values of J over the chosen search's iterations; H differs from step to step.
-    `dish` contains a microscope's pictures, for a trial with `plans`.
+    For each of K control steps, `steps` contains time, direction u (None while robots stand or turn
+    on the spot, which `doing` states), solve time, and cost J and number of signals of the plan
+    unless the robots stand. `final` are the poses and errors of the result, at the time `end`. With
+    `plans`, `plan` contains the predicted positions (K, H, N, 2) and `history` the values of J over
+    the chosen search's iterations; H differs from step to step. `dish` contains a microscope's
+    pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
+    decided = [step.plan for step in steps]
     colors = robot_colors(setup.names, setup.colors)
-    result, keep = log.result, _thinned(log)
+    until_ns, result = end_ns(log), log.result
+    keep = _thinned(log, until_ns)
     xy = np.where(log.valid[keep][..., None], log.mocap[keep][..., :2], np.nan)
     starts = first_seen(tracked(log.mocap, log.valid), setup.starts.xy)
-    observed = np.array([step.observation.poses.xy for step in steps])
     arena = setup.arena
     # decimals of plans, at most a thousandth of the arena, and of what is shown in digits
     coarse = 4 - math.ceil(math.log10(max(arena.width, arena.height)))
@@ -88,11 +90,17 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
             "t": rounded([log.elapsed_s(step.command.sent_ns) for step in steps]),
             "u": [step.plan.direction for step in steps],
             "doing": [step.plan.doing for step in steps],
-            "cost": significant([step.plan.cost for step in steps]),
-            "signals": [len(step.plan.signals) for step in steps],
+            "cost": significant([np.nan if p.pauses else p.cost for p in decided]),
+            "signals": [None if p.pauses else len(p.signals) for p in decided],
             "solve_ms": significant([step.solve_ns / 1e6 for step in steps]),
-            "stopped": [str(step.plan.search.stopped) for step in steps],
-            "distance": rounded(setup.distances(observed.reshape(-1, len(setup.names), 2)), fine),
+            "ended": ["–" if p.pauses else p.search.ended for p in decided],
+        },
+        "end": round(log.elapsed_s(until_ns), 3),
+        "final": result
+        and {
+            "xy": rounded(result.verdict.final.xy, fine),
+            "errors": rounded(result.robot_errors, fine),
+            "known": "true" if log.start.plant.simulated else "measured",
         },
         "plan": [rounded(step.plan.path[..., :2], coarse) for step in steps] if plans else None,
         "history": [significant(step.plan.search.history) for step in steps] if plans else None,
@@ -100,15 +108,14 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "events": [{"t": e.time_s, "level": e.level, "text": e.text} for e in log.events],
         "outcome": result.outcome.value if result else "the log ends early",
         "reason": result and (result.reason or result.outcome.meaning),
-        "duration_s": result.duration_s if result else None,
     }
 
 
-def _thinned(log: TrialLog) -> NDArray[np.intp]:
+def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
     """Return the indices of the frames to show: at most `SHOWN_HZ` per second, none earlier than
-    one control period before the first direction.
+    one control period before the first direction, or later than `until_ns`.
     """
-    times = log.mocap_ns
+    times = log.mocap_ns[log.mocap_ns <= until_ns]
     from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))
     if not len(from_start):
         return np.arange(len(times))

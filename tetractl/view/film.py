@@ -263,9 +263,10 @@ class FilmFrames:
         self._curve.set_data(
             np.append(self._times[:done], moment.time_s), np.append(moment.totals, total)
         )
-        words = [f"{moment.time_s:.1f} s", "", f"total error {total:.1f} {unit}"]
+        words = [f"{moment.time_s:.1f} s", "", f"total error {total:.1f} {unit}, {moment.known}"]
         if step:
             words[0] += f", step {step.k}"
+        if step and not step.plan.pauses:
             words[1] = f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
         words += [
             f"{n} {e:.1f} {unit}" for n, e in zip(self._names, moment.distances, strict=False)

@@ -8,6 +8,7 @@ from support.trials import cut_short, three_robots
 
 from tetractl.core.commands import Note
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import Poses
 from tetractl.replay.player import Playback, Player, Recording, span
 
 SECOND = 1_000_000_000
@@ -157,6 +158,28 @@ def test_a_frame_shows_what_was_in_force_and_seen(recording):
     assert recording.at(5 * PERIOD).step is log.steps[5]
     assert frame.result is None
     assert recording.at(recording.end_ns).result is log.result
+
+
+def test_the_end_shows_the_poses_and_errors_of_the_result(recording):
+    log = recording.log
+    end, before = recording.at(recording.end_ns), recording.at(recording.end_ns - 1)
+    assert np.array_equal(end.poses, log.result.verdict.final.array())
+    assert end.distances.sum() == pytest.approx(log.result.total_error)
+    assert (before.known, end.known) == ("measured", "true")
+    assert not np.allclose(before.distances, end.distances)
+
+
+def test_a_trial_of_cells_that_swim_on_ends_where_its_result_was_taken():
+    log, swam = three_robots(), 20  # frames after the result
+    mocap = np.concatenate([log.mocap, log.mocap[-1] + 9.0 * np.arange(1, swam + 1)[:, None, None]])
+    frames = np.append(log.mocap_ns, log.mocap_ns[-1] + np.arange(1, swam + 1) * 10**7)
+    final = replace(log.result, verdict=replace(log.result.verdict, final=Poses.of(log.mocap[-1])))
+    start = replace(log.start, plant=replace(log.start.plant, simulated=False))
+    valid = np.ones(mocap.shape[:2], dtype=bool)
+    more = {"mocap_ns": frames, "mocap": mocap, "valid": valid, "result": final, "start": start}
+    recording = Recording(replace(log, **more))
+    assert recording.end_ns == log.mocap_ns[-1]
+    assert recording.at(recording.end_ns).known == "measured"
 
 
 def test_an_untracked_robot_keeps_its_last_pose():

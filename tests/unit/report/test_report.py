@@ -4,11 +4,15 @@ import json
 import re
 import zlib
 from base64 import b64decode
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support import random_trials as made
+from support.trials import three_robots
 
+from tetractl.core.commands import Stop
+from tetractl.core.plan import State
 from tetractl.log.read.reader import read_trial
 from tetractl.report.page import lean, of_batch
 from tetractl.report.trial_data import packed, significant, trial_data
@@ -47,6 +51,27 @@ def test_the_page_has_each_pose_plan_and_search(tmp_path):
         assert np.array(plan) == pytest.approx(step.plan.path[..., :2], abs=1e-3 * size)
         assert history == pytest.approx(step.plan.search.history, rel=1e-3)
     assert trial_data(log, "t", plans=False)["plan"] is None
+
+
+def test_the_player_ends_with_the_result_and_says_whether_it_is_measured():
+    log = three_robots()
+    shown = trial_data(log, "t")
+    assert shown["final"]["errors"] == pytest.approx(log.result.robot_errors, abs=1e-3)
+    assert shown["final"]["known"] == "true"
+    assert shown["frames"]["t"][-1] <= shown["end"]
+    lab = replace(log.start, plant=replace(log.start.plant, simulated=False))
+    assert trial_data(replace(log, start=lab), "t")["final"]["known"] == "measured"
+
+
+def test_robots_that_stand_follow_no_plan():
+    log = three_robots()
+    plan = replace(log.steps[3].plan, instead=Stop(), state=State.RESTING)
+    command = replace(log.steps[3].command, action=Stop())
+    steps = (*log.steps[:3], replace(log.steps[3], plan=plan, command=command), *log.steps[4:])
+    log = replace(log, steps=steps)
+    shown = trial_data(log, "t")["steps"]
+    told = [shown[name][3] for name in ("u", "doing", "cost", "signals", "ended")]
+    assert told == [None, "standing", None, None, "–"]
 
 
 def test_what_is_not_finite_is_missing():

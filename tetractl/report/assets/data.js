@@ -5,8 +5,6 @@ async function readTrial(index) {
   const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
   const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const trial = JSON.parse(await new Response(plain).text(), (_, value) => value ?? NaN);
-  const last = (times) => (times.length ? times[times.length - 1] : 0);
-  trial.end = Math.max(last(trial.frames.t), last(trial.steps.t), trial.duration_s || 0);
   trial.start = 0;  // frames before the first direction give the poses there
   return trial;
 }
@@ -26,6 +24,11 @@ function angleBetween(one, other, share) {
   return one + share * turn;
 }
 
+// Whether the poses and errors at a time are those of the result.
+function isFinal(trial, t) {
+  return trial.final && t >= trial.end;
+}
+
 // Poses [x, y, heading] of all robots at a time, between two frames by interpolation.
 function posesAt(trial, t) {
   const { t: times, xy, heading } = trial.frames;
@@ -33,16 +36,22 @@ function posesAt(trial, t) {
   const gap = times[j] - times[i];
   const share = gap > 0 ? Math.min(Math.max((t - times[i]) / gap, 0), 1) : 0;
   return trial.robots.map((_, r) => {
-    const mix = (k) => xy[i][r][k] + share * (xy[j][r][k] - xy[i][r][k]);
+    const mix = (k) =>
+      isFinal(trial, t) ? trial.final.xy[r][k] : xy[i][r][k] + share * (xy[j][r][k] - xy[i][r][k]);
     return [mix(0), mix(1), angleBetween(heading[i][r], heading[j][r], share)];
   });
 }
 
-function distancesAt(trial, t) {
-  return posesAt(trial, t).map(([x, y], r) => {
+// The robots' distances to their targets at poses [x, y, ...].
+function gaps(trial, poses) {
+  return poses.map(([x, y], r) => {
     const [tx, ty] = trial.robots[r].target;
     return Math.hypot(x - tx, y - ty);
   });
+}
+
+function distancesAt(trial, t) {
+  return isFinal(trial, t) ? trial.final.errors : gaps(trial, posesAt(trial, t));
 }
 
 function digits(value, count = 3) {

@@ -24,7 +24,8 @@ class Player {
     on("step-on", "click", () => this.step(1));
     on("to-start", "click", () => this.pauseAt(this.trial.start));
     on("to-end", "click", () => this.pauseAt(this.trial.end));
-    on("scrub", "input", (event) => this.pauseAt(Number(event.target.value)));
+    on("scrub", "input", ({ target: { value, step } }) =>
+      this.pauseAt(Number(value) > this.trial.end - step ? this.trial.end : Number(value)));
     on("rate", "change", (event) => { this.rate = Number(event.target.value); });
     on("which", "change", (event) => this.open(Number(event.target.value)));
     for (const name of ["plan", "trail", "follow"])
@@ -103,15 +104,16 @@ class Player {
 
   lines() {
     const { trial } = this, { steps } = trial;
+    const { start, end } = trial;
+    const x = trial.frames.t.filter((t) => t >= start);
+    const distances = trial.frames.xy.slice(-x.length).map((poses) => gaps(trial, poses));
     const each = trial.robots.map((robot, r) => ({
-      name: robot.name, color: robot.color, x: steps.t,
-      y: steps.distance.map((distances) => distances[r]),
+      name: robot.name, color: robot.color, x, y: distances.map((those) => those[r]),
     }));
     const total = {
-      name: "total", color: color("ink"), x: steps.t, dashed: true,
-      y: steps.distance.map((distances) => distances.reduce((sum, one) => sum + one)),
+      name: "total", color: color("ink"), x, dashed: true,
+      y: distances.map((those) => those.reduce((sum, one) => sum + one)),
     };
-    const { start, end } = trial;
     this.charts.distance.show([...each, total], start, end);
     this.charts.cost.show([{ name: "J", color: color("accent"), x: steps.t, y: steps.cost }], start, end);
     const solve = [{ name: "solve", color: color("accent"), x: steps.t, y: steps.solve_ms }];
@@ -135,7 +137,7 @@ class Player {
     byId("outcome").textContent = trial.outcome + (trial.reason ? `: ${trial.reason}` : "");
     byId("file").textContent = trial.file;
     const marks = byId("marks"), list = byId("events");
-    const place = (t) => `${(100 * (t - trial.start)) / (trial.end - trial.start || 1)}%`;
+    const place = (t) => `${(100 * (Math.min(t, trial.end) - trial.start)) / (trial.end - trial.start || 1)}%`;
     marks.replaceChildren(...trial.events.map(({ t, level, text }) => {
       const mark = document.createElement("i");
       mark.className = level;
@@ -200,7 +202,12 @@ class Player {
     const { trial } = this, k = indexAt(trial.steps.t, this.time);
     const total = distancesAt(trial, this.time).reduce((sum, one) => sum + one, 0);
     const where = k < 0 ? "before the first step" : `step ${k}`;
-    return `${this.time.toFixed(2)} s, ${where}, total error ${digits(total)} ${trial.unit}`;
+    return `${this.time.toFixed(2)} s, ${where}, total error ${digits(total)} ${trial.unit}, ${this.known()}`;
+  }
+
+  // How the poses and errors shown are known.
+  known() {
+    return isFinal(this.trial, this.time) ? `${this.trial.final.known}, as in the tables` : "measured";
   }
 
   draw() {
@@ -215,11 +222,12 @@ class Player {
     set("time", `${time.toFixed(2)} s of ${trial.end.toFixed(2)} s`);
     set("step", k < 0 ? "–" : String(k));
     set("cost", k < 0 ? "–" : digits(trial.steps.cost[k]));
-    set("signals", k < 0 ? "–" : String(trial.steps.signals[k]));
+    set("signals", k < 0 ? "–" : digits(trial.steps.signals[k]));
     const u = k < 0 ? undefined : trial.steps.u[k];
-    set("direction", u === undefined ? "–" : Number.isNaN(u) ? trial.steps.doing[k] : `${((u * 180) / Math.PI).toFixed(0)}°`);
+    set("direction", u === undefined ? "–" : Number.isNaN(u) ? `none: ${trial.steps.doing[k]}` : `${((u * 180) / Math.PI).toFixed(0)}°`);
     set("solve", k < 0 ? "–" : `${digits(trial.steps.solve_ms[k])} ms`);
-    set("stopped", k < 0 ? "–" : trial.steps.stopped[k]);
+    set("stopped", k < 0 ? "–" : trial.steps.ended[k]);
+    set("known", this.known());
     const poses = posesAt(trial, time), distances = distancesAt(trial, time);
     [...byId("robots").children].forEach((row, r) => {
       const [x, y] = poses[r];

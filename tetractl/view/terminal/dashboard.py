@@ -144,10 +144,11 @@ class Dashboard:
             return [*lines, _row(width, "step k", "k", "none yet")]
         lines.append(_row(width, "step k", "k", f"{step.k}"))
         signals = len(step.plan.signals)
-        lines.append(_row(width, "horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
+        if not step.plan.pauses:
+            lines.append(_row(width, "horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
         u = step.command.direction
         if u is None:
-            return [*lines, _row(width, "state", "s", step.plan.doing)]
+            return [*lines, _row(width, "robots", "do", step.plan.doing)]
         degrees = math.degrees(math.remainder(u, math.tau))
         sign = f"{arrow(glyphs, u)} {degrees:+.0f}{glyphs.degree}"
         return [*lines, _row(width, "direction", "u", sign)]
@@ -165,7 +166,7 @@ class Dashboard:
         value_width = max(len(f"{full:.{decimals}f}"), *(len(value) for value in values))
         bar_width = width - 3 - name_width - 1 - value_width - 1
         what = "to target" if width < COMPACT else "distance to target"
-        lines = [Text(f"{what} [{setup.unit}]", "dim", no_wrap=True)]
+        lines = [Text(f"{what} [{setup.unit}], {frame.known}", "dim", no_wrap=True)]
         for robot, (name, value) in enumerate(zip(names, values, strict=True)):
             color = self._colors[robot]
             mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, frame.poses[robot, 2])
@@ -193,8 +194,8 @@ class Dashboard:
         ]
 
     def _plan(self, glyphs: Glyphs, width: int) -> list[Text]:
-        if self._frame.step is None:
-            return []
+        if self._frame.step is None or self._frame.step.plan.pauses:
+            return []  # robots that stand follow no plan
         plan: Plan = self._frame.step.plan
         search = plan.search
         done = len(search.history) - 1
@@ -204,7 +205,7 @@ class Dashboard:
         return [
             _row(width, "plan cost J", "J", f"{first} {glyphs.to} {_number(plan.cost)} {unit}"),
             sparkline(glyphs, search.history, min(width, 48), total=most + 1, log=True),
-            _row(width, "stopped", "z", f"{done} of {most}, {search.stopped}"),
+            _row(width, "iterations", "z", f"{done} of {most}, {search.ended}"),
         ]
 
     def _effort(self, width: int) -> list[Text]:

@@ -67,7 +67,7 @@ class LiveView(Observer):
     def on_start(self, start: Start) -> None:
         """Clear the view for a new trial."""
         setup = self._setup = start.setup
-        self._plant = start.plant.kind
+        self._plant, self._true = start.plant.kind, start.plant.simulated
         virtual = start.plant.virtual
         self._hints = ("Ctrl-C stops",) if virtual else (SAYS,)
         self._colors = robot_colors(setup.names, setup.colors)
@@ -140,6 +140,7 @@ class LiveView(Observer):
             events=tuple(
                 Event(seconds(note.t_ns - first_ns), note.level, note.text) for note in self._notes
             ),
+            true=self._true,
         )
         done, n = len(self._tally.errors), self._count
         taken_s = self._wall() - self._began if self._began is not None else 0.0

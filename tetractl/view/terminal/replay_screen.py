@@ -174,9 +174,10 @@ def step_line(recording: Recording, index: int) -> str:
         direction = f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
         state = "" if plan.state is State.DRIVING else f"  {plan.state}"
     time_s = recording.elapsed_s(int(recording.step_ns[index]))
+    cost = "      -" if plan.pauses else f"{plan.cost:7.1f}"  # robots that stand follow no plan
     return (
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
-        f"J {plan.cost:7.1f} {unit}  total error {recording.totals[index]:7.1f} {unit}  "
+        f"J {cost} {unit}  total error {recording.totals[index]:7.1f} {unit} measured  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
-        f"stopped {plan.search.stopped}{state}"
+        f"{plan.search.ended}{state}"
     )

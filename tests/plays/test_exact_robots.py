@@ -1,4 +1,4 @@
-"""A trial of robots that obey and stop at once, before a camera without noise, in virtual time."""
+"""Trials of robots that obey and stop at once, before a camera without noise, in virtual time."""
 
 from unittest import mock
 
@@ -16,15 +16,29 @@ from tetractl.run.task import log_path, run_trial
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 
 
-def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
-    spec = on_plant(load_spec(SPEC, ["controller.steps_max=240"]), "lab")
+def driven(folder, *sets):
+    """Run a trial; return its result and what its robots did in each step. Its log verifies."""
+    spec = on_plant(load_spec(SPEC, sets), "lab")
     lab = fake_lab(spec.experiment.setup)
     plant = {"build": lambda *_: lab.plant, "clock": lambda _: lab.clock}
     with mock.patch.multiple(LabPlantSection, **plant):
-        result = run_trial(spec, tmp_path)
-    log = read_trial(log_path(tmp_path, 0))
+        result = run_trial(spec, folder)
+    verified = verify(log_path(folder, 0))
+    assert verified.ok, verified.problems
+    return result, [step.plan.state for step in read_trial(log_path(folder, 0)).steps]
+
+
+def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
+    result, states = driven(tmp_path, "controller.steps_max=240")
     assert (result.outcome, result.reason) == (Outcome.NOTHING_BETTER, "")
     assert result.total_error < 1
-    assert [step.k for step in log.steps if step.plan.state is State.RESTING] == [result.steps - 1]
-    verified = verify(log_path(tmp_path, 0))
-    assert verified.ok, verified.problems
+    assert states.index(State.RESTING) == len(states) - 1
+
+
+def test_a_trial_goes_on_after_a_turn_on_the_spot(tmp_path):
+    """Regression: its guard ended it, and its log would not have verified."""
+    before_an_obstacle = "robots.1.start=[1146, 1200]"
+    result, states = driven(tmp_path, "controller.steps_max=120", before_an_obstacle)
+    assert result.outcome.complete
+    assert states[0] is State.TURNING
+    assert State.DRIVING in states

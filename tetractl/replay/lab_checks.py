@@ -139,9 +139,10 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
     """Check the duration of a trial in the lab: it must count from a time between the first frame
-    and the first command.
+    and the first direction.
     """
-    first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
+    directed = (one.sent_ns for one in log.commands if not one.stops)
+    first = min(directed, default=stop.sent_ns)
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
     least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))
     # longest time until a stop is sent on a busy host

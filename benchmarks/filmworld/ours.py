@@ -23,7 +23,7 @@ def track(folder: Path, um_px: float) -> Shown:
     followed, cells = fit_cells(followed, field)
     spent = cpu_s() - began
     rows = [
-        (frame, path.identity, c.x, c.y, c.axis, c.heading, c.probability)
+        (frame, path.identity, c.x, c.y, c.axis, c.heading, c.sure)
         for path in followed.paths
         for frame, c in zip(path.frames.tolist(), path.seen, strict=True)
     ]
@@ -35,7 +35,8 @@ def track(folder: Path, um_px: float) -> Shown:
             name: (float(one.low), float(one.high)) for name, one in said.items() if one is not None
         }
     frame, name = table[:, 0].astype(int), table[:, 1].astype(int)
-    return Shown(frame, name, *table[:, 2:].T, numbers=numbers, cpu_s=spent)
+    sure = table[:, 6] > 0
+    return Shown(frame, name, *table[:, 2:6].T, sure, numbers=numbers, cpu_s=spent)
 
 
 def parts(folder: Path, um_px: float) -> dict[str, list[float]]:

@@ -102,7 +102,7 @@ def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, u
         y=(height - 0.5 - table.y.to_numpy(float)) * um_px,
         axis=none,
         heading=none,
-        probability=none,
+        sure=np.ones(len(table), bool),
         cpu_s=spent,
     )
 

@@ -19,7 +19,7 @@ LONG_S = 2.0  # least duration of a track whose numbers are scored
 @dataclass(slots=True)
 class Shown:
     """What a tracker says: rows (R,) in order of `frame`, with integer `name`, x, y [um], axis and
-    heading [rad] (NaN where not said) and the stated probability of the name. `numbers` holds for
+    heading [rad] (NaN where not said) and whether the name is said to be sure. `numbers` holds for
     each name intervals of the `speed` and of `a` (low, high), where said. `cpu_s` is the processor
     time.
     """
@@ -30,7 +30,7 @@ class Shown:
     y: np.ndarray
     axis: np.ndarray
     heading: np.ndarray
-    probability: np.ndarray
+    sure: np.ndarray
     numbers: dict[int, dict[str, tuple[float, float]]] = field(default_factory=dict)
     cpu_s: float = 0.0
 
@@ -39,7 +39,9 @@ class Shown:
 class FilmScore:
     """Sums over one film, which may be added over films.
 
-    `wrong` are the probabilities stated for wrong names that last; `held` maps a quantity to the
+    `wrong` says of each wrong name that lasts whether it is called sure, in most of its rows.
+    `right` counts the rows of the cell that the name had at first, `covered` those called sure;
+    `held` maps a quantity to the
     number of intervals that hold the truth and their number.
     """
 
@@ -58,7 +60,9 @@ class FilmScore:
     named: int = 0
     hours: float = 0.0
     renamed: int = 0
-    wrong: list[float] = field(default_factory=list)
+    wrong: list[bool] = field(default_factory=list)
+    right: int = 0
+    covered: int = 0
     a: tuple[int, int] = (0, 0)
     speed: tuple[int, int] = (0, 0)
     strangers: tuple[int, int] = (0, 0)
@@ -91,6 +95,9 @@ def score_film(name: str, truth: FilmTruth, shown: Shown) -> FilmScore:
     free = rows[nearest[shown.frame[rows], owner[rows]] > TOGETHER_UM]
     score.renamed = _renamed(truth, shown, owner, free)
     score.wrong = _wrong(truth, shown, owner, free)
+    first = dict(zip(shown.name[true][::-1].tolist(), owner[true][::-1].tolist(), strict=True))
+    right = true & (owner == np.array([first.get(name, -1) for name in shown.name.tolist()]))
+    score.right, score.covered = int(right.sum()), int((right & shown.sure).sum())
     _intervals(score, truth, shown, owner)
     return score
 
@@ -178,8 +185,8 @@ def _renamed(truth: FilmTruth, shown: Shown, owner, free) -> int:
     return count
 
 
-def _wrong(truth: FilmTruth, shown: Shown, owner, free) -> list[float]:
-    """Return the probabilities stated (the median of each) where a name that was one cell's is
+def _wrong(truth: FilmTruth, shown: Shown, owner, free) -> list[bool]:
+    """Return whether a name is called sure (in most rows) where one that was one cell's is
     another's for LASTS_S or to its end. A mother's name may be a daughter's.
     """
     found = []
@@ -197,7 +204,7 @@ def _wrong(truth: FilmTruth, shown: Shown, owner, free) -> list[float]:
             family = before in (i, truth.parent[i]) or truth.parent[before] == i
             family |= before >= 0 and truth.parent[before] == truth.parent[i] >= 0
             if before >= 0 and not family:
-                found.append(float(np.median(shown.probability[run])))
+                found.append(bool(np.mean(shown.sure[run]) > 0.5))
             before = i
     return found
 

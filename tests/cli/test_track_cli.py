@@ -120,7 +120,7 @@ def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
     with (tracks[0] / "tracks.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     nodes = {name: prop["values"] for name, prop in graph["node_props"].items()}
-    assert set(nodes) == {"t", "y", "x", "cell", "heading", "axis", "probability"}
+    assert set(nodes) == {"t", "y", "x", "cell", "heading", "axis", "sure"}
     for name, column in {"t": "t", "y": "y", "x": "x", "cell": "id"}.items():
         assert nodes[name].tolist() == [float(row[column]) for row in rows]
     t, y, x = graph["metadata"].axes

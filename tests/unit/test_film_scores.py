@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from filmworld.rows import table
 from filmworld.scores import Shown, score_film
 from filmworld.truth import FilmTruth, write_film
@@ -46,7 +45,7 @@ def shown(truth, name, **changed):
         "y": truth.y.ravel(),
         "axis": truth.axis.ravel(),
         "heading": truth.heading.ravel(),
-        "probability": np.full(2 * PICTURES, 0.95),
+        "sure": np.ones(2 * PICTURES, bool),
     }
     return Shown(frame, np.asarray(name).ravel(), **(rows | changed))
 
@@ -69,7 +68,7 @@ def test_names_that_are_exchanged_for_good_are_two_wrong_names():
     names[40:] = names[40:, ::-1]
     truth = two_cells()
     score = score_film("film", truth, shown(truth, names))
-    assert score.wrong == pytest.approx([0.95, 0.95])
+    assert score.wrong == [True, True] and (score.right, score.covered) == (80, 80)
     assert score.renamed == 0
     assert score.named == 2 * 50
 

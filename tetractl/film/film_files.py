@@ -144,5 +144,5 @@ def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[i
     ahead = ARROW_UM * math.cos(cell.heading), ARROW_UM * math.sin(cell.heading)
     tip = (round(column + ahead[0] / um_px), round(row - ahead[1] / um_px))
     cv2.arrowedLine(picture, at, tip, *look, tipLength=0.25)
-    doubt = "" if cell.probability > 0.99 else "?"
+    doubt = "" if cell.sure else "?"
     cv2.putText(picture, f"{cell.identity}{doubt}", (column + 8, row - 8), 0, 0.4, *look)

@@ -11,7 +11,7 @@ from tetractl.replay.identification.fit import SampleInterval
 from tetractl.results.kinematics import velocities
 
 POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
-POSES |= {"axis": "rad", "identity_probability": "", "found": "", "merged": ""}
+POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}
 """Columns of the table of poses, with their units."""
 LISTED = 5  # most meetings with an uncertain end that are listed one by one
 TRACKS = ("id", "t", "y", "x", "frame", "particle")
@@ -29,14 +29,11 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     ]
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")
-    for names, probability in followed.doubtful[:LISTED]:
+    for names in followed.doubtful[:LISTED]:
         who = f"cells {', '.join(map(str, names))} met"
         if len(names) == 1:
             who = f"cell {names[0]} met others"
-        found.append(
-            f"warning: {who} and are too similar to be distinguished afterwards: "
-            f"the assignment chosen has a probability of {100 * probability:.0f} %"
-        )
+        found.append(f"warning: {who} and cannot be distinguished afterwards")
     if more := len(followed.doubtful[LISTED:]):
         found.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
     if any(cell.speed is None for cell in cells):
@@ -69,9 +66,7 @@ def as_items(
         "contrast": followed.contrast,
         "noise": followed.noise,
         "cells": [_cell(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
-        "indistinguishable": [
-            {"cells": names, "probability": probability} for names, probability in followed.doubtful
-        ],
+        "indistinguishable": followed.doubtful,
         "notes": notes(followed, cells),
         "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
     }
@@ -99,7 +94,7 @@ def _cell(cell: CellSummary, path: CellPath) -> dict:
         "a_rad_s": value(cell.a),
         "bias_rad": value(cell.bias),
         "magnetised": cell.magnetised,
-        "identity_probability": cell.probability,
+        "sure": cell.sure,
     }
 
 
@@ -113,7 +108,7 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
     rows = sorted(
         (
             *(int(picture), path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
-            *(cell.probability, cell.found, cell.merged),
+            *(cell.sure, cell.found, cell.merged),
             *pixel(cell.x, cell.y, followed.um_px, followed.size[1]),
         )
         for path in followed.paths

@@ -75,8 +75,7 @@ class CellSummary:
     the way along the helix's axis, `sway_rad` the amplitude of the body's swing about it;
     `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and `bias` are None without
     a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS standard deviations.
-    `probability` is the probability that the cell was not mistaken for another, in the picture
-    where it is least.
+    `sure` is whether all its pictures surely show the same cell.
     """
 
     cell: int
@@ -92,7 +91,7 @@ class CellSummary:
     a: SampleInterval | None
     bias: SampleInterval | None
     magnetised: bool | None
-    probability: float
+    sure: bool
 
 
 def fit_cells(
@@ -336,5 +335,5 @@ def _summary(
         a=a,
         bias=bias,
         magnetised=magnetised,
-        probability=min(cell.probability for cell in path.seen),
+        sure=all(cell.sure for cell in path.seen),
     )

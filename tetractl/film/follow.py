@@ -25,6 +25,9 @@ SHORTEST_S = 0.35  # least duration of a path that is kept [s]
 # least share of a path's pictures in which its cell has a blob; least way over SHORTEST_S, relative
 # to the way from picture to picture: what jumps to and fro does not swim
 FOUND, STEADY = 0.7, 0.6
+# least probability of a sure name; a cell may be another once its blob was too large for it, and no
+# other cell known there, in so many pictures, this near to the picture's edge [lengths]
+SURE, LARGE, ENTERS = 0.98, 2, 4.8
 FADED = 0.05  # share of cells' pictures without a blob above which a warning is given
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
@@ -51,8 +54,8 @@ class Followed:
     """The cells of a film; `damaged` of its `pictures` could not be read.
 
     `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
-    that could not be distinguished after they met, with the probability that their numbers were
-    then assigned correctly. `divisions` lists mother and daughter of each division that was seen.
+    that could not be distinguished after they met. `divisions` lists mother and daughter of each
+    division that was seen.
     """
 
     paths: tuple[CellPath, ...]
@@ -68,7 +71,7 @@ class Followed:
     contrast: float
     noise: float
     background: Grey
-    doubtful: tuple[tuple[tuple[int, ...], float], ...]
+    doubtful: tuple[tuple[int, ...], ...]
     divisions: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -133,8 +136,10 @@ def follow(
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
+    around = np.array((width, height)) * seen_as.um_px, ENTERS * seen_as.organism.body_um[0]
+    paths = _paths(shown, frames, times, seen_as.organism)
     return Followed(
-        paths=tuple(_paths(shown, frames, times, seen_as.organism)),
+        paths=tuple(_flagged(path, *around) for path in paths),
         pictures=len(frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -148,9 +153,7 @@ def follow(
         noise=noise,
         background=background,
         doubtful=tuple(
-            (tuple(sorted(each.asked)), each.probability)
-            for each in answers
-            if each.probability < ASSERTED
+            tuple(sorted(each.asked)) for each in answers if each.probability < ASSERTED
         ),
         divisions=tuple(
             (at[i].identity, at[j].identity) for at, i, j in divisions if j not in pairs
@@ -279,3 +282,19 @@ def _paths(
         found = np.mean([cell.found for cell in path.seen])
         if np.median(moved) >= least and found >= FOUND:
             yield path
+
+
+def _flagged(path: CellPath, size_um: Floats, enters_um: float) -> CellPath:
+    """Return a path whose pictures say whether they surely show the cell of its first ones.
+
+    They do not where the name is uncertain, unless it is certain before and after; nor any more
+    after something may have entered the cell's blob within `enters_um` [um] of the edge of a
+    picture of `size_um` (2,) [um].
+    """
+    certain = np.flatnonzero(np.array([cell.probability > SURE for cell in path.seen]))
+    edge = np.minimum(path.places, size_um - path.places).min(axis=1)
+    joined = np.array([cell.merged and cell.measured is not None for cell in path.seen])
+    sure = np.cumsum(joined & (edge < enters_um)) < LARGE
+    sure[: certain.min(initial=len(sure))] = sure[certain.max(initial=-1) + 1 :] = False
+    marked = zip(path.seen, sure.tolist(), strict=True)
+    return replace(path, seen=tuple(replace(cell, sure=is_sure) for cell, is_sure in marked))

@@ -51,7 +51,7 @@ QUANTITIES = (
     Quantity("a", "rad/s", "a", 2, interval=True),
     Quantity("bias", "rad", "bias", 2, interval=True),
     Quantity("magnetised", "", "magnet", averaged=False),
-    Quantity("identity_probability", "", "identity", 2, averaged=False),
+    Quantity("sure", "", "number", averaged=False),
 )
 """The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
 
@@ -62,8 +62,9 @@ def cell_tables(record: Record) -> list[Table]:
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for one in QUANTITIES:
         texts = [_text(cell.get(one.key), one.decimals) for cell in cells]
-        certain = one.key == "identity_probability" and {"1.00"}.issuperset(texts)
-        if one.heading and not certain and any(text != NONE for text in texts):
+        if one.key == "sure":
+            texts = ["may be another" if cell.get("sure") is False else "sure" for cell in cells]
+        if one.heading and not {NONE, "sure"}.issuperset(texts):
             columns.append(Column(one.heading, texts, one.unit))
     note = "\n".join(record["notes"])
     return [Table("Cells, with 95 % intervals", tuple(columns), note), *_means(cells)]

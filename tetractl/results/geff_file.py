@@ -13,7 +13,7 @@ ABOUT = {
     "cell": "number of the cell",
     "heading": "direction of swimming, from +x towards +y, which points down [rad]",
     "axis": "direction of the body, likewise [rad]",
-    "probability": "probability that the node is the cell of this number",
+    "sure": "whether the node surely is the cell that had this number at first",
 }
 
 
@@ -42,7 +42,7 @@ def write_geff(
         "cell": cell,
         "heading": -np.array(um["heading_rad"], float),
         "axis": -np.array(um["axis_rad"], float),
-        "probability": np.array(um["identity_probability"], float),
+        "sure": np.array(um["sure"], bool),
     }
     space = {"type": "space", "unit": "pixel", "scale": um_px, "scaled_unit": "micrometer"}
     time = {"type": "time", "unit": "frame", "scale": 1 / rate_hz, "scaled_unit": "second"}

@@ -12,7 +12,7 @@ from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
 from tetractl.film.film_tables import LISTED, as_items, notes
 from tetractl.film.fit_cell import fit_cells
-from tetractl.film.follow import _faded_line, _paths, _split, follow
+from tetractl.film.follow import CellPath, _faded_line, _flagged, _paths, _split, follow
 from tetractl.film.pictures import open_film
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.model.organisms import TETRAHYMENA
@@ -114,7 +114,7 @@ def test_cells_that_fade_are_said():
 def test_of_many_uncertain_meetings_a_few_are_listed():
     seen = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
     for count, more in ((LISTED, []), (LISTED + 3, ["warning: 3 more"])):
-        lines = notes(replace(seen, doubtful=(((1, 2), 0.5),) * count), ())
+        lines = notes(replace(seen, doubtful=((1, 2),) * count), ())
         assert sum("cells 1, 2 met" in line for line in lines) == LISTED
         assert [line[:15] for line in lines if "more meetings" in line] == more
 
@@ -226,6 +226,28 @@ def test_velocities_are_those_of_casa():
     assert circle["vsl_um_s"] == pytest.approx(200)
     assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
     assert set(velocities(times[:1], np.zeros((1, 2)), 2.5).values()) == {None}
+
+
+@pytest.mark.parametrize(
+    ("likely", "lone", "x", "sure"),
+    [
+        ([1.0, 1.0, 0.4, 0.4, 1.0, 1.0], [], 500.0, [True] * 6),  # sure before and after
+        ([1.0, 1.0, 1.0, 0.97, 0.97, 0.97], [], 500.0, [True] * 3 + [False] * 3),
+        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [], 500.0, [False] * 2 + [True] * 4),
+        ([0.9] * 6, [], 500.0, [False] * 6),
+        ([1.0] * 6, [2, 3], 100.0, [True] * 3 + [False] * 3),  # in its blob is something unknown
+        ([1.0] * 6, [2, 3], 500.0, [True] * 6),
+    ],
+)
+def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, lone, x, sure):
+    state, body = np.zeros(12), (0.0,) * 6
+    seen = tuple(
+        SeenCell(3, x, 500.0, 0, 0, state, state, p, True, k in lone, 50.0, 25.0, 7, body, None)
+        for k, p in enumerate(likely)
+    )
+    path = CellPath(3, np.arange(6) / 30, np.arange(6), seen)
+    flagged = _flagged(path, np.array((1000.0, 1000.0)), 250.0)
+    assert [cell.sure for cell in flagged.seen] == sure
 
 
 def test_a_cell_is_in_a_picture_once():

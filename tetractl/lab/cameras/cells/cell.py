@@ -26,7 +26,8 @@ class SeenCell:
     number `identity`. `found`: the cell has a blob; `merged`: its blob shows other cells, too.
     `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
     and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
-    x, y [um], axis [rad], length and width [um] of the blob; None if the cell has none.
+    x, y [um], axis [rad], length and width [um] of the blob; None if the cell has none. `sure` is
+    whether a whole film leaves no doubt that this is the cell that had the number at first.
     """
 
     identity: int
@@ -44,6 +45,7 @@ class SeenCell:
     track: int
     measured: tuple[float, ...] | None
     blob_um: Floats | None
+    sure: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """The tables of a film's cells, made from the record that `tetractl track --json` prints."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +9,13 @@ import numpy as np
 
 from tetractl.core.table.table import NONE, Column, Table, fixed
 from tetractl.log.read.track_log import value_of
-from tetractl.results.estimate import distributions
+from tetractl.results.estimate import (
+    VALUES_MIN,
+    Distribution,
+    Interval,
+    known_distribution,
+    t_quantile,
+)
 
 Record = Mapping[str, Any]
 
@@ -54,6 +61,8 @@ QUANTITIES = (
     Quantity("sure", "", "number", averaged=False),
 )
 """The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
+RESPONSES = "a_rad_s", "bias_rad"
+"""Quantities whose means are over the cells that respond to the field."""
 
 
 def cell_tables(record: Record) -> list[Table]:
@@ -79,16 +88,47 @@ def _text(entry: Any, decimals: int) -> str:
     return fixed(decimals)(entry)
 
 
+def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
+    """Return the cells of which a quantity is known, and its values; of a and bias, only the cells
+    that respond to the field.
+    """
+    some = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
+    found = [(cell, value_of(cell.get(key))) for cell in some]
+    known = [(cell, value) for cell, value in found if value is not None]
+    return [cell for cell, _ in known], [value for _, value in known]
+
+
+def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
+    """Describe values of one or more cells, each weighted by the time for which its cell is seen.
+
+    A cell that is followed under one number after another is several of `cells`: n is the greatest
+    number that are seen at once, and the interval is Student's for that n.
+    """
+    weights = np.array([cell["duration_s"] for cell in cells])
+    since = np.array([cell["since_s"] for cell in cells])
+    middles = since + weights / 2
+    n = int((np.abs(since[:, None] + 1e-6 - middles) < weights / 2).sum(axis=1).max())
+    mean = float(np.average(values, weights=weights))
+    if n < 2:
+        return known_distribution(n, mean, math.nan, Interval.none("one value has no spread"))
+    squares = np.square(np.array(values) - mean)
+    std = math.sqrt(float(np.average(squares, weights=weights)) * n / (n - 1))
+    half = t_quantile(n - 1) * std / math.sqrt(n)
+    few = Interval.none(f"an interval needs {VALUES_MIN} cells")
+    ends = few if n < VALUES_MIN else Interval(mean - half, mean + half, "t")
+    return known_distribution(n, mean, std, ends)
+
+
 def _means(cells: list[Record]) -> list[Table]:
     """Return the table of means, none for fewer than two cells."""
     rows = []
     for one in QUANTITIES if len(cells) > 1 else ():
-        entries = (value_of(cell.get(one.key)) for cell in cells)
-        known = [value for value in entries if value is not None]
+        some, known = known_values(cells, one.key)
         if one.averaged and one.heading and known:
-            (found,) = distributions(np.array([known], dtype=float))
+            found = cell_mean(some, known)
             show = fixed(one.decimals)
-            name = f"{one.heading} [{one.unit}]" if one.unit else one.heading
+            who = " of those that respond" * (one.key in RESPONSES)
+            name = (f"{one.heading} [{one.unit}]" if one.unit else one.heading) + who
             spread = show(found.std)
             rows.append((name, str(found.n), show(found.mean), found.ci95.text(show), spread))
     header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")

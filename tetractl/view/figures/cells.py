@@ -1,7 +1,7 @@
 """The figures of a film's cells: paths, speeds, turning in the field, and how far they get."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,8 +14,9 @@ from matplotlib.patheffects import withStroke
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.log.read.track_log import TrackLog, value_of
-from tetractl.results.estimate import Distribution, Interval, distributions
+from tetractl.log.read.track_log import TrackLog
+from tetractl.results.cell_tables import cell_mean, known_values
+from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.view import style
 
 BAR_SHARE = 0.25  # longest scale bar, as a share of the picture's width
@@ -75,7 +76,7 @@ def _headed(figure: Figure, log: TrackLog) -> Figure:
     guessed = " (guessed)" if record["scale_guessed"] else ""
     style.headline(
         figure,
-        f"{record['film']}: {len(record['cells'])} cells, {seconds:.3g} s, "
+        f"{record['film']}: {len(record['cells'])} tracks, {seconds:.3g} s, "
         f"{record['um_per_px']:.3g} µm/px{guessed}",
         damage,
     )
@@ -133,25 +134,30 @@ def _speeds(axes: Axes, log: TrackLog) -> None:
     labels = [f"{each['cell']}{'      ' * (row % 2)}" for row, each in enumerate(cells)]
     axes.set_yticks(range(len(cells)) if few else [], labels * few)
     axes.tick_params(axis="y", length=0, labelsize=5.5)
-    found = _mean(log.values("speed_um_s"))
+    found = _mean(cells, [each["speed_um_s"]["value"] for each in cells])
     axes.axvline(found.mean, color=style.GREY, lw=0.8, ls="--", zorder=0)
     if found.ci95.known:
         axes.axvspan(found.ci95.low, found.ci95.high, color=style.FAINT, lw=0, zorder=0)
     axes.set(xlabel=f"speed [µm/s]\nmean {_stated(found)}", ylabel="cell")
 
 
-def _mean(values: Floats) -> Distribution:
+def _mean(cells: Sequence[Any], values: Sequence[float]) -> Distribution:
     """Return the mean with its interval; without one for fewer than CELLS_MIN cells."""
-    found = distributions(values[None])[0]
     few = Interval.none(f"fewer than {CELLS_MIN} cells")
-    return found if len(values) >= CELLS_MIN else replace(found, ci95=few)
+    if not cells:
+        return known_distribution(0, math.nan, math.nan, few)
+    found = cell_mean(cells, values)
+    return found if found.n >= CELLS_MIN else replace(found, ci95=few)
 
 
-def _means(rows: list[Any]) -> tuple[list[Distribution], Floats]:
+def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], Floats]:
     """Return the mean over the cells' `rows` (C, K) at each place, and the ends (2, K) of the
     intervals; NaN is unknown.
     """
-    means = [_mean(column[np.isfinite(column)]) for column in np.array(rows, dtype=float).T]
+    means = []
+    for column in np.array(rows, dtype=float).T:
+        (known,) = np.nonzero(np.isfinite(column))
+        means.append(_mean([cells[i] for i in known.tolist()], column[known].tolist()))
     return means, np.array([(found.ci95.low, found.ci95.high) for found in means]).T
 
 
@@ -169,25 +175,25 @@ def _turning(axes: Axes, log: TrackLog) -> None:
     each bin; the mean over the cells that respond; and a sin(angle) with the mean of their a.
     """
     edges = np.linspace(-math.pi, math.pi, BINS + 1)
-    middle, rates, fitted = (edges[:-1] + edges[1:]) / 2, [], []
-    responds = {each["cell"]: each.get("magnetised") is not False for each in log.record["cells"]}
+    middle, rates = (edges[:-1] + edges[1:]) / 2, []
+    cells, values = known_values(log.record["cells"], "a_rad_s")
+    responds = [each["cell"] for each in cells]
     for number, times, poses in log.tracks:
         angle, rate = turns(times, poses[:, 2], log.record["field"])
         binned = np.digitize(angle, edges) - 1
         counts = np.bincount(binned, minlength=BINS)[:BINS]
         sums = np.bincount(binned, rate, minlength=BINS)[:BINS]
         row = np.where(counts >= BIN_MIN, sums / np.maximum(counts, 1), np.nan)
-        color = _color(number) if responds[number] else style.FAINT
+        color = _color(number) if number in responds else style.FAINT
         axes.plot(middle, row, "o", ms=1.8, alpha=0.7, mew=0, color=color)
-        if responds[number] and len(angle):
+        if number in responds:
             rates.append(row)
-            fitted.append(float(rate @ np.sin(angle) / (np.sin(angle) @ np.sin(angle))))
     if not rates:
         return
-    means, ends = _means(rates)
+    means, ends = _means(cells, rates)
     axes.vlines(middle, *ends, color=style.INK, lw=1, zorder=2)
     axes.plot(middle, [found.mean for found in means], "s", ms=3, color=style.INK)
-    found = _mean(np.array(fitted))
+    found = _mean(cells, values)
     curve = np.linspace(-math.pi, math.pi, 100)
     axes.plot(curve, found.mean * np.sin(curve), color=style.INK, lw=1, label="a sin(angle)")
     axes.set_xticks([-math.pi, 0, math.pi], ["-π", "0", "π"])
@@ -221,12 +227,13 @@ def _displacement(axes: Axes, log: TrackLog) -> None:
     lengths = sorted((len(times) for _, times, _ in log.tracks), reverse=True)
     longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
     lags = np.unique(np.geomspace(1, max(longest, 2), LAGS).astype(int))
-    rows = []
+    rows, by_number = [], {each["cell"]: each for each in log.record["cells"]}
     for number, times, poses in log.tracks:
         row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
         axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)
         rows.append(row)
-    means, ends = _means(rows)
+    cells = [by_number[number] for number, _, _ in log.tracks]
+    means, ends = _means(cells, rows)
     axes.plot(lags * step, [found.mean for found in means], color=style.INK, lw=1.8)
     axes.fill_between(lags * step, *ends, color=style.INK, alpha=0.2, lw=0)
     begin = means[0].mean
@@ -253,12 +260,11 @@ def _strips(
     """Draw a column of the cells' values for each quantity, with their mean."""
     labels = []
     for at, (key, name) in enumerate(names.items()):
-        cells = [(each["cell"], value_of(each.get(key))) for each in log.record["cells"]]
-        numbers, values = zip(*(one for one in cells if one[1] is not None), strict=True)
+        cells, values = known_values(log.record["cells"], key)
         aside = 0.5 * (np.arange(len(values)) * 0.6180339887 % 1) - 0.25  # separates neighbours
-        colors = [_color(number) for number in numbers]
+        colors = [_color(each["cell"]) for each in cells]
         axes.scatter(at + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
-        found = _mean(log.values(key))
+        found = _mean(cells, values)
         ends = [found.ci95.low, found.ci95.high]
         axes.plot([at, at], ends, color=style.INK, lw=3, zorder=4)
         axes.plot(at, found.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)

@@ -32,7 +32,8 @@ def film(cells=6, field=True):
         {
             "cell": k + 1, "vcl_um_s": 400.0 + k, "vap_um_s": 390.0, "vsl_um_s": 300.0, "lin": 0.75,
             "speed_um_s": {"value": 380.0 + 9 * k, "ci95": [370.0 + 9 * k, 390.0 + 9 * k]},
-            "magnetised": True,
+            "magnetised": True, "a_rad_s": {"value": A, "ci95": [2.9, 3.1]},
+            "since_s": 0.0, "duration_s": 6.0,
         }
         for k in range(cells)
     ]  # fmt: skip
@@ -56,7 +57,7 @@ def film(cells=6, field=True):
 def test_each_figure_is_drawn_and_states_the_film(kind):
     figure = draw_cells(kind, [film()])
     words = [text.get_text() for text in figure.texts]
-    assert any("dish.avi: 6 cells, 6 s, 4 µm/px" in text for text in words)
+    assert any("dish.avi: 6 tracks, 6 s, 4 µm/px" in text for text in words)
     assert len(figure.axes) == (6 if kind == "cells" else 1)
 
 
@@ -70,6 +71,16 @@ def test_a_film_without_a_field_or_without_cells_has_the_other_figures():
         draw_cells("cells", [film(), film()])
     with pytest.raises(UsageError, match="no figure of a film's cells is called 'error'"):
         draw_cells("error", [film()])
+
+
+def test_the_turning_stated_is_that_of_the_cells_that_respond():
+    log = film(7)
+    log.record["cells"][6] |= {"magnetised": None, "a_rad_s": None}  # a piece of 0.4 s
+    log.record["cells"][5] |= {"magnetised": False, "a_rad_s": {"value": 0.1, "ci95": [-1, 1]}}
+    (axes,) = draw_cells("turning", [log]).axes
+    assert "a = 3.00 [3.00, 3.00], n = 5 cells" in axes.get_xlabel()
+    squares, curve = (line.get_data()[1] for line in axes.lines[-2:])
+    assert np.nanmax(np.abs(squares)) == pytest.approx(np.abs(curve).max(), rel=0.1)
 
 
 def test_the_rate_of_turning_is_that_of_the_model_at_any_strength():

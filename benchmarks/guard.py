@@ -4,6 +4,7 @@
     python benchmarks/guard.py --plays 1 along    one play of some
     python benchmarks/guard.py --slow --plays 3   poses that leave slowly, from the start and later
     python benchmarks/guard.py --rate 30          frames as seldom as an AprilTag camera's
+    python benchmarks/guard.py --culprits         what the reasons name, in two plays each
     python benchmarks/guard.py --alarms 1000      the same trials with nothing wrong
 
 Three m3pi robots drive by model predictive control in the emulated lab, in virtual time, before a
@@ -25,11 +26,10 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, trial_of  # noqa: E402
+from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, slow_radio, trial_of  # noqa: E402
 from support.virtual_lab import VirtualLab  # noqa: E402
 
 from tetractl.core.errors import AbortError  # noqa: E402
-from tetractl.emulate import virtual_wires  # noqa: E402
 from tetractl.lab.drift_check import LIMIT  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
@@ -46,6 +46,28 @@ NOTICED = ("another body", "all robots drift", "does not move", "backward", "the
 REFUSED = "refused: "
 UNITS = {"turn": "rad/s", "scale": "/s", "rotation": "rad/s"}
 ALL = (0, 1, 2)
+CULPRITS = (  # what happens, its size, to whom, what it is, and the right thing to name
+    ("origin", 0.03, ALL, "the origin moves, 30 mm/s", "camera"),
+    ("origin", 0.1, ALL, "the origin moves, 100 mm/s", "camera"),
+    ("push", 0.015, ALL, "the origin moves by 15 mm", "camera"),
+    ("push", 0.025, ALL, "the origin moves by 25 mm", "camera"),
+    ("rotation", 0.1, ALL, "the picture turns, 0.1 rad/s", "camera"),
+    ("radio", 0.35, ALL, "the radio is 0.35 s late", "radio"),
+    ("radio", 0.5, ALL, "the radio is 0.5 s late", "radio"),
+    ("turn", 0.3, (0,), "one pose turns, 0.3 rad/s", "robot"),
+    ("turn", 0.6, (0,), "one pose turns, 0.6 rad/s", "robot"),
+    ("along", 0.03, (0,), "one pose moves along, 30 mm/s", "robot"),
+    ("sideways", 0.03, (0,), "one pose moves sideways, 30 mm/s", "robot"),
+    ("steps", 0.0, (0,), "one pose moves by 4 mm each 0.5 s", "robot"),
+    ("push", 0.012, (0,), "one robot is pushed by 12 mm", "robot"),
+    ("push", 0.015, (0,), "one robot is pushed by 15 mm", "robot"),
+    ("push", 0.025, (0,), "one robot is pushed by 25 mm", "robot"),
+)
+NAMED = {
+    "camera": "all robots (drift together|are seen to move)",
+    "radio": "is the radio slow",
+    "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
+}
 TAIL = 5.0  # statistic above which the tail of good trials is fitted
 
 
@@ -107,6 +129,23 @@ def reason_of(play: Ghost, trial: int) -> str:
         return REFUSED + str(refused)
 
 
+def culprits() -> None:
+    """Print a row for each of CULPRITS: what the reasons name, and how far off a pose was."""
+    for kind, size, who, what, right in CULPRITS:
+        offs, named = [0.0], dict.fromkeys(NAMED, 0)
+        for k in range(PLAYS):
+            robots = who if who == ALL else (k % 3,)
+            play = Ghost(kind, size, robots, at_s=0.6 + 0.7 * k, limit_s=60.0)
+            haunt = partial(slow_radio, delay_s=size) if kind == "radio" else play.haunt
+            reason = trial_of(haunt, k, RATE_HZ).reason
+            offs.append(play.off_mm)
+            for name, text in NAMED.items():
+                named[name] += bool(re.search(text, reason))
+        counts = " | ".join(f"{n}" if n else "" for n in named.values())
+        none = PLAYS - sum(named.values())
+        print(f"| {what} | {right} | {counts} | {none or ''} | {max(offs):.0f} |", flush=True)
+
+
 def watched(labs: list[VirtualLab], peaks: list[float], lab: VirtualLab) -> None:
     """Note a lab, and the greatest statistic of its drift check."""
     labs.append(lab)
@@ -155,6 +194,7 @@ parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--plays", type=int, default=2, metavar="N")
 parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
 parser.add_argument("--slow", action="store_true", help="poses that leave their robots slowly")
+parser.add_argument("--culprits", action="store_true", help="what the reasons name")
 parser.add_argument("--alarms", type=int, metavar="N", help="trials in which nothing is wrong")
 parser.add_argument("--first", type=int, default=0, metavar="K", help="the first of them")
 parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
@@ -163,8 +203,11 @@ if __name__ == "__main__":
     options = parser.parse_args()
     PLAYS, RATE_HZ = options.plays, options.rate
     if options.alarms:
-        virtual_wires.STEP_NS *= 2
         alarms(options.first, options.first + options.alarms)
+    elif options.culprits:
+        print("| what happens | is | camera named | radio named | robot named | other | off [mm] |")
+        print(f"|---|---|{'--:|' * 5}")
+        culprits()
     elif options.slow:
         print(
             "| pose shown | | refused | from the first command | off [mm] | at rest | off [mm] "

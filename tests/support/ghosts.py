@@ -17,6 +17,7 @@ CAMERA_HZ = 120.0
 NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
 KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn")
+PUSH_S, STEP_M, STEPS_S = 0.2, 0.004, 0.5
 CAMERA = ("origin", "scale", "rotation")
 
 
@@ -27,7 +28,8 @@ class Ghost:
     `frozen` poses repeat. A ghost goes away from its robot at a speed [m/s]: `along` its heading,
     `against` it or `sideways`. The `heading` shown turns by the speed at the wheels, or the whole
     ghost does, and drives on as a robot does (`curve`); a `turn` is a curve whose speed is in
-    rad/s. Of the whole picture, the `origin` moves [m/s], the `scale` grows [1/s], or it turns
+    rad/s. A `push` moves it by `speed` [m] within PUSH_S, and `steps` by 4 mm each half second.
+    Of the whole picture, the `origin` moves [m/s], the `scale` grows [1/s], or it turns
     about its origin (`rotation`) [rad/s].
     """
 
@@ -97,6 +99,10 @@ class Ghost:
             return self._shown.get(i, before)
         if self.kind == "heading":
             return Pose(pose.x, pose.y, pose.heading + self._turned)
+        if self.kind in ("push", "steps"):
+            share = min(1.0, self._since_s / PUSH_S)
+            way = self.speed * share if self.kind == "push" else STEP_M * (self._since_s // STEPS_S)
+            return Pose(pose.x + 600 * way, pose.y + 800 * way, pose.heading)
         if self.kind in CAMERA:
             grown, turn = self._turned * (self.kind == "scale"), self._turned
             turn, way = turn * (self.kind == "rotation"), 1000 * turn * (self.kind == "origin")
@@ -137,6 +143,18 @@ class Ghost:
     def _off(self, i: int) -> float:
         robot, shown = self.lab.robots[i], self._shown[i]
         return math.hypot(shown.x - robot.x, shown.y - robot.y)
+
+
+def slow_radio(lab: VirtualLab, delay_s: float) -> None:
+    """Let every transmission of a run arrive so much later."""
+    radio = lab.emulation.actuator.radio
+    take = radio._take_air
+
+    def late(size):
+        running = lab.plant.rig.guard.state in (GuardState.RUN, GuardState.HOLD)
+        return take(size) + round(running * delay_s * SECOND)
+
+    radio._take_air = late
 
 
 def trial_of(

@@ -23,14 +23,14 @@ the more the commands differ: so much more uncertain is the block. Lengths are m
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
-from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.command_history import CommandHistory
-from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS
+from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, motion
 
 BLOCK_NS = SECOND // 20
 TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)  # delays, the nominal one first
@@ -68,13 +68,16 @@ class DriftCheck:
     def __init__(self, names: Sequence[str], radius: float, mm: float, share: float) -> None:
         self._names, self._mm, self._share = names, mm, share
         self._radius = radius * mm
-        self._sent = CommandHistory(2, len(names))
+        self.commands = CommandHistory(2, len(names))  # speeds [mm/s] and turning rates [rad/s]
         n, size = len(names), 1 + KNOWN + len(LARGEST)
         self._sums = np.zeros((n, size, size))  # of products of residual, regressors and motions
         self._grid: list[tuple[int, Floats]] = [(0, self._sums.copy())]
         self._blocks = 0
         self._spread = np.array([np.diag(PRIOR**2)] * n)  # covariance of the fit
         self._fit = np.zeros((n, KNOWN))
+        # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
+        self._carried = np.zeros((n, 3))
+        self._last: Sequence[Pose | None] = [None] * n
         self.worst = 0.0  # the statistic, at the worst moment of the grid
         self.rest()
 
@@ -83,24 +86,27 @@ class DriftCheck:
         start from rest.
         """
         self._then_ns = 0
+        self._carried[:] = 0.0
         self._then: list[tuple[Pose, Floats] | None] = [None] * len(self._names)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        self._sent.sent(now_ns, np.array([np.array(speed) * self._mm, turning]))
+        self.commands.sent(now_ns, np.array([np.array(speed) * self._mm, turning]))
 
-    def frame(self, frame: AcceptedFrame, seen: Floats) -> Found:
-        """Take a frame and the robots' motion `seen` (N, 3) since their rest; return what is wrong:
-        a text, "" if nothing is, and the robots whose poses are false. Wheels that may be wrong by
-        more than STEADY, as before they are calibrated, would explain any drift.
+    def frame(self, now_ns: int, poses: Sequence[Pose | None], seen: Floats) -> Found:
+        """Take the last accepted poses (N,) at a frame, and the robots' motion `seen` (N, 3) since
+        their rest. Return what is wrong: a text, "" if nothing is, and the robots whose poses are
+        false. Poses that repeat are left out. Wheels that may be wrong by more than STEADY, as
+        before they are calibrated, would explain any drift.
         """
-        now_ns = frame.frame.sampled_ns
         dt_ns = now_ns - self._then_ns
+        pairs = zip(poses, self._last, strict=True)
+        poses, self._last = [now if now != last else None for now, last in pairs], poses
         if dt_ns < BLOCK_NS or self._share > STEADY:
             return NOTHING
-        moved, poses = seen * (self._mm, self._mm, 1.0), [frame.pose(i) for i in range(len(seen))]
+        moved = seen * (self._mm, self._mm, 1.0)
         if dt_ns < WATCHDOG_NS:
-            commanded = np.array([self._sent.mean(now_ns - tap, dt_ns) for tap in TAPS_NS])
+            commanded = self._commanded(now_ns, dt_ns)
             for i, (then, pose) in enumerate(zip(self._then, poses, strict=True)):
                 if then is not None and pose is not None:
                     self._add(i, *then, moved[i], commanded[:, :, i], dt_ns / SECOND)
@@ -109,11 +115,35 @@ class DriftCheck:
         self._then = [p and (p, way) for p, way in zip(poses, moved, strict=True)]
         return self._fault() if self._blocks % 2 == 0 else NOTHING
 
-    def _add(self, i: int, then: Pose, was: Floats, now: Floats, sent: Floats, dt: float) -> None:
-        """Add a block of robot i: its motion from `was` to `now` under the commands (TAPS, 2)."""
+    def left_over(self, i: int, seen: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
+        """Return what commands and wheels do not explain of the motion of robot i over its poses
+        `seen`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
+        and growth of the picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
+        """
+        total, variance = np.zeros((3, 1 + KNOWN + len(LARGEST))), 2 * NOISE**2
+        for (then_ns, then), (now_ns, now) in pairwise(seen):
+            sent = self._commanded(now_ns, now_ns - then_ns)[:, :, i]
+            moved = motion(then, now) * (self._mm, self._mm, 1.0)
+            x, walk = self._regressors(then, moved, sent, (now_ns - then_ns) / SECOND)
+            total, variance = total + x, variance + walk
+        known = total[:, 1 : 1 + KNOWN]
+        variance = variance + np.einsum("rp,pq,rq->r", known, self._spread[i], known)
+        off, spread = total[:, 0] - known @ self._fit[i], np.sqrt(variance)
+        return off / spread, total[:, 4 + KNOWN :] / spread[:, None]
+
+    def _commanded(self, until_ns: int, dt_ns: int) -> Floats:
+        return np.array([self.commands.mean(until_ns - tap, dt_ns) for tap in TAPS_NS])
+
+    def _regressors(
+        self, then: Pose, moved: Floats, sent: Floats, dt: float
+    ) -> tuple[Floats, Floats]:
+        """Return residual and regressors (3, 1 + KNOWN + 7) of a block that began at the pose
+        `then`, in which a robot `moved` (3,) under the commands `sent` (TAPS, 2); and the variance
+        (3,) of that motion.
+        """
         r, (v, w) = self._radius, sent[0] * dt
         x = np.zeros((3, 1 + KNOWN + len(LARGEST)))
-        x[:, 0] = now - was - (v, 0.0, w)
+        x[:, 0] = moved - (v, 0.0, w)
         others, taps = (sent[1:] - sent[0]).T * dt, 1 + 6 + len(TAPS_NS) - 1
         x[0, [1, 3, 6]], x[0, 7:taps] = (v, w * r, w), others[0]
         x[1, [4, 5]] = v, w
@@ -125,11 +155,19 @@ class DriftCheck:
         x[:2, 4 + KNOWN :] = np.array([[cos, sin], [-sin, cos]]) @ shift * dt
         x[2, 6 + KNOWN] = dt
         unlike = np.ptp(sent[:LATEST], axis=0)[[0, 0, 1]] * dt
-        x /= np.sqrt(2 * NOISE**2 + SLIP**2 * dt + (LOST * unlike) ** 2)[:, None]
+        return x, SLIP**2 * dt + (LOST * unlike) ** 2
+
+    def _add(self, i: int, then: Pose, was: Floats, now: Floats, sent: Floats, dt: float) -> None:
+        """Add a block of robot i: its motion from `was` to `now` under the commands (TAPS, 2)."""
+        x, walk = self._regressors(then, now - was + self._carried[i], sent, dt)
+        spread = np.sqrt(2 * NOISE**2 + walk)
+        x /= spread[:, None]
         known = x[:, 1 : 1 + KNOWN]
         expected = known @ self._fit[i]
         bound = CLIP * np.sqrt(1 + np.einsum("rp,pq,rq->r", known, self._spread[i], known))
-        x[:, 0] = np.clip(x[:, 0], expected - bound, expected + bound)
+        whole = x[:, 0].copy()
+        x[:, 0] = np.clip(whole, expected - bound, expected + bound)
+        self._carried[i, :2] = ((whole - x[:, 0]) * spread)[:2]
         self._sums[i] += x.T @ x
 
     def _fault(self) -> Found:
@@ -158,7 +196,14 @@ class DriftCheck:
             every = (left[:, 3:, 3:] / noise[..., None]).sum(axis=0) + np.diag(LARGEST[3:])
             shift = np.linalg.solve(every, total)
             if len(gain) > 1 and total @ shift > max(self.worst, gain.max()):
-                self.worst, found = total @ shift, (TOGETHER, tuple(range(len(gain))))
+                self.worst = total @ shift
+                each = (2 * pull[:, 3:] - left[:, 3:, 3:] @ shift) @ shift / noise[:, 0]
+                i = int(each.argmax())
+                if each.sum() - each[i] > LIMIT / 4:  # it explains the others' motion as well
+                    found = TOGETHER, tuple(range(len(gain)))
+                else:
+                    kind = int((pull[i, :3] * one[i]).argmax())
+                    found = f"{self._names[i]} {ANOTHER.format(KINDS[kind])}", (i,)
         if self._blocks - self._grid[-1][0] >= SPACING:
             self._grid.append((self._blocks, sums.copy()))
             if len(self._grid) > GRID:  # old moments are kept less densely

@@ -23,6 +23,7 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.culprit import Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.places import Places
@@ -88,14 +89,14 @@ class Guard:
     reason: str = ""
     emergency: bool = False
     jumps: int = 0  # number of poses that were refused
-    # lost robots, and when each was last seen [ns]
-    lost: dict[int, int] = field(default_factory=dict)
+    lost: dict[int, int] = field(default_factory=dict)  # robots, and when each was last seen [ns]
     outdated: int = 0  # frames dropped since the last start because they were not newer
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
     _drift: DriftCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
     _places: Places = field(init=False)
+    _culprit: Culprit = field(init=False)
     _last_frame_ns: int | None = None
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
@@ -115,8 +116,7 @@ class Guard:
     def __post_init__(self) -> None:
         rules, limits, mm = self.rules, self.rules.limits, self.rules.mm
         low, high = limits.height_mm
-        # a heading may be 0.7 rad off beyond the turning rate
-        each = limits.jump_mm / mm, 0.7, low / mm, high / mm, limits.tilt, mm
+        each = limits.jump_mm / mm, 0.7, low / mm, high / mm, limits.tilt, mm  # 0.7 rad
         self._filters = [
             PoseFilter(MotionLimits(speed, turning, *each))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
@@ -126,6 +126,7 @@ class Guard:
         self._drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
         self._swaps = SwapDetector(rules.names)
         self._places = Places(rules.arena, rules.obstacles, limits.reaction, NOISE_MM / mm)
+        self._culprit = Culprit(self._drift, mm)
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -204,6 +205,7 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
+        self._culprit.see(now, frame.poses)
         fresh, gone_ns = list[bool](), self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
@@ -218,9 +220,9 @@ class Guard:
             fresh.append(pose is not None and i not in self.lost and not track.refused)
         accepted = AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
         if self._active and self.rules.individual:
-            wrong, ghosts = self._drift.frame(accepted, self._motion.seen)
+            wrong, ghosts = self._drift.frame(now, accepted.poses, self._motion.seen)
             if wrong:
-                self.abort(wrong)
+                self.abort((len(ghosts) == 1 and self._culprit.why(ghosts[0])) or wrong)
                 self._ghosts |= dict.fromkeys(ghosts, wrong)
         return accepted
 
@@ -277,15 +279,14 @@ class Guard:
             self._check_tracking()
             self._check_places(accepted)
             warnings, self._warnings = tuple(self._warnings), []
-        still = (False,) * len(self._filters)
         if not self._active:
+            still = (False,) * len(self._filters)
             return Ruling(self.state, still, accepted, self.reason, warnings)
         fresh = now_ns - (self._last_frame_ns or 0) <= limits.stale * SECOND
         # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
         turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
         fresh &= self._ahead or now_ns - self._steered_ns < turn_ns
-        let = tracked if self.rules.individual else (True,) * len(tracked)
-        moving = let if fresh else still
+        moving = tracked if fresh and self.rules.individual else (fresh,) * len(tracked)
         well = zip(moving, tracked, self._left, strict=True)
         held = any(left and not (move and seen) for move, seen, left in well)
         self.state = GuardState.HOLD if held else GuardState.RUN
@@ -309,8 +310,8 @@ class Guard:
         fault = self._ghosts.get(i) or track.fault(pose, now_ns, self._driven)
         if fault or not self._active or before is None:
             return fault
-        if pose == before and (track.refused == REPEATS or self._motion.commanded(i)):
-            return REPEATS
+        if pose == before:  # a robot may stand, or a picture is frozen: not a motion to compare
+            return REPEATS if track.refused == REPEATS or self._motion.commanded(i) else ""
         if self.rules.individual:
             seen_ns, heading = self._headings.get(i, (-SECOND, 0.0))
             turned = math.remainder(pose.heading - heading, math.tau)
@@ -346,7 +347,7 @@ class Guard:
             if i in self.lost:
                 continue
             if i in self._disobedient and lost_ns > UNTRACKED_STOP_S * SECOND:
-                self.abort(f"{name} {track.refused}")
+                self.abort(self._culprit.why(i) or f"{name} {track.refused}")
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
             # the most time unseen, though not at once
@@ -394,6 +395,5 @@ class Guard:
         self._damaged.append((now_ns, total))
         while self._damaged and self._damaged[0][0] < now_ns - SECOND:
             self._damaged.popleft()
-        within = total - self._damaged[0][1]
-        if within > 20 and self._active:
+        if (within := total - self._damaged[0][1]) > 20 and self._active:
             self.abort(f"{within} damaged camera frames within a second")

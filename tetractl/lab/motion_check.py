@@ -44,7 +44,10 @@ OF_CELLS = {
     WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
 }
 """The same, of robots without wheels."""
-ANOTHER = "moves {} as no command does: does the camera track another body as this robot?"
+ANOTHER = (
+    "moves {} as no command does: was it pushed, or does the camera track another body as "
+    "this robot?"
+)
 KINDS = ("along its heading", "sideways", "around")
 
 
@@ -112,7 +115,7 @@ class MotionCheck:
         obeyed, and the new pose is then the last consistent one.
         """
         past, allowed = self._past[i], self._allowed[:, i]
-        seen = self.seen[i] + _moved(before, pose) if past else self.seen[i]
+        seen = self.seen[i] + motion(before, pose) if past else self.seen[i]
         for then in reversed([row for _, row in past]):
             way, least, most = np.array([seen, *allowed]) - then
             if np.any((way < least - self._slack[i]) | (way > most + self._slack[i])):
@@ -126,7 +129,7 @@ class MotionCheck:
         return ""
 
 
-def _moved(before: Pose, pose: Pose) -> Floats:
+def motion(before: Pose, pose: Pose) -> Floats:
     """Return the motion (3,) between two poses, on an arc: displacement along and across the
     heading, and angle turned.
     """

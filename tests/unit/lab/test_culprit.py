@@ -1,0 +1,85 @@
+"""Which of one robot, the camera and the radio is named, of three robots seen at 120 Hz."""
+
+import numpy as np
+import pytest
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Pose
+from tetractl.lab.culprit import CAMERA, RADIO, Culprit
+from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.motion_check import motion
+
+NAMES, SPEEDS, TURNING = ("green", "blue", "red"), (180.0, 200.0, 150.0), (6.0, 4.0, 3.0)
+FRAME_NS, SEND_NS = SECOND // 120, SECOND // 40
+NONE = np.zeros(3)
+
+
+def accused(shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, suspect=0):
+    """What is named after 3 s if the camera adds `shown` (3,) to a robot's true place (3,), t s
+    before the end; wheels are up to 8 % off.
+    """
+    random, n = np.random.default_rng(seed), len(who)
+    drift = DriftCheck(who, 40.0, 1.0, 0.12)
+    culprit, gains = Culprit(drift, 1.0), 1 + random.uniform(-0.08, 0.08, (2, n))
+    places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(n)])
+    sent, ways, u, way, before = [], np.zeros((2, n)), 0.0, np.zeros((n, 3)), ()
+    for now in range(FRAME_NS, 3 * SECOND, FRAME_NS):
+        if now // SEND_NS != (now - FRAME_NS) // SEND_NS:
+            if now * 5 // SECOND != (now - FRAME_NS) * 5 // SECOND:
+                u = random.uniform(-2, 2)
+            turning = np.array(TURNING[:n]) * np.sin(u - places[:, 2])
+            drift.sent(now, SPEEDS[:n], turning)
+            sent.append((now + delay_s * SECOND, np.array([SPEEDS[:n], turning])))
+        while sent and sent[0][0] <= now:
+            ways = sent.pop(0)[1] * gains
+        places[:, 2] += ways[1] * FRAME_NS / SECOND
+        courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
+        places[:, :2] += (ways[0] * courses).T * FRAME_NS / SECOND
+        noise = random.normal(size=(n, 3)) * (0.3, 0.3, 0.004)
+        left = (3 * SECOND - now) / SECOND
+        seen = places + noise + [shown(i, places[i], left) for i in range(n)]
+        poses = tuple(Pose(*map(float, row)) for row in seen)
+        culprit.see(now, poses)
+        if left > 0.3 and before:  # wheels are learnt until the fault
+            way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
+            drift.frame(now, poses, way)
+        before = poses
+    return culprit.why(suspect)
+
+
+def pushed(who, size=20.0):
+    """A displacement of some robots 0.2 s before the end."""
+    return lambda i, place, t: np.array([0.6, 0.8, 0.0]) * size * (t < 0.2 and i in who)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_robot_that_was_pushed_or_is_shown_elsewhere_is_named_itself(seed):
+    assert [accused(pushed([i]), seed=seed, suspect=i) for i in range(3)] == [""] * 3
+    assert accused(pushed([1]), seed=seed, who=NAMES[:2], suspect=1) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_moved_origin_is_the_cameras(seed):
+    """Regression: "does the camera track another body as this robot?", 6 of 6."""
+    assert accused(pushed([0, 1, 2]), seed=seed) == CAMERA
+    assert accused(pushed([0, 1]), seed=seed, who=NAMES[:2]) == CAMERA
+
+
+def test_a_camera_that_turns_is_the_cameras():
+    """Regression: "does not move though commanded to: is a wheel stuck"."""
+
+    def turned(i, place, t):
+        angle = 0.1 * max(0.0, 0.3 - t)
+        return angle * np.array([-place[1], place[0], 1.0])
+
+    assert accused(turned) == CAMERA
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_radio_is_named_with_its_delay(seed):
+    """Regression: "does the camera track another body as this robot?"."""
+    assert accused(delay_s=0.5, seed=seed) == RADIO.format(0.5)
+
+
+def test_nothing_is_named_but_the_robot_if_it_drives_alone():
+    assert accused(pushed([0]), who=NAMES[:1]) == ""

@@ -1,0 +1,77 @@
+"""Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
+
+import numpy as np
+import pytest
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Pose
+from tetractl.lab.drift_check import TOGETHER, DriftCheck
+from tetractl.lab.motion_check import motion
+
+NAMES, SPEED, FRAME_NS = ("green", "blue", "red"), 180.0, SECOND // 120
+
+
+def drifting(shown, seconds=20.0, seed=1):
+    """Return what is said first, and when [s], if the camera adds `shown` (3, 3) [mm, mm, rad] to
+    the robots' true places (3, 3) t s after the start; wheels are up to 6 % off.
+    """
+    random = np.random.default_rng(seed)
+    check, gains = DriftCheck(NAMES, 40.0, 1.0, 0.12), 1 + random.uniform(-0.06, 0.06, 3)
+    places, way, before = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)]), 0.0, ()
+    turning = np.zeros(3)
+    for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
+        if not before or now * 5 // SECOND != (now - FRAME_NS) * 5 // SECOND:
+            turning = random.uniform(-1.5, 1.5, 3)
+            check.sent(now - SECOND // 20, [SPEED] * 3, turning)  # the delay of the radio
+        places[:, 2] += turning * gains * FRAME_NS / SECOND
+        courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
+        places[:, :2] += SPEED * (gains * courses).T * FRAME_NS / SECOND
+        noise = random.normal(size=(3, 3)) * (0.3, 0.3, 0.004)
+        rows = places + noise + shown(places, now / SECOND)
+        poses = [Pose(*map(float, row)) for row in rows]
+        if before:
+            way += np.array([motion(then, pose) for then, pose in zip(before, poses, strict=True)])
+            said, _ = check.frame(now, poses, way)
+            if said:
+                return said, now / SECOND
+        before = poses
+    return "", seconds
+
+
+def test_robots_that_drive_as_commanded_are_let():
+    assert drifting(lambda places, t: 0.0)[0] == ""
+
+
+@pytest.mark.parametrize("who", [0, 2])
+def test_a_drift_in_steps_is_noticed(who):
+    """Regression: each step of 4 mm was clipped as if it were an error of one frame."""
+
+    def steps(places, t):
+        off = np.zeros((3, 3))
+        off[who, :2] = np.array([2.4, 3.2]) * (max(0.0, t - 2.0) // 0.5)
+        return off
+
+    said, at = drifting(steps, seed=2)
+    assert said.startswith(f"{NAMES[who]} moves ")
+    assert at < 9.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_robot_that_is_pushed_and_turned_is_not_the_cameras(seed):
+    """Regression: in some of them "all robots drift together"."""
+    angle = np.random.default_rng(100 + seed).uniform(0.0, 6.28)
+    push = np.array([20 * np.cos(angle), 20 * np.sin(angle), 0.2])
+
+    def pushed(places, t):
+        return np.outer([1.0, 0.0, 0.0], push * min(1.0, max(0.0, (t - 3.0) / 0.2)))
+
+    assert drifting(pushed, 9.0, seed)[0].startswith("green moves ")
+
+
+def test_a_picture_that_turns_is_the_cameras():
+    def turned(places, t):
+        angle = 0.015 * max(0.0, t - 2.0)
+        x, y, _ = places.T
+        return angle * np.column_stack([-y, x, np.ones(3)])
+
+    assert drifting(turned)[0] == TOGETHER

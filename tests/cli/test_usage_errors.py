@@ -57,6 +57,8 @@ study study.yaml --shard 1/2 --trial a/0 | exclude each other: give one
 study study.yaml --slurm 0 | --slurm: must be at least 1
 stats nowhere | nowhere: no such file or folder
 stats empty | empty: no logs
+stats '' | an argument is empty | is a variable of the shell not set?
+export logs -o '' | an argument is empty | is a variable of the shell not set?
 stats '*.nothing' | matches no log
 stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
 stats out --format yaml | --format: 'yaml' is not one of 'table', 'json' | try

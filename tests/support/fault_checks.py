@@ -66,9 +66,9 @@ def check_log(expect, played):
     if expect.outcome == "killed" or trial.result is None:
         assert trial.damage is not None
         return
+    assert [*differences(scan(log), trial)] == []
     if expect.outcome == "done":
         assert trial.result.outcome.complete
-        assert [*differences(scan(log), trial)] == []
     else:
         assert trial.result.outcome == expect.outcome
         if expect.outcome == "aborted":

@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 import zstandard
 from google.protobuf.message import Message
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Attachment
+from mcap.writer import Writer
 
 from tetractl.log.format.channels import CHANNELS, DIGESTS, HOST, Entry
 from tetractl.log.format.tetractl_pb2 import Host
 from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.salvage import MAGIC
 from tetractl.log.write.sink import Sink
 
 Place = tuple[str | int, ...]
@@ -123,6 +127,54 @@ def rewrite(
                 sink.flush()
     sink.close(complete=True)
     return path
+
+
+def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> Path:
+    """Write a log again as a program does that has MCAP's library and not tetractl; the messages
+    are in the order of their times, which is the reader's default, or else `in_order`."""
+    with log.open("rb") as source, path.open("wb") as file:
+        reader, writer = make_reader(source), Writer(file, **options)
+        writer.start()
+        for item in reader.iter_metadata():
+            writer.add_metadata(item.name, item.metadata)
+        numbers: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=not in_order):
+            if channel.id not in numbers:
+                assert schema is not None
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                numbers[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, known
+                )
+            number, at = numbers[channel.id], message.log_time
+            writer.add_message(number, at, message.data, message.publish_time)
+        for item in reader.iter_attachments():
+            writer.add_attachment(0, item.log_time, item.name, item.media_type, item.data)
+        writer.finish()
+    return path
+
+
+def with_record(data: bytes, record: Any, in_index: bool = False) -> bytes:
+    """Add a record to a file, at the end of its data or of its index; checksums are made to fit.
+
+    It is one of MCAP's, or the number of a private kind of record.
+    """
+    built = RecordBuilder()
+    if isinstance(record, int):
+        added = bytes([record]) + struct.pack("<Q", 4) + b"mine"
+    else:
+        record.write(built)
+        added = built.end()
+    footer = len(data) - len(MAGIC) - 29
+    begin = int.from_bytes(data[footer + 9 : footer + 17], "little")
+    body, index = data[: begin - 13], data[begin:footer]
+    if in_index:
+        index += added
+    else:
+        body += added
+    end = bytes([Opcode.DATA_END]) + struct.pack("<QI", 4, zlib.crc32(body))
+    closing = struct.pack("<BQQQ", Opcode.FOOTER, 20, len(body) + 13, 0)
+    crc = struct.pack("<I", zlib.crc32(index + closing))
+    return body + end + index + closing + crc + MAGIC
 
 
 def chunk(data, size=None, raw=None):

@@ -11,12 +11,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Attachment
-from support.mutate import changed, places, rewrite
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+)
+from support.mutate import changed, places, rewrite, with_record
 
 from tetractl.core.errors import LogError
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.log.format.channels import CHANNELS, DIGESTS, Entry
+from tetractl.log.format.channels import CHANNELS, DIGESTS, METADATA, Entry
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
@@ -125,6 +134,34 @@ def noticed(log: RawLog, tampering: Tampering, path: Path) -> bool:
         return True
     finally:
         path.unlink()
+
+
+FILE: dict[str, tuple[Any, bool]] = {
+    "metadata": (Metadata("mine", {"a": "b"}), False),
+    "the same metadata": (Metadata(*METADATA), False),
+    "channel": (Channel(99, "/mine", "protobuf", {}, 1), False),
+    "channel in the index": (Channel(99, "/mine", "protobuf", {}, 1), True),
+    "schema": (Schema(99, b"", "protobuf", "mine"), False),
+    "schema in the index": (Schema(99, b"", "protobuf", "mine"), True),
+    "private record": (0x80, False),
+    "private record in the index": (0xFF, True),
+    "message index": (MessageIndex(1, []), False),
+    "metadata index": (MetadataIndex(8, 9, "mine"), True),
+    "attachment index": (AttachmentIndex(8, 9, 0, 0, 1, "mine", ""), True),
+    "chunk index": (ChunkIndex(0, 8, "zstd", 8, 0, 0, {}, 0, 9), True),
+}
+"""Records added to a file, and whether to its index: no message or attachment is changed."""
+
+
+def unnoticed_in_file(path: Path, folder: Path) -> set[str]:
+    """Return which records of FILE, added to a log, `verify` does not notice."""
+    data, found = path.read_bytes(), set[str]()
+    for number, (what, (record, in_index)) in enumerate(FILE.items()):
+        other = folder / f"file-{number}.mcap"
+        other.write_bytes(with_record(data, record, in_index))
+        if verify(other).ok:
+            found.add(what)
+    return found
 
 
 def score(path: Path, count: int) -> tuple[Counter[tuple[str, str]], Counter[tuple[str, str]]]:

@@ -148,6 +148,8 @@ for group, functions in ((app, COMMANDS), (lab_app, LAB_COMMANDS)):
 
 def run_app() -> int:
     """Run the command that the arguments name; return one of the codes of `Exit`."""
+    if "" in sys.argv[1:]:  # as a path, it would be the present folder
+        return complain(Exit.USAGE, "an argument is empty", "is a variable of the shell not set?")
     try:
         with plugins_blamed():
             code = app(standalone_mode=False)

@@ -212,6 +212,8 @@ def verify(logs: ui.Logs, as_json: ui.AsJson = False) -> int:
     machine, only the costs of the logged plans are evaluated again; the output names the check that
     was made. If anything differs, exits with 1 and names the first step and field that differ.
 
+    A log with the same messages that another program wrote again is ok, and said to be so.
+
     Example: tetractl verify logs/batch
     """
     from tetractl.replay.verify import verify as check
@@ -241,6 +243,9 @@ def _verdict(found: "Verification") -> "Iterator[str]":
     from tetractl.replay.verify import Method
 
     verdict = "ok" if found.ok else "FAILED"
+    if found.rewritten:
+        verdict += f", written again by {found.rewritten}"
+        verdict += ": the same messages" * found.ok
     text = f"{found.checked} of {found.steps} decisions {found.method}"
     yield f"{found.path}: {verdict}: {text} ({found.seconds:.2f} s)"
     if found.method is Method.REEVALUATED:

@@ -91,7 +91,7 @@ def _film(logs: list[Path], out: Path | None) -> int:
         speed = write_video(log, path, on_picture)
     if speed > 1:
         ui.tell(f"plays {speed} times faster than the trial")
-    print(path)
+    print(printable(str(path)))
     return Exit.FAILED if log.damage else Exit.DONE
 
 
@@ -108,9 +108,9 @@ def report(
 ) -> int:
     """Write one HTML page that shows trials and their statistics, and needs no network.
 
-    The page holds a player of every trial, the tables of `tetractl stats`, the distribution of the
-    errors, figures of each batch and of the first trial, and where the numbers come from. Each
-    folder is a batch; several batches are shown side by side.
+    The page holds a player of every trial, or of some 60 out of more than 100, the tables of
+    `tetractl stats`, the distribution of the errors, figures of each batch and of the first trial,
+    and where the numbers come from. Each folder is a batch; several batches are shown side by side.
 
     Example: tetractl report logs/three-m3pi -o report.html
 
@@ -127,7 +127,7 @@ def report(
         html, unread = page.report(logs, title, on_log)
     save_whole(out, html.encode())
     ui.tell(*(f"warning: {problem}" for problem in unread))
-    print(out)
+    print(printable(str(out)))
     return Exit.FAILED if unread else Exit.DONE
 
 
@@ -152,22 +152,24 @@ def export(
     from tetractl.results.trial_tables import of_log
 
     paths, kind = _files(out, table, form)
-    found, unread = find_logs(logs), 0
+    found, unread, damaged = find_logs(logs), 0, 0
     with table_files(paths, kind) as add, ui.progress("Reading logs") as on_log:
         for number, path in enumerate(found):
             on_log(number, len(found))
             try:
-                added = of_log(path, paths)
+                added, damage = of_log(path, paths)
             except LogError as error:
                 ui.tell(f"warning: {error}")
                 unread += 1
                 continue
+            ui.warn_of_damage(str(path), damage)
+            damaged += damage is not None
             for name, rows in added.items():
                 add(name, rows, str(path))
     if unread == len(found):
         raise LogError("none of the logs can be read")
-    print(*paths.values(), sep="\n")
-    return Exit.FAILED if unread else Exit.DONE
+    print(*(printable(str(path)) for path in paths.values()), sep="\n")
+    return Exit.FAILED if unread or damaged else Exit.DONE
 
 
 def _files(out: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:

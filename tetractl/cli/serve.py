@@ -82,7 +82,7 @@ def serve(
     contents = scan(path)
     recording = Recording(trial_of(contents))
     played = span(recording, start, until)
-    ui.warn_of_damage(recording.log)
+    ui.warn_of_damage(recording.log.path, recording.log.damage)
     player = Player(recording, wall, played, rate=rate, loop=loop, paused=paused)
     served = ServedReplay(contents, player)
     server = LoopbackServer(port, layout=_layout_of([path]), live=served.viewers, viewer=viewer)

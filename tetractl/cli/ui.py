@@ -2,6 +2,7 @@
 confirmation before robots move.
 """
 
+import ast
 import inspect
 import os
 import re
@@ -20,7 +21,7 @@ from tetractl.core.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.log.read.trial_log import TrialLog
+    from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.run.plausibility import PlacedWarning
 
 
@@ -58,7 +59,9 @@ def declare_options(function: Callable[..., object]) -> str:
     may state `ValueRange`, and the option's names if it is not named after the parameter. A
     parameter without names is an argument if it has no default, or if METAVAR is in brackets.
     """
-    text, _, section = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
+    # python -OO keeps no docstrings, but the source has them
+    source = function.__doc__ or ast.get_docstring(ast.parse(inspect.getsource(function)).body[0])
+    text, _, section = inspect.cleandoc(source or "").partition("\n\nOptions:\n")
     parameters = inspect.signature(function).parameters
     for entry in re.split(r"\n(?=  \w)", section) if section else ():
         found = _ENTRY.fullmatch(" ".join(entry.split()))
@@ -148,15 +151,15 @@ def open_trial(path: Path) -> "TrialLog":
     from tetractl.log.read.reader import read_trial
 
     log = read_trial(path)
-    warn_of_damage(log)
+    warn_of_damage(log.path, log.damage)
     return log
 
 
-def warn_of_damage(log: "TrialLog") -> None:
+def warn_of_damage(path: str, damage: "Damage | None") -> None:
     """Print a damaged log's problems and losses to stderr."""
-    if log.damage:
-        tell(*(f"damaged: {log.path}: {problem}" for problem in log.damage.problems))
-        tell(*(f"lost: {log.path}: {lost}" for lost in log.damage.lost))
+    if damage:
+        tell(*(f"damaged: {path}: {problem}" for problem in damage.problems))
+        tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
 
 
 def require_confirmation(yes: bool) -> None:

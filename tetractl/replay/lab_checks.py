@@ -15,12 +15,13 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 
 from tetractl.core.cell_film import CellFilm
-from tetractl.core.clock import seconds
+from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import HALTS, Command, Verdict
 from tetractl.core.poses import Poses
 from tetractl.core.setup import MM
 from tetractl.core.trial import Result
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S, LabSection
+from tetractl.lab.cameras.optitrack.stream import COUNTED_BACK
 from tetractl.lab.rest_check import REST_NS
 from tetractl.log.format import channels
 from tetractl.log.format.channels import Entry
@@ -55,10 +56,11 @@ def lab_differences(log: TrialLog, result: Result, stop: Command) -> Iterator[Di
 
 def _frames(log: TrialLog) -> Iterator[Difference]:
     """Check that frame numbers and times increase, and that no frame is received before its
-    exposure.
+    exposure. Only a frame counter that goes back, which aborts a trial, may do so.
     """
+    restarted = log.result is not None and COUNTED_BACK in log.result.reason
     for name, values, least in (
-        ("frames", log.frames, 1),
+        ("frames", log.frames, -np.inf if restarted else 1),
         ("sampled_ns", log.mocap_ns, 1),
         ("received_ns", log.received_ns, 0),
     ):
@@ -138,15 +140,14 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
-    """Check the duration of a trial in the lab: it must count from a time between the first frame
-    and the first direction.
+    """Check the duration of a trial in the lab, from the first direction to the stop; without a
+    direction, it counts from the opening of the devices, within a second of the first frame.
     """
-    directed = (one.sent_ns for one in log.commands if not one.stops)
-    first = min(directed, default=stop.sent_ns)
-    opened = int(log.received_ns[0]) if len(log.received_ns) else 0
-    least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))
-    # longest time until a stop is sent on a busy host
-    if not least - 1e-6 <= result.duration_s <= most + 1.0:
+    directed = [command.sent_ns for command in log.commands if not command.stops]
+    opened = int(log.received_ns[0]) - SECOND if len(log.received_ns) else 0
+    least = seconds(stop.sent_ns - min(directed, default=stop.sent_ns))
+    most = least if directed else seconds(stop.sent_ns - opened)
+    if not least <= result.duration_s <= most:
         text = f"states {result.duration_s} s, but the commands give {least} to {most} s"
         yield Difference(None, "result.duration_s", text)
 

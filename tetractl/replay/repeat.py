@@ -171,7 +171,9 @@ def give_again(
     encoder.on_start(_start(log))
     for i in range(len(log.frames)):
         encoder.on_samples([log.sample(i)])
-    rows, steps = {int(number): i for i, number in enumerate(log.frames)}, iter(log.steps)
+    # numbers occur again only behind the last step, if a frame counter that goes back ends a trial
+    numbered = [*enumerate(log.frames.tolist())]
+    rows, steps = {number: i for i, number in reversed(numbered)}, iter(log.steps)
     step = next(steps, None)
     for command in log.commands:
         if step and not first_difference(command, step.command):

@@ -32,6 +32,7 @@ from tetractl.replay.comparison import (
     TooLongError,
     first_difference,
 )
+from tetractl.replay.file_check import file_differences
 from tetractl.replay.lab_checks import film_differences, lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.repeat import Repetition, give_again, simulate, too_large
@@ -55,6 +56,8 @@ DECIDES_BITS = (
     "llvmlite",
 )
 """Facts of a host that must agree for results with the same bits."""
+DECIDES_BYTES = ("tetractl", "git_commit", "mcap", "protobuf", "zstandard")
+"""Facts that must also agree for files with the same bytes."""
 
 
 class Method(StrEnum):
@@ -68,11 +71,13 @@ class Method(StrEnum):
 class Verification:
     """The result of verifying one log.
 
+    `rewritten` is the program that wrote the file again from a log of tetractl, "" if none did.
     `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
     log and this one. `checked` is the number of steps whose repeated decision agrees with the log.
     """
 
     path: str
+    rewritten: str
     steps: int
     checked: int
     method: Method
@@ -104,13 +109,24 @@ def verify(path: Path) -> Verification:
     notes = lost if log.experiment.plant.loses_frames and not log.damage else []
     missing = [Difference(None, "frames", text) for text in lost if not notes]
     film = [*film_differences(raw, log, not elsewhere, notes)]
+    if raw.reordered:
+        notes = [*notes, "the content digest is of another order of the messages: not compared"]
+    file = [Difference(None, "file", text) for text in _file(raw, log, bool(elsewhere))]
     return Verification(
         path=str(path),
+        rewritten=(raw.library or "an unknown program") if raw.rewritten else "",
         steps=len(log.steps),
         checked=found.step if found and found.step is not None else known,
         method=method,
         elsewhere=elsewhere,
-        problems=(*([found] if found else []), *others, *missing, *_damage(raw, log), *film),
+        problems=(
+            *([found] if found else []),
+            *others,
+            *missing,
+            *_damage(raw, log),
+            *film,
+            *file,
+        ),
         notes=tuple(notes),
         seconds=time.perf_counter() - began,
     )
@@ -128,6 +144,14 @@ def _damage(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     elif raw.host_altered:
         text = "the records of the host do not match the digest that the log states"
         yield Difference(None, "host_digest", text)
+
+
+def _file(raw: RawLog, log: TrialLog, elsewhere: bool) -> Iterator[str]:
+    """Yield what in the file of an undamaged log is not as tetractl writes it."""
+    if not log.damage:
+        here = provenance.versions()
+        same = all(here.get(key) == log.facts.get(key) for key in DECIDES_BYTES)
+        yield from file_differences(raw, same and not elsewhere)
 
 
 def _host(raw: RawLog, log: TrialLog, stop: Command) -> Iterator[Difference]:

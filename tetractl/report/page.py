@@ -23,7 +23,7 @@ from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.cell_tables import cell_tables
 from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
-from tetractl.results.open_batch import sources
+from tetractl.results.open_batch import counts, sources
 from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import page_trials, tables
 
@@ -31,35 +31,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ASSETS = files("tetractl.report") / "assets"
-MANY = 100
-"""With more trials, the page leaves out plans and searches, to stay below 20 MB."""
+MANY, CARRIED = 100, 61
+"""With more than MANY trials, the page carries about CARRIED of them, without plans and searches,
+to stay below 5 MB; its tables have all."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 
 
 def report(
     paths: Sequence[Path], title: str | None, progress: Callable[[int, int], None]
 ) -> tuple[str, list[str]]:
-    """Return the HTML page of logs, folders or patterns, and the paths of unreadable logs.
+    """Return the HTML page of logs, folders or patterns, and what is wrong with logs.
 
     Each folder and each arm of a study is a group; logs given one by one are one group together.
     Trials of a study without a log are only in the tables. `progress` is called with the number of
-    logs read and the number of all logs. Raises UsageError if there is no log, or if the trials of
-    a group belong to several experiments.
+    results read and the number of all logs. Raises UsageError if there is no log, or if the trials
+    of a group belong to several experiments.
     """
     if films := tracks_of(find_logs(without_others(paths))):
         return _page_of_films(films, title), [line for film in films for line in film.damage]
-    groups, unread = _groups(paths)
-    logged = [group.batch.logs for group in groups]
-    count = sum(map(len, logged))
+    groups, unread = _groups(paths, progress)
+    count = sum(len(group.batch.logs) for group in groups)
     shown = list[tuple[str, str, dict[str, Any]]]()
     first: TrialLog | None = None
     drawn: list[str] = []
-    done = 0
-    for group, found in zip(groups, logged, strict=True):
+    for group in groups:
         logs = []
-        for path in found:
-            done += 1
-            progress(done, count)
+        for path in group.batch.logs if count <= MANY else carried(group, len(groups)):
             try:
                 log = read_trial(path)
             except LogError as error:
@@ -69,7 +66,9 @@ def report(
             logs.append(lean(log))
             name = f"{group.name}, {path.name}" if len(groups) > 1 else path.name
             shown.append((str(path), name, trial_data(log, path.name, count <= MANY)))
-        drawn.append(of_batch(group.name if len(groups) > 1 else "", logs))
+        which = [group.name] if len(groups) > 1 else []
+        which += [f"the {len(logs)} trials on this page"] if count > MANY else []
+        drawn.append(of_batch(", ".join(which), logs))
     numbers = {path: number for number, (path, _, _) in enumerate(shown, 1)}
     name = title or _title(paths, groups)
     compared = contrast(groups)
@@ -77,7 +76,7 @@ def report(
     if any(drawn):
         body.insert(1, f"<section><h2>Errors</h2>{''.join(drawn)}</section>")
     if first is not None:
-        body.insert(1, _player([trial for _, *trial in shown], groups[0].unit))
+        body.insert(1, _player([trial for _, *trial in shown], groups[0].unit, count))
         body.append(f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>")
         body.append(_provenance(first))
     scripts = "".join((ASSETS / script).read_text() for script in SCRIPTS) if shown else ""
@@ -98,16 +97,41 @@ def _page_of_films(films: Sequence[TrackLog], title: str | None) -> str:
     return _page(name, "".join(parts), "")
 
 
-def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
-    """Return a group per folder and one for all single logs, and the paths of unreadable logs."""
+def carried(group: Group, groups: int) -> list[Path]:
+    """Return the logs of a group, one of `groups`, that a page carries which cannot carry all:
+    trials at evenly spaced ranks of the total error, from the best to the worst, and some that do
+    not count, in the order of the trials.
+    """
+    logs = set(group.batch.logs)
+    logged = [trial for trial in group.batch.trials if Path(trial.path) in logs]
+    most = max(3, CARRIED // groups)
+    apart = [trial for trial in logged if not counts(trial)][: most // 3]
+    ranked = sorted(filter(counts, logged), key=lambda trial: trial.result.total_error)
+    places = range(most - len(apart)) if len(ranked) > most - len(apart) else ()
+    step = (len(ranked) - 1) / max(1, len(places) - 1)
+    kept = [ranked[round(place * step)] for place in places] or ranked
+    paths = {trial.path for trial in (*apart, *kept)}
+    return [Path(trial.path) for trial in logged if trial.path in paths]
+
+
+def _groups(
+    paths: Sequence[Path], progress: Callable[[int, int], None]
+) -> tuple[list[Group], list[str]]:
+    """Return a group per folder and one for all single logs, and what is wrong with logs."""
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
     listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
-    batches = [(source.name, source.read()) for source in listed]
+    batches = [(source.name, source.read(progress)) for source in listed]
     unread = [f"{log.path}: {log.problem}" for _, batch in batches for log in batch.lost]
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
+    unread += [
+        f"{trial.path}: damaged, read as far as possible"
+        for _, batch in batches
+        for trial in batch.trials
+        if trial.recovered
+    ]
     known = [(name, batch) for name, batch in batches if batch.trials or batch.attempts]
     return [describe(batch, name) for name, batch in known], unread
 
@@ -176,8 +200,8 @@ def _overview(groups: Sequence[Group]) -> Table:
     )
 
 
-def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
-    """Return the HTML of the player for trials, each given by name and data."""
+def _player(shown: Sequence[Sequence[Any]], unit: str, count: int) -> str:
+    """Return the HTML of the player for trials, each given by name and data, out of `count`."""
     options = "".join(
         f'<option value="{i}">{i + 1}: {escape(name)}</option>' for i, (name, _) in enumerate(shown)
     )
@@ -187,8 +211,12 @@ def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
     )
     frame = (ASSETS / "player.html").read_text()
     frame = frame.replace("@OPTIONS@", options).replace("@UNIT@", unit_of(unit))
-    left_out = f"<p>Plans and searches are left out of pages of more than {MANY} trials.</p>"
-    return frame.replace("@NOTE@", left_out if len(shown) > MANY else "") + data
+    left_out = (
+        f"<p>The page carries {len(shown)} of {count} trials, without plans and searches: of each"
+        " batch those at evenly spaced ranks of the total error, from the best to the worst, and"
+        " some that do not count. The tables hold all trials.</p>"
+    )
+    return frame.replace("@NOTE@", left_out if count > MANY else "") + data
 
 
 def _json(value: Any) -> str:

@@ -16,8 +16,9 @@ import numpy as np
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
-from tetractl.log.read.reader import read_result, read_trial
-from tetractl.log.read.trial_log import ResultSummary, TrialLog
+from tetractl.log.read.reader import result_of, trial_of
+from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.results.describe import trial_items
 from tetractl.results.open_batch import Batch
 
@@ -111,20 +112,21 @@ def estimates(log: TrialLog) -> Table:
         "heading_bias_std_rad": lambda found: found.heading_bias_std,
         "dead_time_s": lambda found: found.dead_time,
         "dead_time_std_s": lambda found: found.dead_time_std,
-        "misfit": lambda found: found.misfit,
+        "misfit": lambda found: None if found.misfit is None else found.misfit.max(axis=1),
     }
-    columns: dict[str, list[Any]] = {name: [] for name in ("k", "time_s", "robot", *of)}
-    for step in log.steps:
-        if (found := step.plan.estimate) is None:
-            continue
-        for i, robot in enumerate(setup.names):
-            columns["k"].append(step.k)
-            columns["time_s"].append(log.elapsed_s(step.command.sent_ns))
-            columns["robot"].append(robot)
-            for column, get in of.items():
-                value = get(found)
-                one = value[i] if isinstance(value, np.ndarray) else value
-                columns[column].append(None if one is None else float(np.max(one)))
+    known = [(step, found) for step in log.steps if (found := step.plan.estimate) is not None]
+    robots = len(setup.names)
+    times = [log.elapsed_s(step.command.sent_ns) for step, _ in known]
+    columns: dict[str, Any] = {
+        "k": np.repeat([step.k for step, _ in known], robots),
+        "time_s": np.repeat(times, robots),
+        "robot": np.tile(setup.names, len(known)),
+    }
+    for name, get in of.items():
+        rows = np.full((len(known), robots), np.nan)
+        for row, (_, found) in zip(rows, known, strict=True):
+            row[:] = np.nan if (one := get(found)) is None else one
+        columns[name] = rows.ravel()
     return _table("estimates", columns)
 
 
@@ -143,26 +145,27 @@ OF_TRIAL: Mapping[str, Callable[[TrialLog], Table]] = {
 TABLES = ("trials", *OF_TRIAL)
 
 
-def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
-    """Return the named tables of a log, each with the columns `log` and `trial` in front.
+def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
+    """Return the named tables of a log, each with the columns `log` and `trial` in front, and its
+    damage.
 
     Raises LogError if the log cannot be read.
     """
-    found: dict[str, Table] = {}
+    contents, found = scan(path), dict[str, Table]()
     if "trials" in names:
-        result = read_result(path)
+        result = result_of(contents)
         every = trials_table(Batch.of([result]))
         left_out = ("path", "trial")  # `log` and `trial` are added
         kept = tuple(column for column in every.columns if column.name not in left_out)
         found["trials"] = Table("trials", kept).with_first(log=str(path), trial=result.trial)
+    log = trial_of(contents)
     if any(name in names for name in OF_TRIAL):
-        log = read_trial(path)
         found |= {
             name: table(log).with_first(log=str(path), trial=log.start.trial)
             for name, table in OF_TRIAL.items()
             if name in names
         }
-    return found
+    return found, log.damage
 
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:

@@ -5,6 +5,7 @@ import re
 import zlib
 from base64 import b64decode
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from support import random_trials as made
 from support.trials import three_robots
 
 from tetractl.core.commands import Stop
-from tetractl.core.plan import State
-from tetractl.log.read.reader import read_trial
-from tetractl.report.page import lean, of_batch
+from tetractl.core.plan import Outcome, State
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.report.page import carried, lean, of_batch
 from tetractl.report.trial_data import packed, significant, trial_data
+from tetractl.results.describe import describe
+from tetractl.results.open_batch import Batch
 from tetractl.view.figures.draw import draw
 from tetractl.view.style import svg
 
@@ -72,6 +75,29 @@ def test_robots_that_stand_follow_no_plan():
     shown = trial_data(log, "t")["steps"]
     told = [shown[name][3] for name in ("u", "doing", "cost", "signals", "ended")]
     assert told == [None, "standing", None, None, "–"]
+
+
+def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(logs, monkeypatch):
+    result = read_result(Path(logs[0].path))
+    trials = [
+        replace(
+            result,
+            path=f"t/{i}.mcap",
+            trial=i,
+            result=replace(result.result, total_error=float(i * 37 % 101), outcome=outcome),
+        )
+        for i in range(101)
+        for outcome in [Outcome.ABORTED if i % 50 == 7 else Outcome.ARRIVED]
+    ]
+    group = describe(Batch.of(trials))
+    kept = carried(group, 2)
+    assert len(kept) == 30 and kept == sorted(kept, key=lambda path: int(path.stem))
+    errors = {Path(t.path): t.result.total_error for t in trials if t.outcome.complete}
+    seen = sorted(errors[path] for path in kept if path in errors)
+    assert len(seen) == 28  # and both that were aborted
+    assert (seen[0], seen[-1]) == (min(errors.values()), max(errors.values()))
+    assert max(np.diff(seen)) <= 6
+    assert len(carried(group, 1000)) == 3
 
 
 def test_what_is_not_finite_is_missing():

@@ -42,11 +42,13 @@ def _cells(values: list[Any]) -> list[Any]:
 
     Text that a spreadsheet would evaluate gets an apostrophe in front.
     """
-    if any(isinstance(value, bool) for value in values):
-        return [str(v).lower() if isinstance(v, bool) else v for v in values]
-    if any(isinstance(value, str) for value in values):
-        return [cell(v) if isinstance(v, str) else v for v in values]
-    return values
+    kinds = set(map(type, values))
+    if bool in kinds:
+        return [str(v).lower() if v is True or v is False else v for v in values]
+    if str not in kinds:
+        return values
+    texts = {v: cell(v) for v in set(values) if isinstance(v, str)}
+    return [texts.get(v, v) for v in values]
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:

@@ -16,6 +16,10 @@ from google.protobuf.message import Message
 from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
+WRITER = "tetractl"
+"""The first word of the library that a log's header names."""
+METADATA = ("tetractl", {"format": str(FORMAT_VERSION)})
+"""Name and contents of a log's only record of metadata."""
 
 TEXT = 2000
 """Largest number of characters of an operator message, after which a reader cuts it; control

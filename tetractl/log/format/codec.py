@@ -1,6 +1,6 @@
 """Converts the records of a trial to tetractl's protobuf messages and back, bit for bit."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -73,6 +73,7 @@ def _columns(poses: Sequence[Poses], robots: int) -> Floats:
     return np.concatenate([[], *rows]).reshape(-1, 3, robots).transpose(0, 2, 1)
 
 
+@np.errstate(all="ignore")  # numbers beyond single precision
 def drawn(values: Floats) -> Floats:
     """Round numbers that are only drawn to 14 significant bits: zeros take no space in a log."""
     bits = values.astype(np.float32).view(np.int32)
@@ -101,6 +102,7 @@ def unpacked(data: bytes, width: int, kind: str) -> NDArray[Any]:
     return found.view(kind)
 
 
+@np.errstate(all="ignore")  # numbers beyond single precision
 def encode_frames(frames: Frames) -> pb.CameraFrames:
     """Encode camera frames; true poses have single precision unless they are the measured ones."""
     count, truth = len(frames.numbers), frames.truth
@@ -115,6 +117,7 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
     )
 
 
+@np.errstate(all="ignore")  # any bits may be a number
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     """Decode camera frames; ValueError for another number of robots than `robots`."""
     times, poses = unpacked(message.times, 3, "<i8"), unpacked(message.poses, 3 * robots, "<f8")
@@ -275,5 +278,5 @@ def _decode_search(message: pb.Search) -> Search:
     )
 
 
-def _floats(values: Iterable[float]) -> Floats:
-    return np.array(values, dtype=np.float64)
+def _floats(values: Sequence[float]) -> Floats:
+    return np.array(values[:], dtype=np.float64)  # as a list, since protobuf's sequences are slow

@@ -13,6 +13,7 @@ from tetractl.log.provenance import is_version
 from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
+from tetractl.log.read.skim import skim, tallied
 from tetractl.log.read.trial_log import Damage, Event
 
 
@@ -59,8 +60,11 @@ class Overview:
 
 
 def overview(path: Path) -> Overview:
-    """Read a whole log and return its overview; raises LogError as `read_trial` does."""
-    contents = scan(path)
+    """Read a whole log and return its overview; raises LogError as `read_trial` does.
+
+    Of an undamaged log, frames, plans and pictures are counted and hashed, but not decoded.
+    """
+    contents = skim(path) or scan(path)
     trial = trial_of(contents)
     problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     if contents.altered:
@@ -87,21 +91,16 @@ def overview(path: Path) -> Overview:
 
 def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
     """Return the channels that have messages, sorted by topic."""
+    tallies = contents.tallies or tallied(contents.entries)
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
     return tuple(
         ChannelCount(
             topic=topic,
             schema=schemas.get(topic, ""),
-            messages=len(entries),
-            hz=_rate([entry.log_ns for entry in entries]),
-            bytes=sum(len(entry.data) for entry in entries),
+            messages=count,
+            hz=(count - 1) * SECOND / (last - first) if last > first else None,
+            bytes=size,
         )
-        for topic, entries in sorted(contents.by_topic.items())
-        if entries
+        for topic, (count, size, first, last) in sorted(tallies.items())
     )
-
-
-def _rate(times: list[int]) -> float | None:
-    span = max(times) - min(times)
-    return (len(times) - 1) * SECOND / span if span else None

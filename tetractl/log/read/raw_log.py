@@ -3,15 +3,16 @@
 import os
 import stat
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from google.protobuf.message import DecodeError
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.core.trial import Result
@@ -30,6 +31,10 @@ ALTERED = "the content does not match the digest that the log states"
 _NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)
 
 
+Tally = tuple[int, int, int, int]
+"""Of the messages of a topic: their number, bytes, and their first and last time [Unix ns]."""
+
+
 @dataclass
 class RawLog:
     """The intact records of a log file; `problems` and `lost` are empty for an undamaged file."""
@@ -41,6 +46,12 @@ class RawLog:
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
+    library: str = ""  # the program that wrote the file
+    metadata: list[Metadata] = field(default_factory=list)
+    tallies: dict[str, Tally] = field(default_factory=dict)  # by topic, if not all are kept
+    strange: list[int] = field(
+        default_factory=list
+    )  # opcodes of records that no log has outside chunks
     budget: Budget = field(default_factory=Budget)
 
     @cached_property
@@ -92,6 +103,9 @@ class RawLog:
         if channels.TRACK in self.attachments:
             said = f"{self.path}: holds the cells of a film, not a trial"
             raise UsageError(said, "tetractl plot, report, stats and info take such a log")
+        stated = {item.name: item.metadata for item in self.metadata}
+        if "format_version" in (before := stated.get("tetractl.run", {})):  # formats 1 and 2
+            raise self._of_format(before["format_version"], stated.get("tetractl.host", {}))
         if not self.by_topic[channels.RUN]:
             lost = "damaged: the record of the run is lost"
             other = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
@@ -102,12 +116,15 @@ class RawLog:
             text = f"the record of the run cannot be read: {_reason(error)}"
             raise LogError(f"{self.path}: {text}") from None
         if run.format_version != channels.FORMAT_VERSION:
-            version = f"format {run.format_version}, not {channels.FORMAT_VERSION}"
-            raise LogError(
-                f"{self.path}: was written by another version of tetractl: {version}",
-                "use the tetractl that wrote the log",
-            )
+            raise self._of_format(str(run.format_version), self.facts)
         return run
+
+    def _of_format(self, version: str, facts: Mapping[str, str]) -> LogError:
+        """Return the error for a log of another format, which names the version that reads it."""
+        theirs, commit = (printable(facts.get(key, "")[:12]) for key in ("tetractl", "git_commit"))
+        wrote = ", git commit ".join(filter(None, (theirs or "of an unknown version", commit)))
+        text = f"is in format {printable(version, 12)}, not {channels.FORMAT_VERSION}"
+        return LogError(f"{self.path}: {text}; read it by what wrote it, tetractl {wrote}")
 
     @property
     def result(self) -> Result | None:
@@ -133,14 +150,31 @@ class RawLog:
 
     @cached_property
     def digests(self) -> Digests:
-        """The digests, computed from the records."""
+        """The digests, computed from the records; other programs move attachments, which are put in
+        tetractl's place, after the messages of run and host."""
+        records = self.records
+        if self.rewritten:
+            attached = [one for one in records if isinstance(one, Attachment)]
+            records = [*self.entries[:2], *attached, *self.entries[2:]]
         found = LogDigests()
-        for record in self.records:
+        for record in records:
             if isinstance(record, Entry):
                 found.messages([record])
             else:
                 found.attachment(record.name, record.media_type, record.log_time, record.data)
         return found.stated()
+
+    @property
+    def rewritten(self) -> bool:
+        """Whether another program wrote the file, such as MCAP's own from a log of tetractl."""
+        return not self.library.startswith(channels.WRITER)
+
+    @property
+    def reordered(self) -> bool:
+        """Whether another program wrote the messages in the order of their times, to which the
+        digests do not apply."""
+        ordered = all(one.log_ns <= two.log_ns for one, two in pairwise(self.entries))
+        return self.rewritten and ordered
 
     @property
     def stated_digest(self) -> str | None:
@@ -150,7 +184,7 @@ class RawLog:
     @property
     def altered(self) -> bool:
         """Whether the content differs from the digest that the log states."""
-        return self.stated_digest not in (None, self.digests.content)
+        return self.stated_digest not in (None, self.digests.content) and not self.reordered
 
     @property
     def host_altered(self) -> bool:

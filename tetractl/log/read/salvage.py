@@ -13,6 +13,7 @@ import zlib
 from io import BytesIO
 from pathlib import Path
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -24,11 +25,13 @@ from mcap.records import (
     ChunkIndex,
     DataEnd,
     Footer,
+    Header,
+    Metadata,
     Schema,
     Statistics,
 )
 
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, printable
 from tetractl.log.format.channels import CHANNELS, SUMMARY, Entry
 from tetractl.log.read import limits
 from tetractl.log.read.limits import TooMuchError
@@ -233,24 +236,16 @@ class _Scan:
                 raise ValueError("the attachment's checksum does not match")
             self._spend(size, "very large attachments")
             self._found[offset] = attachment
+        elif opcode == Opcode.METADATA:
+            self._result.metadata.append(Metadata.read(stream))
+        elif opcode == Opcode.HEADER:
+            self._result.library = printable(Header.read(stream).library, _NAME_MAX)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) or opcode > max(Opcode):
+            self._result.strange = [*self._result.strange[-limits.PROBLEMS_MAX :], opcode]
 
     def _unpack(self, chunk: Chunk) -> Inside:
-        size = chunk.uncompressed_size
-        if chunk.compression == "zstd":  # zstd ignores a limit if the frame states its size
-            size = max(size, zstandard.frame_content_size(chunk.data))
-        elif chunk.compression:
-            raise ValueError(f"the chunk's compression {chunk.compression[:20]!r} is not known")
-        if size > limits.CHUNK_MAX:
-            raise ValueError(f"the chunk claims to unpack to {size} bytes")
-        if chunk.uncompressed_crc == 0:
-            raise ValueError("the chunk has no checksum")
-        data = chunk.data
-        if chunk.compression:
-            data = zstandard.decompress(data, max_output_size=max(size, 1))
-        if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
-            raise ValueError("the chunk's checksum does not match")
-        schemas, channels, messages = _inside(data)
-        self._spend(len(data), "chunks that unpack to very many bytes")
+        schemas, channels, messages = unpack(chunk)
+        self._spend(chunk.uncompressed_size, "chunks that unpack to very many bytes")
         self._spend(limits.RECORD_COST * (len(schemas) + len(channels)), "very many channels")
         self._spend(limits.MESSAGE_COST * len(messages), "very many messages")
         return schemas, channels, messages
@@ -290,6 +285,29 @@ class _Scan:
     def _crc(self, start: int, end: int) -> int:
         with memoryview(self._data) as view:
             return zlib.crc32(view[start:end])
+
+
+def unpack(chunk: Chunk) -> Inside:
+    """Return schemas, channels and messages of a chunk; an error of ValueError, zstd or lz4 for one
+    that is damaged, too large or without a checksum.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":  # zstd ignores a limit if the frame states its size
+        size = max(size, zstandard.frame_content_size(chunk.data))
+    elif chunk.compression not in ("", "lz4"):
+        raise ValueError(f"the chunk's compression {chunk.compression[:20]!r} is not known")
+    if size > limits.CHUNK_MAX:
+        raise ValueError(f"the chunk claims to unpack to {size} bytes")
+    if chunk.uncompressed_crc == 0:
+        raise ValueError("the chunk has no checksum")
+    data = chunk.data
+    if chunk.compression == "lz4":  # by other writers
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    elif chunk.compression:
+        data = zstandard.decompress(data, max_output_size=max(size, 1))
+    if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("the chunk's checksum does not match")
+    return _inside(data)
 
 
 def _inside(data: bytes) -> Inside:

@@ -19,7 +19,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.errors import LogError
 from tetractl.core.version import __version__
-from tetractl.log.format.channels import CHANNELS, DIGESTS, FORMAT_VERSION, Entry
+from tetractl.log.format.channels import CHANNELS, DIGESTS, METADATA, WRITER, Entry
 from tetractl.log.format.digest import LogDigests
 
 CHUNK_S = 0.7
@@ -79,20 +79,9 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap = Writer(self._file, use_summary_offsets=False, enable_data_crcs=True)
-            self._mcap.start(library=f"tetractl {__version__}")
-            # for other readers: some report a file without metadata as damaged
-            self._mcap.add_metadata("tetractl", {"format": str(FORMAT_VERSION)})
+            self._mcap, self._channels = new_writer(self._file)
         except OSError as error:
             self._fail(error)
-        schemas = {
-            message: self._mcap.register_schema(*protobuf_schema(message))
-            for message in dict.fromkeys(CHANNELS.values())
-        }
-        self._channels = {
-            topic: self._mcap.register_channel(topic, MessageEncoding.Protobuf, schemas[message])
-            for topic, message in CHANNELS.items()
-        }
 
     def channel(self, channel: Channel, schema: Schema | None) -> None:
         """Add a channel of another log, unless its topic exists already."""
@@ -208,6 +197,22 @@ class Sink:
         file, self._file = self._file, None
         if file:
             file.close()
+
+
+def new_writer(stream: BinaryIO) -> tuple[Writer, dict[str, int]]:
+    """Begin the file of a log; return its writer, and the number of each channel by topic."""
+    writer = Writer(stream, use_summary_offsets=False, enable_data_crcs=True)
+    writer.start(library=f"{WRITER} {__version__}")
+    # for other readers: some report a file without metadata as damaged
+    writer.add_metadata(*METADATA)
+    schemas = {
+        message: writer.register_schema(*protobuf_schema(message))
+        for message in dict.fromkeys(CHANNELS.values())
+    }
+    return writer, {
+        topic: writer.register_channel(topic, MessageEncoding.Protobuf, schemas[message])
+        for topic, message in CHANNELS.items()
+    }
 
 
 @cache

@@ -5,14 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 from support.fuzz import Original
-from support.mutate import rewrite, stating
+from support.mutate import rewrite, rewritten, stating
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.format.channels import FRAMES, RESULT, RUN
+from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, peek, scan
 from tetractl.replay.comparison import first_difference
@@ -194,9 +195,31 @@ def test_an_mcap_file_of_somebody_else_is_refused(tmp_path):
 def test_a_log_of_another_format_is_refused(tmp_path, log):
     contents = scan(log)
     other = rewrite(contents, tmp_path / "new.mcap", stating(contents, RUN, format_version=5))
-    with pytest.raises(LogError, match="another version of tetractl: format 5, not 4") as caught:
+    with pytest.raises(LogError, match="format 5, not 4; read it by what wrote it, tetractl 0"):
         read_trial(other)
-    assert caught.value.hint == "use the tetractl that wrote the log"
+
+
+@pytest.mark.parametrize("version", ["1", "2"])
+def test_a_log_of_the_first_formats_is_named(tmp_path, version):
+    """Regression: it was "an MCAP file, but not a log of tetractl"."""
+    path = tmp_path / "old.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="tetractl 0.1.0")
+        writer.add_metadata("tetractl.run", {"format_version": version})
+        writer.add_metadata("tetractl.host", {"tetractl": "0.1.0", "git_commit": "e47a2adaa665ea"})
+        writer.finish()
+    said = rf"is in format {version}, not 4; read it .* tetractl 0.1.0, git commit e47a2adaa665$"
+    for read in (read_trial, read_result, overview):
+        with pytest.raises(LogError, match=said):
+            read(path)
+
+
+@pytest.mark.parametrize("how", [CompressionType.LZ4, CompressionType.NONE])
+def test_chunks_of_other_writers_are_read(tmp_path, log, how):
+    again = rewritten(log, tmp_path / "again.mcap", True, compression=how, chunk_size=3000)
+    assert [entry.data for entry in scan(again).entries] == [one.data for one in scan(log).entries]
+    assert not scan(again).problems
 
 
 def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):

@@ -22,6 +22,7 @@ from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import number_in, parse
 
 DRIFT_MAX = 1e-3
+COUNTED_BACK = "the frame counter went back"
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +287,7 @@ class Stream:
             if frame.number >= before.number - 10:  # it was overtaken on its way
                 return
             self._fault = (
-                f"the frame counter went back from {before.number} to {frame.number}: "
+                f"{COUNTED_BACK} from {before.number} to {frame.number}: "
                 "the server was restarted, or plays a recording"
             )
         self.counts.frames += 1

@@ -60,8 +60,8 @@ def declare_options(function: Callable[..., object]) -> str:
     parameter without names is an argument if it has no default, or if METAVAR is in brackets.
     """
     # python -OO keeps no docstrings, but the source has them
-    source = function.__doc__ or ast.get_docstring(ast.parse(inspect.getsource(function)).body[0])
-    text, _, section = inspect.cleandoc(source or "").partition("\n\nOptions:\n")
+    found = function.__doc__ or _docstring(inspect.getsource(function)) or ""
+    text, _, section = inspect.cleandoc(found).partition("\n\nOptions:\n")
     parameters = inspect.signature(function).parameters
     for entry in re.split(r"\n(?=  \w)", section) if section else ():
         found = _ENTRY.fullmatch(" ".join(entry.split()))
@@ -82,6 +82,12 @@ def declare_options(function: Callable[..., object]) -> str:
             made = option(metavar, words, *names, bounds=bounds)
         function.__annotations__[name] = Annotated[kind, made]
     return text
+
+
+def _docstring(source: str) -> str | None:
+    """Return the docstring in the source of a function."""
+    (made,) = ast.parse(source).body
+    return ast.get_docstring(made) if isinstance(made, ast.FunctionDef) else None
 
 
 Log = Annotated[Path, argument("LOG", "The log of the trial.")]

@@ -51,7 +51,10 @@ def _skimmed(path: Path) -> RawLog | None:
             if isinstance(record, Chunk):
                 _, channels, messages = unpack(record)
                 topics |= {channel.id: channel.topic for channel in channels}
-                entries = [Entry(topics[number], *rest) for number, *rest in messages]
+                entries = [
+                    Entry(topics[number], at, sampled, data)
+                    for number, at, sampled, data in messages
+                ]
                 digests.messages(entries)
                 tallied(entries, log.tallies)
                 log.chunks += 1

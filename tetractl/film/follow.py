@@ -5,6 +5,7 @@ met.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,6 +29,9 @@ FOUND, STEADY = 0.7, 0.6
 # least probability of a sure name; a cell may be another once its blob was too large for it, and no
 # other cell known there, in so many pictures, this near to the picture's edge [lengths]
 SURE, LARGE, ENTERS = 0.98, 2, 4.8
+# pictures in which cells move this many times as fast as usual, or less: some are lost, or doubled;
+# least number of cells that tell; least share, and number, of such pictures that are said
+LOST, DOUBLED, TELL, ODD = 1.6, 0.3, 3, (0.015, 3)
 FADED = 0.05  # share of cells' pictures without a blob above which a warning is given
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
@@ -132,7 +136,7 @@ def follow(
     seen = [light.contrast for light in lights if light.contrast is not None]
     contrast = float(np.median(seen)) if seen else None
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
-    lines = [faint_line(contrast, limit), _faded_line(shown)]
+    lines = [faint_line(contrast, limit), _faded_line(shown), *_pace_lines(shown, times)]
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
@@ -170,6 +174,34 @@ def _faded_line(shown: Sequence[dict[int, SeenCell]]) -> str | None:
         f"followed cells are not seen in {100 * np.mean(lost):.0f} % of their pictures: what is "
         "said of them may be wrong. Keep them in focus and in more contrast"
     )
+
+
+def _pace_lines(shown: Sequence[dict[int, SeenCell]], times: Sequence[float]) -> Iterator[str]:
+    """Yield a line if all cells move too far at once in several pictures, and one if not at all."""
+    rows = []
+    for k, (before, at) in enumerate(pairwise(shown), 1):
+        for track, cell in at.items():
+            blobs = [each.blob_um for each in (before.get(track), cell) if each and not each.merged]
+            if len(blobs) == 2 and blobs[0] is not None and blobs[1] is not None:
+                way = math.dist(blobs[0][:2].tolist(), blobs[1][:2].tolist())
+                rows.append((k, track, way / (times[k] - times[k - 1])))
+    picture, track, speed = np.array(rows).reshape(-1, 3).T
+    for each in np.unique(track):
+        speed[track == each] /= max(float(np.median(speed[track == each])), 1e-9)
+    seen = [speed[picture == k] for k in np.unique(picture)]
+    pace = np.array([np.median(each) for each in seen if len(each) >= TELL])
+    least = max(ODD[0] * len(pace), ODD[1])
+    lost, doubled = int((pace > LOST).sum()), int((pace < DOUBLED).sum())
+    if doubled >= least:
+        yield (
+            f"in {doubled} of {len(pace)} pictures no cell moves: pictures are doubled. Remove "
+            "them, and give the times of the others (times.csv)"
+        )
+    elif lost >= least:
+        yield (
+            f"in {lost} of {len(pace)} pictures all cells move too far at once: pictures are lost, "
+            "so that times, a and numbers are wrong. Give the pictures' times (times.csv)"
+        )
 
 
 def _fill_back(

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.dish_films import film, followed, record, who
+from support.dish_films import Reel, film, followed, record, who
 from support.needs_opencv import cv2, video
 
 from tetractl.core.errors import TetractlError, UsageError
@@ -109,6 +109,22 @@ def test_cells_that_fade_are_said():
     ]
     assert "10 %" in str(_faded_line(shown))
     assert _faded_line(shown[1:10]) is None and _faded_line([{}]) is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        (range(60), []),
+        ([k for k in range(60) if k % 8 != 5], ["pictures are lost"]),
+        ([k - (k % 8 == 5) for k in range(60)], ["pictures are doubled"]),
+    ],
+)
+def test_pictures_that_are_lost_or_doubled_are_said(numbers, said):
+    made = film(seed=31, side=512, cells=5, crossings=False, seconds=2.0)
+    pictures = list(made.pictures())
+    found = follow(Reel(made, [pictures[k] for k in numbers]), 2.3, None, TETRAHYMENA)
+    lines = [line for line in found.remarks if "pictures are" in line]
+    assert len(lines) == len(said) and all(map(str.__contains__, lines, said))
 
 
 def test_of_many_uncertain_meetings_a_few_are_listed():

@@ -152,7 +152,7 @@ def watched(labs: list[VirtualLab], peaks: list[float], lab: VirtualLab) -> None
     peaks.append(0.0)
 
     def look() -> None:
-        peaks[-1] = max(peaks[-1], lab.plant.rig.guard._drift.worst)
+        peaks[-1] = max(peaks[-1], lab.plant.rig.guard.drift.worst)
 
     lab.clock.steps.append(look)
 

@@ -51,6 +51,10 @@ LIMIT = 16.0  # of the statistic; good trials of the emulated lab reach 13, see 
 STEADY = 0.25  # largest error of wheels whose error is constant; a dead zone causes a larger one
 SURE = 3.0  # standard deviations by which a wheel must be beyond its largest error
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
+TURNS = (
+    "robots turn by themselves while they drive, by wheels that differ or by poses false since "
+    "the start, which this trial alone cannot distinguish: {}"
+)
 WRONG = (
     "{}'s left wheel is {:+.0%} off its commanded speed, and its right one {:+.0%}: is it "
     "calibrated, or does the camera track another body as this robot?"
@@ -73,6 +77,7 @@ class DriftCheck:
         self._sums = np.zeros((n, size, size))  # of products of residual, regressors and motions
         self._grid: list[tuple[int, Floats]] = [(0, self._sums.copy())]
         self._blocks = 0
+        self._fastest = np.zeros(n)  # greatest speeds commanded [mm/s]
         self._spread = np.array([np.diag(PRIOR**2)] * n)  # covariance of the fit
         self._fit = np.zeros((n, KNOWN))
         # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
@@ -91,7 +96,9 @@ class DriftCheck:
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        self.commands.sent(now_ns, np.array([np.array(speed) * self._mm, turning]))
+        speeds = np.array(speed) * self._mm
+        self._fastest = np.maximum(self._fastest, speeds)
+        self.commands.sent(now_ns, np.array([speeds, turning]))
 
     def frame(self, now_ns: int, poses: Sequence[Pose | None], seen: Floats) -> Found:
         """Take the last accepted poses (N,) at a frame, and the robots' motion `seen` (N, 3) since
@@ -114,6 +121,20 @@ class DriftCheck:
         self._then_ns = now_ns
         self._then = [p and (p, way) for p, way in zip(poses, moved, strict=True)]
         return self._fault() if self._blocks % 2 == 0 else NOTHING
+
+    def turns(self) -> str:
+        """Return a text about robots that turn by themselves while they drive, by more than SURE
+        standard deviations; "" if none does. Their wheels differ, or their poses are false since
+        the start: one trial cannot distinguish them.
+        """
+        per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
+        rates, errors = per * self._fit[:, 2], per * np.sqrt(self._spread[:, 2, 2])
+        found = [
+            f"{name} {rate:+.2f} ± {error:.2f} rad/s"
+            for name, rate, error in zip(self._names, rates, errors, strict=True)
+            if abs(rate) > SURE * error
+        ]
+        return TURNS.format(", ".join(found)) if found else ""
 
     def left_over(self, i: int, seen: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
         """Return what commands and wheels do not explain of the motion of robot i over its poses

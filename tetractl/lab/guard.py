@@ -93,7 +93,7 @@ class Guard:
     outdated: int = 0  # frames dropped since the last start because they were not newer
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
-    _drift: DriftCheck = field(init=False)
+    drift: DriftCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
     _places: Places = field(init=False)
     _culprit: Culprit = field(init=False)
@@ -123,10 +123,10 @@ class Guard:
         ]
         noise = NOISE_MM / mm if rules.individual else 0.0
         self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
-        self._drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
+        self.drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
         self._swaps = SwapDetector(rules.names)
         self._places = Places(rules.arena, rules.obstacles, limits.reaction, NOISE_MM / mm)
-        self._culprit = Culprit(self._drift, mm)
+        self._culprit = Culprit(self.drift, mm)
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -146,7 +146,7 @@ class Guard:
             self._driven, self.outdated = True, 0
             self._swaps.restart()
             self._motion.restart()
-            self._drift.rest()
+            self.drift.rest()
             self._places.restart()
             self._disobedient.clear()
             for track in self._filters:  # motion before the run is ignored: robots were carried
@@ -184,7 +184,7 @@ class Guard:
         share = self.rules.limits.wheel_error if self.rules.individual else 0.7  # cells wander
         self._places.sent(speed, turning)
         self._motion.sent(now_ns, speed, turning, share)
-        self._drift.sent(now_ns, speed, turning)
+        self.drift.sent(now_ns, speed, turning)
         self._swaps.sent(now_ns, turning)
 
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
@@ -220,7 +220,7 @@ class Guard:
             fresh.append(pose is not None and i not in self.lost and not track.refused)
         accepted = AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
         if self._active and self.rules.individual:
-            wrong, ghosts = self._drift.frame(now, accepted.poses, self._motion.seen)
+            wrong, ghosts = self.drift.frame(now, accepted.poses, self._motion.seen)
             if wrong:
                 self.abort((len(ghosts) == 1 and self._culprit.why(ghosts[0])) or wrong)
                 self._ghosts |= dict.fromkeys(ghosts, wrong)

@@ -223,6 +223,8 @@ class LabPlant:
             self._news.append(Note(self.clock.now(), "error", not_at_rest))
         if outdated := self.rig.guard.outdated:
             self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
+        if turns := self.rig.guard.drift.turns():
+            self._news.append(Note(self.clock.now(), "info", turns))
         if self.rig.guard.state is GuardState.ABORT:
             not_at_rest = not_at_rest or self.rig.guard.reason
         self._take_frames()

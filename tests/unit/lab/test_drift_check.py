@@ -1,5 +1,7 @@
 """Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -11,12 +13,15 @@ from tetractl.lab.motion_check import motion
 NAMES, SPEED, FRAME_NS = ("green", "blue", "red"), 180.0, SECOND // 120
 
 
-def drifting(shown, seconds=20.0, seed=1):
+def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None):
     """Return what is said first, and when [s], if the camera adds `shown` (3, 3) [mm, mm, rad] to
-    the robots' true places (3, 3) t s after the start; wheels are up to 6 % off.
+    the robots' true places (3, 3) t s after the start; wheels are up to `share` off.
+
+    The check is added to `checks`.
     """
     random = np.random.default_rng(seed)
-    check, gains = DriftCheck(NAMES, 40.0, 1.0, 0.12), 1 + random.uniform(-0.06, 0.06, 3)
+    check, gains = DriftCheck(NAMES, 40.0, 1.0, 0.12), 1 + random.uniform(-share, share, 3)
+    (checks if checks is not None else []).append(check)
     places, way, before = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)]), 0.0, ()
     turning = np.zeros(3)
     for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
@@ -75,3 +80,22 @@ def test_a_picture_that_turns_is_the_cameras():
         return angle * np.column_stack([-y, x, np.ones(3)])
 
     assert drifting(turned)[0] == TOGETHER
+
+
+def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
+    """A pose that turns from the start on at 0.2 rad/s, in heading and course."""
+    checks, state = [], {"t": 0.0, "places": None, "off": np.zeros(2)}
+
+    def turned(places, t):
+        if state["places"] is not None:
+            x, y = (places - state["places"])[0, :2]
+            cos, sin = np.cos(0.2 * t), np.sin(0.2 * t)
+            state["off"] += cos * x - sin * y - x, sin * x + cos * y - y
+        state["places"] = places.copy()
+        return np.array([[*state["off"], 0.2 * t], [0.0] * 3, [0.0] * 3])
+
+    assert drifting(turned, 6.0, share=0.0, checks=checks)[0] == ""
+    text = checks[0].turns()
+    rate, error = map(float, re.search(r"green ([+\d.]+) ± ([\d.]+) rad/s$", text).groups())
+    assert rate == pytest.approx(0.2, abs=3 * error + 0.02)
+    assert "blue" not in text

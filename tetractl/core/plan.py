@@ -65,15 +65,6 @@ class StopReason(StrEnum):
         return next((reason for reason in cls if reason.value == text), text)
 
 
-_ENDED = {
-    StopReason.CRITERION: "stop criterion",
-    StopReason.ITERATIONS: "iteration limit",
-    StopReason.TARGET: "cost low enough",
-    StopReason.EVALUATIONS: "evaluation limit",
-    StopReason.FIXED: "no search",
-}
-
-
 class State(StrEnum):
     """What the robots do in a control step; the value is the text in a log."""
 
@@ -140,7 +131,7 @@ class Search:
     @property
     def ended(self) -> str:
         """Words for why the search ended."""
-        return next((words for why, words in _ENDED.items() if why == self.stopped), self.stopped)
+        return "no search" if self.stopped == StopReason.FIXED else str(self.stopped)
 
 
 INNOVATIONS = "way along the course", "way across the course", "heading"

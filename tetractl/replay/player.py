@@ -67,28 +67,21 @@ def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
 
 
 def end_ns(log: TrialLog) -> int:
-    """Return when a recorded trial ends [ns]: with the last of the frames that show the poses of
+    """Return when a recorded trial ends [ns]: in a lab, with the last frame that shows the poses of
     its result, which cells that swim on leave before the last frame.
     """
     ends = [step.command.sent_ns for step in log.steps[-1:]]
     after = log.mocap_ns >= max(ends, default=0)
-    if log.result is None or not after.any():
-        ends += [int(t) for t in log.mocap_ns[-1:]]
-        if log.stop:
-            ends.append(log.stop.sent_ns)
-        elif log.result:
-            ends.append(log.began_ns + round(log.result.duration_s * SECOND))
-        return max(ends, default=0)
-    true = log.truth if log.start.plant.simulated else None
-    shown = (
-        _held(log.mocap, log.valid, log.start.setup.starts.array())[1:] if true is None else true
-    )
-    gaps = np.abs(shown[after, :, :2] - log.result.verdict.final.xy).max(axis=(1, 2))
-    close = gaps <= gaps.min() + SAME * log.start.setup.arena.width
-    return int(log.mocap_ns[after][close][-1])
-
-
-SAME = 1e-6  # distance of poses that count as the same, over the arena's width
+    if log.result and not log.start.plant.simulated and after.any():
+        seen = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:][after, :, :2]
+        gaps = np.abs(seen - log.result.verdict.final.xy).max(axis=(1, 2))
+        return int(log.mocap_ns[after][gaps == gaps.min()][-1])
+    ends += [int(t) for t in log.mocap_ns[-1:]]
+    if log.stop:
+        ends.append(log.stop.sent_ns)
+    elif log.result:
+        ends.append(log.began_ns + round(log.result.duration_s * SECOND))
+    return max(ends, default=0)
 
 
 class Recording:

@@ -25,8 +25,8 @@ class Moment:
     `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the newest
     control step and `totals` (K,) the total error at each step. `end_s` is the duration of the
     trial and `steps_end` the number of its control steps; None and 0 for a running trial. `events`
-    are the messages so far, oldest first. With `result`, `poses` are those at which it was taken,
-    which are not measured but `true` in a simulation.
+    are the messages so far, oldest first. With `result`, `poses` are those at which it was taken;
+    `known` is "measured", or "true" for a result of a simulation.
     """
 
     setup: Setup
@@ -39,7 +39,7 @@ class Moment:
     steps_end: int
     result: Result | None
     events: tuple[Event, ...] = ()
-    true: bool = False
+    known: str = "measured"
 
     @property
     def distances(self) -> Floats:
@@ -47,11 +47,6 @@ class Moment:
         if self.result is not None:
             return np.array(self.result.robot_errors)
         return self.setup.distances(self.poses[:, :2])
-
-    @property
-    def known(self) -> str:
-        """How poses and distances are known: "true" or "measured"."""
-        return "true" if self.result is not None and self.true else "measured"
 
 
 def first_seen(trail: Floats, starts: Floats) -> Floats:
@@ -122,7 +117,7 @@ class Recording:
             steps_end=len(log.steps),
             result=result,
             events=self.events[: bisect_right(self._event_s, until_s)],
-            true=log.start.plant.simulated,
+            known="true" if result and log.start.plant.simulated else "measured",
         )
 
     def elapsed_s(self, time_ns: int) -> float:

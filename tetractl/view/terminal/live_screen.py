@@ -140,7 +140,7 @@ class LiveView(Observer):
             events=tuple(
                 Event(seconds(note.t_ns - first_ns), note.level, note.text) for note in self._notes
             ),
-            true=self._true,
+            known="true" if self._result and self._true else "measured",
         )
         done, n = len(self._tally.errors), self._count
         taken_s = self._wall() - self._began if self._began is not None else 0.0

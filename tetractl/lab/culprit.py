@@ -30,6 +30,7 @@ LIKELY = np.array([100.0, 100.0, 0.1, 0.1])  # [mm/s, mm/s, rad/s, 1/s]
 NOISE = np.array([2.0, 2.0, 0.02])  # of a difference: along and across the heading, and around
 SHARE = np.array([0.08, 0.04, 0.1])  # of the way, or the angle, by which it may be wrong besides
 CLEAR = 9.0
+STANDS_NS, STANDS_MM = SECOND // 10, 3.0  # robots that move less in that time stand
 CAMERA = "all robots are seen to move as no command does: has the camera or its origin moved?"
 RADIO = "all robots move as they were commanded {:.1f} s before: is the radio slow?"
 
@@ -55,6 +56,11 @@ class Culprit:
         known = [j for j, pair in enumerate(zip(first, last, strict=True)) if None not in pair]
         if len(known) < 2 or i not in known:
             return ""
+        before = next(p for t, p in self._seen if self._seen[-1][0] - t <= STANDS_NS)
+        if None not in [before[j] for j in known]:
+            gone = (self._array(last, known) - self._array(before, known))[:, :2]
+            if np.all(np.hypot(*gone.T) < STANDS_MM):  # all stand: their link, power or wheels
+                return ""
         others = np.array(known) != i
         camera, one = self._camera(known, others)
         radio, coarse, delay_ns = self._radio(known, others)

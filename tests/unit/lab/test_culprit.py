@@ -83,3 +83,15 @@ def test_a_slow_radio_is_named_with_its_delay(seed):
 
 def test_nothing_is_named_but_the_robot_if_it_drives_alone():
     assert accused(pushed([0]), who=NAMES[:1]) == ""
+
+
+def test_robots_that_all_stand_are_named_themselves():
+    """Regression: a radio that fell silent was named as slow, or as a camera that moves."""
+    held = {}
+
+    def still(i, place, t):
+        if t > 0.2:
+            held[i] = place.copy()
+        return held[i] - place
+
+    assert accused(still) == ""

@@ -6,49 +6,53 @@ STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 DEMO := logs/demo
 
-.PHONY: demo demo-ours demo-paper demo-statistics test test-fast test-all lint clean
+.PHONY: demo demo-ours demo-paper test test-fast test-all lint clean
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml constraints.txt
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(PIP) -e . 'setuptools>=77'
-	touch $(RUNTIME)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
+	@echo "Installing tetractl into .venv"
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(PIP) -e . 'setuptools>=77'
+	@touch $(RUNTIME)
 
 $(STAMP): $(RUNTIME)
-	$(PIP) -e '.[dev]'
-	touch $(STAMP)
+	@$(PIP) -e '.[dev]'
+	@touch $(STAMP)
 
 # The reference experiment on the simulated bench: the published controller and ours in the same 20
 # paired seeds, next to the published result. A second run replaces the first one's logs. The two runs
-# go side by side, so that their compilations do too, and so do the pictures and the statistics. Each
-# line of progress begins with the run that it is of; the table of each is in a file.
+# go side by side, so that their compilations do too: on a terminal ours shows its arena live, and the
+# paper's is quiet. Then come report and figures, quiet too, and at last the table.
 demo: $(RUNTIME)
-	rm -rf $(DEMO) && mkdir -p $(DEMO)
+	@rm -rf $(DEMO) && mkdir -p $(DEMO)
+	@echo "Twice 20 trials of three simulated robots: our controller, shown live, and the paper's"
 	@$(MAKE) --no-print-directory -j2 demo-ours demo-paper
-	$(MAKE) --no-print-directory -j2 $(DEMO)/report.html demo-statistics $(DEMO)/figure-5.png $(DEMO)/figure-3.png $(DEMO)/all-trials.png
-	@echo "Open $(DEMO)/report.html, or play a trial: $(BIN)/tetractl replay $(DEMO)/ours/trial-000.mcap"
+	@echo "Drawing the report and the figures"
+	@$(MAKE) --no-print-directory -j2 $(DEMO)/report.html $(DEMO)/figure-5.png $(DEMO)/figure-3.png $(DEMO)/all-trials.png
+	@$(BIN)/tetractl stats $(DEMO)/ours --against $(DEMO)/paper
+	@echo "Open $(DEMO)/report.html in a browser, or play a trial here: $(BIN)/tetractl replay $(DEMO)/ours/trial-000.mcap"
 
-demo-ours demo-paper: SPEC = experiments/three_m3pi_$(if $(findstring paper,$@),paper_)bench.yaml
-demo-ours demo-paper:
-	@echo "$(@:demo-%=%): 20 trials of $(SPEC)"
-	@{ $(BIN)/tetractl run $(SPEC) --jobs $(if $(findstring paper,$@),1,2) --out $(DEMO)/$(@:demo-%=%) 2>&1 >$(DEMO)/$(@:demo-%=%).txt || touch $(DEMO)/failed; } \
-	| while IFS= read -r line; do echo "$(@:demo-%=%): $$line"; done; test ! -e $(DEMO)/failed
+demo-ours:
+	@$(BIN)/tetractl run experiments/three_m3pi_bench.yaml --out $(DEMO)/ours >$(DEMO)/ours.txt
 
-demo-statistics:
-	$(BIN)/tetractl stats $(DEMO)/ours --against $(DEMO)/paper
+# Prints what a command prints only if it fails.
+QUIETLY = >$(DEMO)/.$(@F) 2>&1 || { cat $(DEMO)/.$(@F); exit 1; }
+
+demo-paper:
+	@$(BIN)/tetractl run experiments/three_m3pi_paper_bench.yaml --out $(DEMO)/paper --quiet $(QUIETLY)
 
 $(DEMO)/report.html:
-	$(BIN)/tetractl report $(DEMO)/ours $(DEMO)/paper -o $@
+	@$(BIN)/tetractl report $(DEMO)/ours $(DEMO)/paper -o $@ $(QUIETLY)
 
 $(DEMO)/figure-5.png:
-	$(BIN)/tetractl plot $(DEMO)/ours/trial-000.mcap -o $@
+	@$(BIN)/tetractl plot $(DEMO)/ours/trial-000.mcap -o $@ $(QUIETLY)
 
 $(DEMO)/figure-3.png:
-	$(BIN)/tetractl plot $(DEMO)/ours/trial-000.mcap --kind convergence -o $@
+	@$(BIN)/tetractl plot $(DEMO)/ours/trial-000.mcap --kind convergence -o $@ $(QUIETLY)
 
 $(DEMO)/all-trials.png:
-	$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@
+	@$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@ $(QUIETLY)
 
 PYTEST := $(BIN)/python -m pytest -n auto
 

@@ -1,15 +1,17 @@
-"""Make the pictures of README and docs/, docs/images: figures, a film, screenshots of the report.
+"""Make the pictures of README and docs/, docs/images: figures, a film, the live arena, the report.
 
 Run `python docs/make_images.py` after a change of what they show; it takes some minutes and needs
 Chromium for the screenshots. All trials are simulated, that of cells emulated in virtual time.
 """
 
+import io
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 from PIL import Image, ImageSequence
+from rich.console import Console
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -20,11 +22,16 @@ from support.dish_films import film  # noqa: E402
 from support.needs_opencv import video  # noqa: E402
 from support.virtual_lab import virtual_dish  # noqa: E402
 
+from tetractl.core.colors import robot_colors  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
+from tetractl.log.read.trial_log import TrialLog  # noqa: E402
+from tetractl.replay.player import Recording  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.task import run_trial  # noqa: E402
 from tetractl.view.film import write_video  # noqa: E402
+from tetractl.view.terminal.dashboard import Dashboard, Footer  # noqa: E402
 
+FOLDERS = ("reference", "swarm", "ours", "paper")
 FILM_WIDTH = 640
 THIN, COLORS = 5, 24
 """Of the film, the pictures between those that are kept, and its colours: a sixth of the bytes."""
@@ -42,18 +49,19 @@ def main() -> None:
     """Run the experiments and make every picture."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:  # Chromium lingers
         folder = Path(name)
-        reference, paper, bench = (folder / part for part in ("reference", "paper", "bench"))
+        reference, swarm, bench, paper = (folder / part for part in FOLDERS)
         for spec, out, trials in (
             ("three_m3pi", reference, 1),
-            ("three_m3pi_paper", paper, 1),
+            ("three_m3pi_paper", swarm, 1),
             ("three_m3pi_bench", bench, 20),
+            ("three_m3pi_paper_bench", paper, 20),
         ):
             path = ROOT / "experiments" / f"{spec}.yaml"
             tetractl("run", path, "--set", f"trials.count={trials}", "--out", out, "--quiet")
         first = "trial-000.mcap"
         for log, kind, image in (
             (reference / first, "trajectory", "figure-5.png"),
-            (paper / first, "swarm", "figure-2.png"),
+            (swarm / first, "swarm", "figure-2.png"),
             (bench, "errors", "errors.png"),
             (bench, "scatter", "scatter.png"),
         ):
@@ -64,8 +72,20 @@ def main() -> None:
         cells(folder)
         write_video(read_trial(bench / first), folder / "trial.gif", width=FILM_WIDTH)
         thin(folder / "trial.gif", IMAGES / "trial.gif")
-        tetractl("report", bench, "-o", folder / "report.html")
+        live(read_trial(bench / first), IMAGES / "live.svg")
+        tetractl("report", bench, paper, "-o", folder / "report.html")
         screenshots(folder / "report.html", folder)
+
+
+def live(log: TrialLog, out: Path) -> None:
+    """Write the live arena of a terminal in the middle of a trial, as text in an SVG."""
+    console = Console(record=True, width=100, height=32, file=io.StringIO(), force_terminal=True)
+    recording, setup = Recording(log), log.start.setup
+    footer = Footer("trial 1 of 20", 0.03, "9 s left", ("Ctrl-C stops",))
+    moment = recording.at(round(MIDDLE * recording.end_ns))
+    colors = robot_colors(setup.names, setup.colors)
+    console.print(Dashboard(moment, colors, f"{setup.name}, sim", footer), height=32)
+    out.write_text(console.export_svg(title="tetractl run experiments/three_m3pi_bench.yaml"))
 
 
 def cells(folder: Path) -> None:

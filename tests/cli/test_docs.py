@@ -43,6 +43,17 @@ def test_every_example_prints_what_the_page_shows(page):
         assert told or code == 0, f"$ {example.command}\nexit code {code}\n{printed}"
 
 
+def test_the_small_table_of_the_readme_has_the_numbers_of_its_first_command():
+    page = (ROOT / "README.md").read_text("utf-8")
+    printed = next(example.shown for example in console.examples(page) if example.shown)
+    for row in ("our controller", "the paper's controller"):
+        (line,) = [one for one in page.splitlines() if one.startswith(f"| {row}")]
+        mean, interval, entered, left = (cell.strip() for cell in line.split("|")[3:7])
+        assert re.search(rf" {mean} .* {interval}", printed), line
+        assert {entered, left} <= {"0", "4"}
+    assert "left the arena: paper: 4 of 20" in printed
+
+
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if any(console.programs(page.read_text("utf-8")))], ids=_name
 )

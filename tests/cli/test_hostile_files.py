@@ -114,7 +114,7 @@ def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
     """Regression: rows of 3 GB took 6.4 GB."""
     good = rows.read_text()
     rows.write_text("[" * 6_000_000 + "\n" + good)
-    assert "3 of 3 trials complete" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
+    assert "3 of 3 trials valid" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
     for place, limit, value, why in (
         (limits, "file_limit", lambda: 6_000_000, "6000000 bytes"),
         (log_rows, "LINE_COST", 3e8, "very many lines"),

@@ -91,7 +91,7 @@ def test_logs_go_to_a_folder_named_after_spec_and_hour(tmp_path):
     assert folder.name.startswith("quick-2")
     assert [path.name for path in folder.iterdir()] == ["trial-000.mcap"]
     assert f"logs in logs/{folder.name}" in done.stderr
-    assert "1 of 1 trials complete" in done.stdout
+    assert "1 of 1 trials valid" in done.stdout
 
 
 def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_path):
@@ -166,7 +166,7 @@ def test_resuming_runs_what_is_missing_and_sets_the_unfinished_aside(work):
     assert digests(logs) == before
     assert (logs / "trial-000.mcap").stat().st_mtime_ns == kept
     assert (logs / "trial-002.attempt-1.mcap.part").exists()
-    assert "3 of 3 trials complete" in done.stdout
+    assert "3 of 3 trials valid" in done.stdout
 
 
 @pytest.mark.system

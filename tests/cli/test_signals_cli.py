@@ -155,7 +155,7 @@ def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
     told = broken in ("full disk", "closed terminal")
     assert process.returncode == (1 if which == "stdout" and told else 0), err
     if which == "stderr":
-        assert "3 of 3 trials complete" in out
+        assert "3 of 3 trials valid" in out
     else:
         assert "look at one with: tetractl replay logs/trial-000.mcap" in err
 

@@ -45,13 +45,15 @@ def work(tmp_path, ten):
 
 
 def test_the_table_shows_the_batch_beside_the_published_result(work):
-    done = stats("ten", cwd=work)
+    done, full = stats("ten", cwd=work), stats("ten", "--full", cwd=work).stdout
     assert (done.returncode, done.stderr) == (0, "")
-    assert "10 of 10 trials complete" in done.stdout
+    assert "10 of 10 trials valid" in done.stdout
     assert "\x1b" not in done.stdout
     rows = {line.split("  ")[0].strip(): line.split() for line in done.stdout.splitlines()}
     assert rows["total"][1:7] == ["10", "345.0", "30.3", "345.0", "300.0", "390.0"]
     assert rows["published"][1:4] == ["20", "648.6", "225.1"]
+    assert "robot 2" not in rows
+    rows = {line.split("  ")[0].strip(): line.split() for line in full.splitlines()}
     assert rows["robot 2"][2:4] == ["10", "145.0"]
 
 
@@ -87,15 +89,16 @@ def test_against_prints_what_several_folders_print(work):
         assert one.returncode == 0
 
 
-def test_several_folders_are_groups_compared_two_by_two(work):
+def test_several_folders_are_batches_compared_two_by_two(work):
     write(work / "exact", 12, controller={"motion": "exact"})
     write(work / "still", 9, plant={"type": "sim"})
     done = stats("ten", "exact", "still", "--plot", "ecdf.svg", cwd=work)
     assert (done.returncode, done.stderr) == (0, "wrote ecdf.svg\n")
-    assert "Final total errors of 3 groups" in done.stdout
-    assert "10 pairs detect" in done.stdout
+    assert "Final total errors of 3 batches" in done.stdout
     assert done.stdout.count("none: plants are not alike") == 2
-    assert max(map(len, done.stdout.splitlines())) <= 120
+    full = stats("ten", "exact", "still", "--full", cwd=work).stdout
+    assert "detectable at 80 %" in full
+    assert max(map(len, full.splitlines())) <= 120
     assert (work / "ecdf.svg").stat().st_size > 1000
     found = json.loads(stats("ten", "exact", "still", "--json", cwd=work).stdout)
     assert [arm["name"] for arm in found["groups"]] == ["ten", "exact", "still"]
@@ -108,7 +111,7 @@ def test_several_folders_are_groups_compared_two_by_two(work):
     assert (second["rank_p"], second["verdict"]) == (None, None)
     rows = list(csv.DictReader(io.StringIO(stats("ten", "exact", "--format=csv", cwd=work).stdout)))
     assert (rows[0]["one_n"], rows[0]["other_mean"]) == ("10", "355.0")
-    latex = stats("ten", "exact", "--format", "latex", cwd=work).stdout
+    latex = stats("ten", "exact", "--format", "latex", "--full", cwd=work).stdout
     assert "ten - exact & 10 pairs" in latex
 
 

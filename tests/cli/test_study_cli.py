@@ -124,7 +124,7 @@ def test_shares_of_one_arm_are_one_batch(tmp_path):
     for share in ("1/2", "2/2"):
         to = ("--out", f"parts/{share[0]}", "--shard", share, "--logs", "none", "--jobs", 1)
         assert study("study.yaml", *to, cwd=tmp_path).returncode == 0
-    assert "5 of 5 trials complete" in tetractl("stats", "parts", cwd=tmp_path).stdout
+    assert "5 of 5 trials valid" in tetractl("stats", "parts", cwd=tmp_path).stdout
 
 
 def test_the_job_script_runs_every_share_and_says_how_to_merge(tmp_path):

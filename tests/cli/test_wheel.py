@@ -62,7 +62,7 @@ def test_it_runs_a_trial_and_a_report(installed, tmp_path):
     assert run(tmp_path, tetractl, "--version").startswith("tetractl ")
     run(tmp_path, tetractl, "init", "--example", "three_m3pi")
     words = ("experiments/three_m3pi.yaml", "--trials", 1, "--out", "logs", "--quiet")
-    assert "1 of 1 trials complete" in run(tmp_path, tetractl, "run", *words)
+    assert "1 of 1 trials valid" in run(tmp_path, tetractl, "run", *words)
     assert run(tmp_path, tetractl, "report", "logs") == "report.html\n"
     assert "trial-data-0" in (tmp_path / "report.html").read_text()
     assert "ok" in run(tmp_path, tetractl, "verify", "logs")

@@ -13,7 +13,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.describe import Group, describe
+from tetractl.results.describe import BatchStatistics, describe
 from tetractl.results.open_batch import Batch, Damaged
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
@@ -63,6 +63,6 @@ def batch(
 
 def group(
     trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = (), name: str = ""
-) -> Group:
+) -> BatchStatistics:
     """The trials and earlier attempts described."""
     return describe(Batch.of(trials, damaged), name)

@@ -11,8 +11,8 @@ from tetractl.core.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
     from tetractl.log.read.track_log import TrackLog
-    from tetractl.results.contrast import GroupComparison
-    from tetractl.results.describe import Group
+    from tetractl.results.contrast import BatchComparison
+    from tetractl.results.describe import BatchStatistics
     from tetractl.results.open_batch import Source
 
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
@@ -24,8 +24,9 @@ def stats(
     as_json: ui.LikeFormatJson = False,
     against: list[str] | None = None,
     plot: Path | None = None,
+    full: bool = False,
 ) -> int:
-    """Print statistics of batches: errors with intervals, the published result, comparisons.
+    """Print the total errors of batches, the verdict of their comparison, and what is unusual.
 
     Of logs of `tetractl track`: the cells of each film, and the means over them.
 
@@ -33,8 +34,8 @@ def stats(
     match, with tests corrected for the number of comparisons. A study's trials without logs are
     read from its rows.
 
-    Trials that were aborted or interrupted, and attempts that --resume set aside, are listed and
-    counted but left out of the means. Exits with 1 if a log is damaged.
+    Trials that were aborted or interrupted, and attempts that --resume set aside, are flagged and
+    left out of the means. Exits with 1 if a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 
@@ -49,6 +50,7 @@ def stats(
       against PATH: Log, folder or quoted glob of a baseline batch: the others are compared with
         this batch only; may be repeated.
       plot FILE: File of a figure of the batches: .png, .svg or .pdf.
+      full: Print every figure: of each robot, distances, solve times, and each flagged trial.
     """
     from tetractl.log.read.track_log import tracks_of
     from tetractl.results.contrast import contrast
@@ -67,7 +69,7 @@ def stats(
     listed += [one_source(against)] if against else []
     groups = _described(listed)
     found = contrast(groups[:-1], groups[-1]) if against else contrast(groups)
-    show(found, "json" if as_json else form)
+    show(found, "json" if as_json else form, full)
     if plot:
         from tetractl.view.figures.batch import batch_figure
         from tetractl.view.figures.ecdf import distributions_figure
@@ -79,18 +81,18 @@ def stats(
     return Exit.DONE if found.whole else Exit.FAILED
 
 
-def show(found: "GroupComparison", form: str) -> None:
-    """Print groups and their comparisons to stdout."""
-    from tetractl.results.tables import data_table, tables
+def show(found: "BatchComparison", form: str, full: bool = False) -> None:
+    """Print batches and their comparisons to stdout, as a table in short or in `full`."""
+    from tetractl.results.tables import data_table, summary, tables
 
     if form == "table":
-        print_tables(tables(found))
+        print_tables(tables(found) if full else summary(found))
     elif form == "json":
         print(json_text(found.record), flush=True)
     elif form == "csv":
         print(csv_text(data_table(found)), end="")
     else:
-        print(TEXTS[form](tables(found)))
+        print(TEXTS[form](tables(found) if full else summary(found)))
 
 
 def _show_films(films: "Sequence[TrackLog]", form: str) -> None:
@@ -116,7 +118,7 @@ def _show_films(films: "Sequence[TrackLog]", form: str) -> None:
             print(TEXTS[form](found))
 
 
-def _described(listed: "Sequence[Source]") -> "list[Group]":
+def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":
     """Read and describe batches; print damaged logs and rows on stderr."""
     from tetractl.results.describe import describe
 

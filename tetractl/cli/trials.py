@@ -234,7 +234,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
     for (_, trial), result in report.aborted.items():
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
     left = f"; {lacking} trials were not run" if lacking else ""
-    ui.tell(f"logs in {folder}{left}")
+    ui.tell(f"logs in {folder}{left}; every figure: tetractl stats {folder} --full")
     if error:
         raise error
     if report.aborted:

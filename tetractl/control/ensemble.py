@@ -94,7 +94,7 @@ class Ensemble(PlainController):
             signals = np.array([self._phase])
             path = predict(problem, signals)
             if self._turned > 2 * np.pi * section.turns and _sum(problem, path[-1]) >= gaps.sum():
-                return Outcome.NOTHING_BETTER
+                return Outcome.NO_BETTER_PLAN
             plan = self._decide(problem, signals, Poses.of(path[-1]))
         self._acting.append((observation.sampled_ns + self._delay_ns, plan.direction))
         return plan

@@ -57,7 +57,7 @@ KEPT = 0.2  # clearance while robots receive no command, as a fraction of their 
 RESTED_S = 2.0  # least time that a plan is driven before a rest for a better one [s]
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 TESTED = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
-PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
+PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
 
@@ -178,7 +178,7 @@ class Mpc:
         if self.k > self.section.steps_max:
             return Outcome.STEPS_MAX
         if self._state is State.STUCK:
-            return Outcome.NOTHING_BETTER
+            return Outcome.NO_BETTER_PLAN
         if holds and self.setup.wheel_radius is None:
             return self._circle(problem)
         spent_s = (self.k - self.leg.k) * self.section.period
@@ -213,7 +213,7 @@ class Mpc:
             if stop.error <= min(goes_on, rest):
                 if holds or (self.stands and last):
                     return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
-                outcome = Outcome.NOTHING_BETTER if len(warm) else Outcome.SEQUENCE_COMPLETED
+                outcome = Outcome.NO_BETTER_PLAN if len(warm) else Outcome.SEQUENCE_COMPLETED
                 return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         valued = self._search_on(searcher, value, warm)
@@ -283,7 +283,7 @@ class Mpc:
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)
         if self.k > 0 and not self._moving and error <= again:
-            return self._given(problem, State.RESTING) if holds else Outcome.NOTHING_BETTER
+            return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         expired = self._expired() if self._moving else never
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
         most, good_enough = max(1, self._signals_left), self.section.optimizer.good_enough or 0.0

@@ -123,7 +123,7 @@ class Rrt(PlainController):
         stopping = best_stop(problem, self.estimator.held_at_action, self.section.period)
         if stopping.error > evaluate(problem, signals[None]).target[0]:
             return None
-        done = Outcome.NOTHING_BETTER
+        done = Outcome.NO_BETTER_PLAN
         return End(done, stopping.delay_ns) if stopping.delay_ns else done
 
 

@@ -2,6 +2,7 @@
 searches it was chosen from, or the end of the trial.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -18,7 +19,7 @@ class Outcome(StrEnum):
 
     ARRIVED = "arrived"
     SEQUENCE_COMPLETED = "sequence completed"
-    NOTHING_BETTER = "nothing better"
+    NO_BETTER_PLAN = "no better plan"
     STEPS_MAX = "steps max"
     INTERRUPTED = "interrupted"
     ABORTED = "aborted"
@@ -28,12 +29,23 @@ class Outcome(StrEnum):
         """What the outcome means, for readers."""
         return {
             Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
-            Outcome.SEQUENCE_COMPLETED: "every signal of the plan was sent, as is normal",
-            Outcome.NOTHING_BETTER: "the controller stopped, as no plan it found ends nearer",
+            Outcome.SEQUENCE_COMPLETED: "every signal was sent",
+            Outcome.NO_BETTER_PLAN: "stopped, as no plan found was worth its time",
             Outcome.STEPS_MAX: "the largest number of control steps was reached",
             Outcome.INTERRUPTED: "the user ended the trial",
             Outcome.ABORTED: "a fault or an error ended the trial",
         }[self]
+
+    @property
+    def logged(self) -> str:
+        """The name in logs, where it stays as it was, so that digests stay the same."""
+        return "nothing better" if self is Outcome.NO_BETTER_PLAN else self.value
+
+    @classmethod
+    def shown(cls, text: str) -> str:
+        """Return a text of a log that may begin with an outcome, with the outcome's name."""
+        found = cls.NO_BETTER_PLAN
+        return re.sub(rf"^{found.logged}", found.value, text)
 
     @property
     def complete(self) -> bool:
@@ -134,7 +146,7 @@ class Search:
         return "no search" if self.stopped == StopReason.FIXED else str(self.stopped)
 
 
-INNOVATIONS = "way along the course", "way across the course", "heading"
+INNOVATIONS = "along-track motion", "cross-track motion", "heading"
 """What the columns of `Estimate.misfit` are about."""
 
 

@@ -21,8 +21,8 @@ from tetractl.log.read.track_log import TrackLog, tracks_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.cell_tables import cell_tables
-from tetractl.results.contrast import GroupComparison, contrast
-from tetractl.results.describe import Group, describe
+from tetractl.results.contrast import BatchComparison, contrast
+from tetractl.results.describe import BatchStatistics, describe
 from tetractl.results.open_batch import counts, sources
 from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import page_trials, tables
@@ -42,10 +42,10 @@ def report(
 ) -> tuple[str, list[str]]:
     """Return the HTML page of logs, folders or patterns, and what is wrong with logs.
 
-    Each folder and each arm of a study is a group; logs given one by one are one group together.
+    Each folder and each arm of a study is a batch; logs given one by one are one batch together.
     Trials of a study without a log are only in the tables. `progress` is called with the number of
     results read and the number of all logs. Raises UsageError if there is no log, or if the trials
-    of a group belong to several experiments.
+    of a batch belong to several experiments.
     """
     if films := tracks_of(find_logs(without_others(paths))):
         return _page_of_films(films, title), [line for film in films for line in film.damage]
@@ -97,8 +97,8 @@ def _page_of_films(films: Sequence[TrackLog], title: str | None) -> str:
     return _page(name, "".join(parts), "")
 
 
-def carried(group: Group, groups: int) -> list[Path]:
-    """Return the logs of a group, one of `groups`, that a page carries which cannot carry all:
+def carried(group: BatchStatistics, groups: int) -> list[Path]:
+    """Return the logs of a batch, one of `groups`, that a page carries which cannot carry all:
     trials at evenly spaced ranks of the total error, from the best to the worst, and some that do
     not count, in the order of the trials.
     """
@@ -116,8 +116,8 @@ def carried(group: Group, groups: int) -> list[Path]:
 
 def _groups(
     paths: Sequence[Path], progress: Callable[[int, int], None]
-) -> tuple[list[Group], list[str]]:
-    """Return a group per folder and one for all single logs, and what is wrong with logs."""
+) -> tuple[list[BatchStatistics], list[str]]:
+    """Return a batch per folder and one for all single logs, and what is wrong with logs."""
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
@@ -136,7 +136,7 @@ def _groups(
     return [describe(batch, name) for name, batch in known], unread
 
 
-def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:
+def _title(paths: Sequence[Path], groups: Sequence[BatchStatistics]) -> str:
     """Return the name of a study from its folder, or the names of the experiments."""
     if len(paths) == 1 and len(groups) > 1:
         return paths[0].resolve().name
@@ -163,8 +163,8 @@ def _page(title: str, body: str, scripts: str) -> str:
     )
 
 
-def _header(title: str, found: GroupComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of the title, each group's result, the verdicts, and every total error."""
+def _header(title: str, found: BatchComparison, numbers: Mapping[str, int]) -> str:
+    """Return the HTML of the title, each batch's result, the verdicts, and every total error."""
     about = escape(found.groups[0].experiment.description)
     few = len(found.contrasts) <= 10
     compared = [one for one in tables(found) if few and one.title.startswith("Comparison")]
@@ -176,15 +176,12 @@ def _header(title: str, found: GroupComparison, numbers: Mapping[str, int]) -> s
     )
 
 
-def _overview(groups: Sequence[Group]) -> Table:
-    """Return a table with each group's mean total error and the numbers of its unsafe trials."""
+def _overview(groups: Sequence[BatchStatistics]) -> Table:
+    """Return a table with each batch's mean total error and the numbers of its unsafe trials."""
     totals = [group.total for group in groups]
     show = lengths(min((t.mean for t in totals if t.n), default=1.0))
     rows = [group.rows for group in groups]
-    counts = {
-        label: [texts[f"{label}, 95 % interval"].partition(" (")[0] for texts in rows]
-        for label in SAFETY
-    }
+    counts = {label: [texts[label].partition(" (")[0] for texts in rows] for label in SAFETY}
     known = "; ".join(f"{one.name}: {one.origin}, {counted_by(one.experiment)}" for one in groups)
     return Table(
         "",
@@ -225,14 +222,14 @@ def _json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _statistics(found: GroupComparison, numbers: Mapping[str, int]) -> str:
-    """Return the tables of each group and of their comparison, and the same data as JSON."""
+def _statistics(found: BatchComparison, numbers: Mapping[str, int]) -> str:
+    """Return the tables of each batch and of their comparison, and the same data as JSON."""
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
     parts = []
     for group in found.groups:
         name = f": {escape(group.name)}" if len(found.groups) > 1 else ""
         parts.append(
-            f"<section><h2>Statistics{name}</h2>{_tables(tables(GroupComparison((group,))))}"
+            f"<section><h2>Statistics{name}</h2>{_tables(tables(BatchComparison((group,))))}"
             "<details open><summary>All trials</summary>"
             f"{html([page_trials(group, numbers)], links)}</details></section>"
         )
@@ -283,7 +280,7 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
     return _paper([_figure(kind, seen, text + where) for kind, text in drawn.items()])
 
 
-def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
+def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
     """Return all total errors as inline SVG, each dot a link to its trial; "" without any error.
 
     `numbers` has each trial's number on the page, by path.

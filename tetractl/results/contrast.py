@@ -1,4 +1,4 @@
-"""Compares the total errors of pairs of groups, such as two folders or the arms of a study."""
+"""Compares the total errors of pairs of batches, such as two folders or the arms of a study."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results import mean_difference
-from tetractl.results.describe import Group
+from tetractl.results.describe import BatchStatistics
 from tetractl.results.estimate import CONFIDENCE, Interval
 from tetractl.results.mean_difference import MeanDifference, from_both_intervals
 from tetractl.results.open_batch import counts, differences
@@ -24,7 +24,7 @@ _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "s
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Comparison of the total errors of two groups; differences are `one` minus `other`.
+    """Comparison of the total errors of two batches; differences are `one` minus `other`.
 
     `pairs` is the number of pairs of trials with the same disturbances; without pairs,
     `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
@@ -38,8 +38,8 @@ class Contrast:
     tested: their p-values are NaN.
     """
 
-    one: Group
-    other: Group
+    one: BatchStatistics
+    other: BatchStatistics
     alike: bool
     pairs: int
     why_unpaired: str
@@ -86,7 +86,7 @@ class Contrast:
 
     @property
     def name(self) -> str:
-        """Names of the groups as "one - other"."""
+        """Names of the batches as "one - other"."""
         return f"{self.one.name} - {self.other.name}"
 
     @property
@@ -137,10 +137,10 @@ class Contrast:
 
 
 @dataclass(frozen=True, slots=True)
-class GroupComparison:
-    """Groups, and the contrasts of every two groups or of each group with a baseline."""
+class BatchComparison:
+    """Batches, and the contrasts of every two batches or of each batch with a baseline."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[BatchStatistics, ...]
     contrasts: tuple[Contrast, ...] = field(default=(), repr=False)
 
     @property
@@ -150,7 +150,7 @@ class GroupComparison:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The object that `stats --format json` prints: of one group its record, of several
+        """The object that `stats --format json` prints: of one batch its record, of several
         `groups` and `comparisons`. Numbers are not rounded; unknown values are NaN.
         """
         if len(self.groups) == 1:
@@ -163,14 +163,16 @@ class GroupComparison:
 
     @property
     def whole(self) -> bool:
-        """Whether no log of any group is damaged."""
+        """Whether no log of any batch is damaged."""
         return all(group.batch.whole for group in self.groups)
 
 
-def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupComparison:
-    """Compare each pair of groups or, with a baseline, each group with the baseline.
+def contrast(
+    groups: Sequence[BatchStatistics], baseline: BatchStatistics | None = None
+) -> BatchComparison:
+    """Compare each pair of batches or, with a baseline, each batch with the baseline.
 
-    Raises UsageError if groups have different units of length.
+    Raises UsageError if batches have different units of length.
     """
     every = (*groups, baseline) if baseline else tuple(groups)
     first = every[0]
@@ -187,11 +189,11 @@ def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupCom
         replace(one, p_holm=p, rank_p_holm=rank)
         for one, p, rank in zip(found, means, ranks, strict=True)
     )
-    return GroupComparison(every, tuple(corrected))
+    return BatchComparison(every, tuple(corrected))
 
 
-def _contrast(one: Group, other: Group, tests: int) -> Contrast:
-    """Compare two groups; p-values are not corrected yet, and there is no verdict."""
+def _contrast(one: BatchStatistics, other: BatchStatistics, tests: int) -> Contrast:
+    """Compare two batches; p-values are not corrected yet, and there is no verdict."""
     a, b = one.total, other.total
     alike = one.origin is other.origin
     paired, why = paired_differences(one, other)
@@ -220,7 +222,7 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
     )
 
 
-def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
+def paired_differences(one: BatchStatistics, other: BatchStatistics) -> tuple[Floats, str]:
     """Return the differences (n,) between the total errors of paired trials, `one` minus `other`,
     and "" or the reason why there are no pairs.
 

@@ -9,23 +9,26 @@ import numpy as np
 from tetractl.core.commands import STOOD
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
-from tetractl.core.table.table import NONE, digits, lengths, p_value
+from tetractl.core.table.table import NONE, digits, lengths
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.estimate import FAR, Distribution, Interval, distributions
+from tetractl.results.estimate import Distribution, Interval, distributions
 from tetractl.results.mean_difference import MeanDifference, welch
 from tetractl.results.open_batch import Batch, counts, experiment_of
 from tetractl.results.outcomes import SAFETY
 from tetractl.results.statistic import Value, statistics
 
+PUBLISHED = "difference from published"
+"""Label of the difference from the published result."""
+
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class BatchStatistics:
     """A batch of trials of N robots, with a name; lengths in `unit`.
 
-    Only complete trials count, those whose outcome the controller decided. `totals` (n,) and
-    `errors` (n, N) are the errors of the n trials that count; `total` and `robots` describe them.
-    `values` are the group's other figures: plant, tail, the published and the scaled error, all
+    `totals` (n,) and `errors` (n, N) are the errors of the n valid trials, those whose outcome the
+    controller decided and whose errors are known; `total` and `robots` describe them.
+    `values` are the batch's other figures: plant, tail, the published and the scaled error, all
     registered statistics, over all trials, and the logs that are missing.
     """
 
@@ -61,7 +64,7 @@ class Group:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The object that `stats --format json` prints for a group: errors, figures and trials.
+        """The object that `stats --format json` prints for a batch: errors, figures and trials.
 
         Lengths are in `unit`, times in the unit with which their key ends; unknown values are NaN.
         """
@@ -105,7 +108,7 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
     }
 
 
-def describe(batch: Batch, name: str = "") -> Group:
+def describe(batch: Batch, name: str = "") -> BatchStatistics:
     """Describe the trials of one experiment.
 
     Raises UsageError if they belong to several experiments, or if a simulated trial occurs twice.
@@ -118,7 +121,7 @@ def describe(batch: Batch, name: str = "") -> Group:
     errors = errors.reshape(len(counted), len(experiment.robots))
     (total,) = distributions(totals[None], experiment.error_bound)
     attempts = len(batch.attempts) + len(batch.lost_attempts)
-    return Group(
+    return BatchStatistics(
         name=name or experiment.name,
         batch=batch,
         experiment=experiment,
@@ -132,8 +135,12 @@ def describe(batch: Batch, name: str = "") -> Group:
             _published(experiment, total, origin),
             _scaled(experiment, total, origin),
             *(statistic.of_batch(batch.trials) for statistic in statistics()),
-            Value.row("earlier attempts, not counted", str(attempts), n_attempts=attempts),
-            Value.row("logs that could not be read", str(len(batch.lost)), damaged=batch.lost),
+            Value.row(
+                "earlier attempts, excluded", str(attempts), not attempts, n_attempts=attempts
+            ),
+            Value.row(
+                "logs that cannot be read", str(len(batch.lost)), not batch.lost, damaged=batch.lost
+            ),
         ),
     )
 
@@ -141,21 +148,21 @@ def describe(batch: Batch, name: str = "") -> Group:
 def _kept(
     batch: Batch, experiment: Experiment, total: Distribution, origin: Origin
 ) -> tuple[Value, ...]:
-    """Return the plant, how many trials count, and the tail of their errors."""
-    assumed = ("  its disturbances", "assumed in the spec, not measured")
+    """Return the plant, how many trials are valid, and the tail of their errors."""
+    assumed, tail = [("disturbances", "assumed in the spec, not measured")], total.tail
     plant = {
         "origin": origin.value,
         "kind": "simulated" if origin.simulated else origin.name.lower(),
         "disturbed": origin is not Origin.UNDISTURBED,
         "body_radius": experiment.controller.body_radius or None,
     }
-    rows = [("plant", str(origin)), *([assumed] if origin is Origin.DISTURBED else [])]
+    tiny = total.max * 1e6 < max(experiment.arena.width, experiment.arena.height)
     n = {"n_trials": len(batch.trials), "n_counted": total.n}
-    bound = "error_bound" if total.tail.stated else f"{FAR} medians"
     return (
-        Value(plant, tuple(rows)),
-        Value.row("complete, with known errors", f"{total.n} of {len(batch.trials)}", **n),
-        Value.row(f"trials above {bound}, 95 % interval", total.tail.text(experiment.units.length)),
+        Value.row("plant", str(origin), True, **plant),
+        Value({}, tuple(assumed if origin is Origin.DISTURBED else [])),
+        Value.row("valid trials", f"{total.n} of {len(batch.trials)}", True, **n),
+        Value.row(tail.label, tail.text(experiment.units.length), not tail.above or tiny),
     )
 
 
@@ -166,21 +173,15 @@ def _published(experiment: Experiment, total: Distribution, origin: Origin) -> V
     if (known := experiment.reference) is None:
         return Value({"reference": None}, ())
     unit = experiment.units.length
-    label = f"difference from published [{unit}]"
     stated = {"source": known.source, "n": known.n, "mean": known.mean, "std": known.std}
     if origin.comparable:
         found = welch(total.n, total.mean, total.std, known.n, known.mean, known.std)
-        show = lengths(found.value)
-        rows = [
-            (label, show(found.value)),
-            (f"  its 95 % interval [{unit}]", found.ci95.text(show)),
-            ("  p (Welch)", p_value(found.p_value)),
-        ]
+        text = f"{found.text(unit, lengths(found.value), found.p_value)} (Welch's t)"
     else:
         found = MeanDifference.untested(math.nan, "not compared")
-        rows = [(label, f"{NONE} (not real robots)")]
+        text = f"{NONE} (not real robots)"
     stated |= {"comparable": origin.comparable, **found.as_dict()}
-    return Value({"reference": stated}, tuple(rows))
+    return Value.row(PUBLISHED, text, True, reference=stated)
 
 
 def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Value:
@@ -214,7 +215,7 @@ def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Valu
         "published_mean": published,
         "published_body_lengths": published_bodies,
     }
-    return Value({"scaled": found}, tuple(rows))
+    return Value({"scaled": found}, tuple(rows), usual=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +230,7 @@ class Flagged:
 def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
-    A trial is flagged if it is not in the means, its log is damaged, a robot entered an obstacle,
+    A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle,
     left the arena, touched another one, was lost or stood though commanded to move, or the trial
     ended at `steps max`. Warnings flag trials in a lab only, since in a simulation the spec
     requests the disturbances.
@@ -237,13 +238,13 @@ def flagged(batch: Batch) -> list[Flagged]:
     found = []
     for trial in batch.trials:
         if notes := _notes(trial):
-            means = "in the means" if counts(trial) else "not in the means"
-            found.append(Flagged(trial.path, trial.outcome.value, (means, *notes)))
+            why = () if counts(trial) else ("excluded",)
+            found.append(Flagged(trial.path, trial.outcome.value, (*why, *notes)))
     for trial in batch.attempts:
-        notes = ("an earlier attempt, not counted", *_notes(trial))
+        notes = ("an earlier attempt, excluded", *_notes(trial))
         found.append(Flagged(trial.path, trial.outcome.value, notes))
     for log in batch.lost_attempts:
-        notes = ("an earlier attempt, not counted", log.problem)
+        notes = ("an earlier attempt, excluded", log.problem)
         found.append(Flagged(log.path, "cannot be read", notes))
     return found
 

@@ -75,8 +75,13 @@ class Tail:
     stated: bool
     ci95: Interval
 
+    @property
+    def label(self) -> str:
+        """What the values above the bound are called."""
+        return f"errors above {'error_bound' if self.stated else f'{FAR} times the median'}"
+
     def text(self, unit: str = "") -> str:
-        """Return a text such as "2 of 100 above 85.0 mm (1 to 7 %)"."""
+        """Return a text such as "2 of 100 above 85.0 mm (95 % interval 1 to 7 %)"."""
         if not math.isfinite(self.bound):
             return NONE
         bound = f"{lengths(self.bound)(self.bound)} {unit}".strip()
@@ -237,5 +242,7 @@ def proportion_interval(successes: int, n: int) -> Interval:
 
 
 def percent(share: Interval) -> str:
-    """Return the interval of a fraction as text, such as " (0 to 16 %)"; "" if there is none."""
-    return f" ({100 * share.low:.0f} to {100 * share.high:.0f} %)" if share.known else ""
+    """Return the interval of a fraction as text in brackets, "" if there is none."""
+    if not share.known:
+        return ""
+    return f" (95 % interval {100 * share.low:.0f} to {100 * share.high:.0f} %)"

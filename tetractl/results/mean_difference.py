@@ -1,7 +1,7 @@
 """Compares the means and the ranks of two batches."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from tetractl.core.poses import Floats
+from tetractl.core.table.table import p_value
 from tetractl.results.estimate import CONFIDENCE, Distribution, Interval, t_quantile
 
 _NAN = math.nan
@@ -38,6 +39,11 @@ class MeanDifference:
     def untested(cls, value: float, why: str, degrees: float = _NAN) -> "MeanDifference":
         """Return a difference without interval and p-value, with the reason."""
         return cls(value, Interval.none(why), _NAN, degrees)
+
+    def text(self, unit: str, show: Callable[[float], str], p: float) -> str:
+        """Return the difference with its interval and a p-value, corrected or not, as text."""
+        found = f"{show(self.value)} {unit} (95 % interval {self.ci95.text(show)})"
+        return f"{found}, p {'' if p < 0.001 else '= '}{p_value(p)}" if p >= 0 else found
 
     def as_dict(self) -> dict[str, object]:
         """Return the items of JSON that describe the difference."""

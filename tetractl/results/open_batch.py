@@ -133,7 +133,7 @@ class Source:
             try:
                 trials.append(read_result(log))
             except LogError as error:
-                damaged.append(Damaged(str(log), str(error).removeprefix(f"{log}: ")))
+                damaged.append(Damaged(str(log), error.message.removeprefix(f"{log}: ")))
             on_log(done, len(self.logs))
         _add_unlogged(self.rows, trials, damaged)
         return Batch.of(trials, damaged)
@@ -190,7 +190,7 @@ def _add_unlogged(
         try:
             rows = row_results(file)
         except LogError as error:
-            damaged.append(Damaged(str(file), str(error).removeprefix(f"{file}: ")))
+            damaged.append(Damaged(str(file), error.message.removeprefix(f"{file}: ")))
             continue
         lost = 0
         for number, row in rows.items():
@@ -286,7 +286,7 @@ def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:
         yield f"{path}: {' != '.join(words)}"
 
 
-def listing(differences: Sequence[str]) -> str:
-    """Join the first four differences into one line, with the number of the rest."""
-    more = len(differences) - 4
-    return ", ".join(differences[:4]) + (f" and {more} more" if more > 0 else "")
+def listing(texts: Sequence[str], between: str = ", ") -> str:
+    """Join the first four texts into one line, with the number of the rest."""
+    more = len(texts) - 4
+    return between.join(texts[:4]) + (f" and {more} more" if more > 0 else "")

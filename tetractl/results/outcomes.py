@@ -7,6 +7,7 @@ in a lab; percentiles of solve times are over all steps of all trials.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,34 +18,33 @@ from tetractl.core.plan import Outcome
 from tetractl.core.table.table import NONE, digits, lengths
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.statistic import Statistic, Value, count, fraction, share
+from tetractl.results.statistic import Statistic, Value, fraction, share
 
 _ARRIVED = share("arrived", "arrived", lambda trial: trial.outcome is Outcome.ARRIVED)
 
 
 def _arrived(trials: Sequence[ResultSummary]) -> Value:
     if trials[0].experiment.controller.arrival_tolerance > 0:
-        return _ARRIVED.of_batch(trials)
+        return replace(_ARRIVED.of_batch(trials), usual=True)
     text = f"{NONE} (no arrival_tolerance)"
-    return Value.row("arrived, 95 % interval", text, arrived=None, arrived_ci95=None)
+    return Value.row("arrived", text, True, arrived=None, arrived_ci95=None)
 
 
 def _outcomes(trials: Sequence[ResultSummary]) -> Value:
     found = Counter(trial.outcome for trial in trials)
-    text = ", ".join(f"{n} {outcome.value}" for outcome, n in found.most_common())
-    return Value.row("outcomes", text, outcomes={one.value: found[one] for one in Outcome})
+    text = "; ".join(f"{n} {one.value} ({one.meaning})" for one, n in found.most_common())
+    ended = {one.value: found[one] for one in (Outcome.ABORTED, Outcome.INTERRUPTED)}
+    return Value.row("outcomes", text, outcomes={one.value: found[one] for one in Outcome}, **ended)
+
+
+def _recovered(trials: Sequence[ResultSummary]) -> Value:
+    found = sum(trial.recovered for trial in trials)
+    return Value.row("read from damaged logs", str(found), not found, recovered=found)
 
 
 OUTCOMES = Statistic(_outcomes)
 ARRIVED = Statistic(_arrived)
-ABORTED = count("aborted", "aborted", lambda trial: trial.outcome is Outcome.ABORTED)
-INTERRUPTED = count(
-    "interrupted", "interrupted", lambda trial: trial.outcome is Outcome.INTERRUPTED
-)
-RECOVERED = Statistic(
-    count("recovered", "read from damaged logs", lambda trial: trial.recovered).of_batch,
-    lambda trial: {"recovered": trial.recovered},
-)
+RECOVERED = Statistic(_recovered, lambda trial: {"recovered": trial.recovered})
 
 
 Distances = Callable[[Verdict], Sequence[float]]
@@ -68,7 +68,7 @@ def least(key: str, label: str, of: Distances) -> Statistic:
         unit = trials[0].experiment.units.length
         nearest = min(known, default=None)
         text = NONE if nearest is None else lengths(nearest)(nearest)
-        return Value.row(f"{label} [{unit}]", text, **{key: nearest})
+        return Value.row(f"{label} [{unit}]", text, True, **{key: nearest})
 
     return Statistic(of_batch, of_trial)
 
@@ -114,11 +114,13 @@ def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Stat
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         columns, counted = [of_trial(trial) for trial in trials], counted_by(trials[0].experiment)
         items, text = {body: None, f"{body}_ci95": None}, f"{NONE} (no radius)"
+        usual = label != "entered an obstacle"
         for key, column in ([centre] if centre else []) + [(body, body)]:
             if columns[0][column] is not None:
                 found, share = fraction(key, [one[column] for one in columns])
-                items, text = items | found, f"{share}, {counted}"
-        return Value.row(f"{label}, 95 % interval", text, **items)
+                items, text = items | found, f"{share}, counting {counted}"
+                usual &= not found[key]
+        return Value.row(label, text, usual, **items)
 
     return Statistic(of_batch, of_trial)
 
@@ -196,12 +198,13 @@ def _solve_ms(trials: Sequence[ResultSummary]) -> Value:
         (f"solve time {name} [ms]", NONE if value is None else digits(value))
         for name, value in found.items()
     ]
-    return Value({"solve_ms": found}, tuple(rows))
+    return Value({"solve_ms": found}, tuple(rows), usual=True)
 
 
 def _deadline_misses(trials: Sequence[ResultSummary]) -> Value:
     misses = sum(trial.result.deadline_misses for trial in trials)
-    return Value.row("deadline misses", str(misses), deadline_misses=misses)
+    usual = not (misses and trials[0].experiment.plant.real_time)  # else they delayed no command
+    return Value.row("deadline misses", str(misses), usual, deadline_misses=misses)
 
 
 SOLVE_MS = Statistic(_solve_ms)

@@ -20,16 +20,17 @@ from tetractl.results.open_batch import counts
 @dataclass(frozen=True, slots=True)
 class Value:
     """The value of a statistic: by key for JSON (`items`), and as rows of label and text for a
-    table.
+    table. The rows of a `usual` value, such as no damaged log, are shown with `--full` only.
     """
 
     items: dict[str, Any]
     rows: tuple[tuple[str, str], ...]
+    usual: bool = False
 
     @classmethod
-    def row(cls, label: str, text: str, **items: Any) -> Self:
+    def row(cls, label: str, text: str, usual: bool = False, /, **items: Any) -> Self:
         """Return a value with one row."""
-        return cls(items, ((label, text),))
+        return cls(items, ((label, text),), usual)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
         text = f"{show(found.mean)} (95 % interval {found.ci95.text(show)})"
         rows = [(f"{label}, mean", text)]
         if found.tail.above:
-            rows.append(("  its tail, 95 % interval", found.tail.text()))
+            rows.append((f"  {found.tail.label}", found.tail.text()))
         return Value({key: found.as_dict()}, tuple(rows))
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
@@ -94,7 +95,7 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         items, text = fraction(key, [holds(trial) for trial in trials])
-        return Value.row(f"{label}, 95 % interval", text, **items)
+        return Value.row(label, text, **items)
 
     return Statistic(of_batch)
 

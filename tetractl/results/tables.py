@@ -1,23 +1,64 @@
-"""Formats groups and their comparisons as tables for display."""
+"""Formats batches and their comparisons as tables for display."""
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from tetractl.core.table.table import NONE, Column, Table, fixed, lengths, p_value
 from tetractl.core.table.table_files import flat
 from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.experiment.experiment import Experiment
-from tetractl.results.contrast import Contrast, GroupComparison
-from tetractl.results.describe import Group, flagged
+from tetractl.results.contrast import BatchComparison, Contrast
+from tetractl.results.describe import PUBLISHED, BatchStatistics, flagged
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.open_batch import listing
 from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
 
 
-def tables(found: GroupComparison) -> list[Table]:
+def summary(found: BatchComparison) -> list[Table]:
+    """Return what one needs: the total errors, and below them the verdict and what is not usual.
+
+    Of three batches or more, the verdicts are in a table of their own.
+    """
+    groups, several = found.groups, len(found.groups) > 2
+    errors, compared = _errors(groups, robots=False), _contrasts(found.contrasts)[:1]
+    lines = [] if several else [f"{one.name}: {_verdict(one)}" for one in found.contrasts]
+    if len(groups) == 1 and groups[0].experiment.reference and groups[0].origin.comparable:
+        lines.append(f"{PUBLISHED}: {groups[0].rows[PUBLISHED]}")
+    lines += [f"{label}: {text}" for label, text in _unusual(groups)]
+    errors = replace(errors, note="\n".join(filter(None, [*lines, errors.note])))
+    return [errors, *(compared if several else [])]
+
+
+def _verdict(one: Contrast) -> str:
+    """Return the verdict of a comparison with its difference and test, in words."""
+    test, alike = one.tests.partition(",")[0], one.verdict == "undecided"
+    found = "no significant difference" if alike else f"{one.verdict} mean error"
+    found = f"no verdict ({one.reason})" if one.verdict is None else found
+    show = lengths(one.difference.value, finest(one.one.experiment))
+    counted = one.counted if one.pairs else f"{one.counted} trials"
+    return f"{found}, {one.difference.text(one.one.unit, show, one.p_holm)} ({test}, {counted})"
+
+
+def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, str]]:
+    """Yield label and text of every value that is not usual, and of the flagged trials."""
+    rows = dict[str, dict[str, list[str]]]()
+    for group in groups:
+        for label, text in (row for value in group.values if not value.usual for row in value.rows):
+            rows.setdefault(label, {}).setdefault(text, []).append(group.name)
+    for trial in (trial for group in groups for trial in flagged(group.batch)):
+        name = "/".join(Path(trial.path.removesuffix(".mcap")).parts[-2:])
+        rows.setdefault("flagged", {}).setdefault(", ".join(trial.notes), []).append(name)
+    every = [group.name for group in groups]
+    for label, texts in rows.items():
+        named = (t if names == every else f"{listing(names)}: {t}" for t, names in texts.items())
+        yield label, listing(list(named), "; ")
+
+
+def tables(found: BatchComparison) -> list[Table]:
     """Return every table: errors, how the trials ended, comparisons, flagged trials."""
     groups = found.groups
     names = [group.name for group in groups] if len(groups) > 1 else ["value"]
@@ -26,7 +67,7 @@ def tables(found: GroupComparison) -> list[Table]:
     odd = [trial for group in groups for trial in flagged(group.batch)]
     rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in odd[:LISTED_MAX]]
     if len(odd) > LISTED_MAX:
-        rows.append((f"{len(odd) - LISTED_MAX} more", NONE, "--format json names all"))
+        rows.append((f"{len(odd) - LISTED_MAX} more", NONE, "in --format json"))
     listed = Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
     every = [_errors(groups), *trials, *_contrasts(found.contrasts), listed]
     return [table for table in every if len(table)]
@@ -48,7 +89,7 @@ def error_table(
     decimals = lengths(least, finest)
 
     def show(value: float) -> str:  # a much larger value needs fewer decimals
-        return f"{value:g}" if value > 100 * least > 0 else decimals(value)
+        return lengths(value, finest)(value) if value > 10 * least > 0 else decimals(value)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
         return Column(name, [of(values) for _, values in named], format=show)
@@ -71,22 +112,19 @@ def error_table(
     )
 
 
-def _errors(groups: Sequence[Group]) -> Table:
-    first = groups[0]
+def _errors(groups: Sequence[BatchStatistics], robots: bool = True) -> Table:
+    """Return the table of total errors and, of one batch, of the errors of its robots."""
+    first, each = groups[0], list[tuple[str, Distribution]]()
+    plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
     if len(groups) == 1:
         named = [("total", first.total)]
-        complete = f"{first.counted} of {len(first.batch.trials)} trials complete"
-        what = f"{first.experiment.name}, {first.origin}"
-        title = f"{what}: final error [{first.unit}], {complete}"
-        robots = [robot.name for robot in first.experiment.robots]
-        each = list(zip(robots, first.robots, strict=True))
+        valid = f"{first.counted} of {len(first.batch.trials)} trials valid"
+        title = f"{first.experiment.name}, {plants}: final error [{first.unit}], {valid}"
+        if robots:
+            each = list(zip(first.experiment.setup.names, first.robots, strict=True))
     else:
         named = [(group.name, group.total) for group in groups]
-        plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
-        title = f"Final total errors of {len(groups)} groups, {plants}"
-        if len(groups) == 2:
-            title = f"{groups[0].name} against {groups[1].name}: final total error, {plants}"
-        each = []
+        title = f"Final total errors of {len(groups)} batches, {plants}"
     for group in groups:
         known = group.experiment.reference
         if known and all(name != "published" for name, _ in named):
@@ -112,8 +150,8 @@ def processors_note(types: Iterable[str]) -> str:
     return f"trials of {len(found)} {what}: {listed}{more}"
 
 
-def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
-    """Return a table of some groups: a row per statistic, a column per group."""
+def _trials(groups: Sequence[BatchStatistics], names: Sequence[str]) -> Table:
+    """Return a table of some batches: a row per statistic, a column per batch."""
     columns = [group.rows for group in groups]
     labels = list(dict.fromkeys(label for column in columns for label in column))
     return Table(
@@ -153,13 +191,20 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
     )
     basis = Table.of_texts(
         "What the comparisons rest on",
-        (names.name, "tests", "p of ranks", "what n can show", "why not paired", "differs in"),
+        (
+            names.name,
+            "tests",
+            "p (rank test)",
+            "detectable at 80 % power",
+            "why not paired",
+            "differs in",
+        ),
         [
             (
                 one.name,
                 one.tests if one.alike else NONE,
                 p_value(one.rank_p_holm),
-                detects(one),
+                f"{fixed(2)(one.detects)} sd" if one.detects > 0 else NONE,
                 one.why_unpaired,
                 listing(one.differs) or "nothing",
             )
@@ -169,15 +214,9 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
     return [differences, basis]
 
 
-def detects(one: Contrast) -> str:
-    """Return the detectable difference, such as "20 pairs detect 0.66 sd at 80 %"."""
-    what = one.counted if one.pairs else f"{one.counted} trials"
-    return f"{what} detect {fixed(2)(one.detects)} sd at 80 %" if one.detects > 0 else NONE
-
-
-def data_table(found: GroupComparison) -> Table:
-    """Return the table of `stats --format csv`: for one group, a row per trial, earlier attempts
-    last; for several groups, a row per comparison, with the same numbers as the JSON.
+def data_table(found: BatchComparison) -> Table:
+    """Return the table of `stats --format csv`: for one batch, a row per trial, earlier attempts
+    last; for several batches, a row per comparison, with the same numbers as the JSON.
     """
     if len(found.groups) == 1:
         return trials_table(found.groups[0].batch)
@@ -192,7 +231,7 @@ def finest(experiment: Experiment) -> int:
     return min(max(6 - math.floor(math.log10(extent)), 0), 9)
 
 
-def page_trials(group: Group, numbers: Mapping[str, int]) -> Table:
+def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
     """Return the table of trials in a report: each trial's number on the page, its errors and
     outcome.
     """

@@ -39,7 +39,7 @@ def drive(fields, **changes):
 
 def test_the_sum_of_distances_falls_while_the_field_is_off():
     sums, off, _, outcome = drive({})
-    assert outcome is Outcome.NOTHING_BETTER
+    assert outcome is Outcome.NO_BETTER_PLAN
     assert off.any()
     assert not off.all()
     assert (np.diff(sums)[off] < 0).all()

@@ -109,7 +109,7 @@ def test_longer_plans_are_searched_on_where_the_deadline_came_between():
 def test_the_trial_ends_where_a_stop_is_worth_most():
     """What is left of the plan leads past the targets."""
     controller, _ = driving({})
-    assert step(controller, near(15)) is Outcome.NOTHING_BETTER
+    assert step(controller, near(15)) is Outcome.NO_BETTER_PLAN
 
 
 def test_robots_too_far_off_go_on_though_the_sequence_is_used_up():
@@ -156,7 +156,7 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, steps_max, ends
     assert rest.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
     controller.estimator.sent(Command(Stop(), 300_000_000, (True,) * 3))
     decision = step(controller, near(total), now=1_000_000_000)
-    assert (decision is Outcome.NOTHING_BETTER) == ends
+    assert (decision is Outcome.NO_BETTER_PLAN) == ends
     assert ends or decision.state is State.DRIVING
 
 
@@ -197,7 +197,7 @@ def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
     assert (stop.state, stuck.state) == (State.RESTING, State.STUCK)
     assert stuck.pauses
     assert len(stuck.searches) > 1  # the log holds them
-    assert end is Outcome.NOTHING_BETTER
+    assert end is Outcome.NO_BETTER_PLAN
 
 
 def test_robots_in_a_corner_look_for_a_way_out_before_they_search_thoroughly():

@@ -70,7 +70,7 @@ def drive(key, fields=None, **plant):
 @pytest.mark.parametrize("key", range(8))
 def test_the_robot_goes_round_the_obstacle_to_its_target(key):
     verdict, decision = drive(key)
-    assert isinstance(decision, End) or decision is Outcome.NOTHING_BETTER
+    assert isinstance(decision, End) or decision is Outcome.NO_BETTER_PLAN
     assert verdict.entered == (False,)
     assert np.hypot(*(verdict.final.xy[0] - TARGET)) < 30  # v/a: it turns no tighter
 

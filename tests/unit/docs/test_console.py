@@ -46,7 +46,7 @@ WORDS = "trial of: sequence completed, total error mm, steps"
         (WORDS, True),
         ("trial 1 of 20: sequence completed, total error 14.5 mm, 61 steps, 12.2 s", True),
         (f"other {WORDS} words between", True),
-        ("trial of: nothing better, total error mm, steps", False),
+        ("trial of: no better plan, total error mm, steps", False),
         ("error: no such file", False),
     ],
 )

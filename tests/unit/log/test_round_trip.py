@@ -1,12 +1,17 @@
 """What is written is what is read, bit for bit."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_trials import trial, write
 
 from tetractl.core.commands import Command, Steer
+from tetractl.core.plan import Outcome
+from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.salvage import scan
 from tetractl.log.write.writer import LogWriter
 from tetractl.replay.comparison import first_difference
 
@@ -76,3 +81,15 @@ def test_the_result_is_read_without_the_course(tmp_path):
     assert (summary.experiment, summary.simulated) == (made.experiment, True)
     assert summary.digest == read_trial(path).digest
     assert not summary.recovered
+
+
+def test_an_outcome_that_logs_call_by_its_first_name_is_read_by_its_present_one(tmp_path):
+    """So that digests stay as they are, and older logs are read and verified."""
+    made = trial(1, steps=1)
+    ended = replace(made.result, outcome=Outcome.NO_BETTER_PLAN, reason="")
+    path = write(replace(made, result=ended), tmp_path / "trial.mcap")
+    assert b"nothing better" in scan(path).by_topic[RESULT][0].data
+    assert read_result(path).outcome is Outcome.NO_BETTER_PLAN
+    log = read_trial(path)
+    assert log.notes[-1].text == "nothing better after 1 control steps"
+    assert log.events[-1].text == "no better plan after 1 control steps"

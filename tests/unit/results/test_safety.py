@@ -48,12 +48,15 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
     assert (items["obstacle_violations"], items["left_arena"]) == (0, 1)
     assert (items["body_in_obstacle"], items["body_over_edge"], items["bodies_touch"]) == (1, 2, 1)
     rows = found.rows
-    assert rows["left the arena, 95 % interval"] == "2 of 3 (21 to 94 %), bodies of radius 47 mm"
-    assert rows["touched one another, 95 % interval"].startswith("1 of 3")
+    assert (
+        rows["left the arena"]
+        == "2 of 3 (95 % interval 21 to 94 %), counting bodies of radius 47 mm"
+    )
+    assert rows["touched one another"].startswith("1 of 3")
     columns = trials_table(found.batch).as_dict()
     assert columns["outside_arena"] == [False, True, False]
     assert columns["body_over_edge"] == [True, True, False]
-    assert flagged(found.batch)[0].notes[1:] == (
+    assert flagged(found.batch)[0].notes == (
         "green entered an obstacle",
         "green left the arena",
         "green, blue touched one another",
@@ -63,6 +66,6 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
 def test_without_a_radius_centres_are_counted_and_said_to_be():
     found = group([judged(0, (-1.0, 5.0), (200.0, 200.0))])
     rows = found.rows
-    assert rows["left the arena, 95 % interval"] == "1 of 1 (21 to 100 %), centres"
-    assert rows["touched one another, 95 % interval"] == "- (no radius)"
+    assert rows["left the arena"] == "1 of 1 (95 % interval 21 to 100 %), counting centres"
+    assert rows["touched one another"] == "- (no radius)"
     assert found.items["body_over_edge"] is found.items["bodies_touch"] is None

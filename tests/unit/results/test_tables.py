@@ -6,19 +6,67 @@ import numpy as np
 from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
+from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Poses
 from tetractl.core.table.terminal_table import WIDTH, latex, markdown, print_tables
 from tetractl.results.contrast import contrast
-from tetractl.results.tables import tables
+from tetractl.results.tables import summary, tables
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
 
 
-def printed(*groups, **console):
+def printed(*groups, of=tables, **console):
     out = io.StringIO()
-    print_tables(tables(contrast(groups)), Console(file=out, **console))
+    print_tables(of(contrast(groups)), Console(file=out, **console))
     return out.getvalue()
+
+
+def test_the_summary_of_a_batch_is_what_one_needs_in_at_most_twelve_lines():
+    """With the logs' folder, the next command and a blank line, `run` prints twelve."""
+    lines = printed(group(batch(ERRORS, SPEC)), of=summary).splitlines()
+    assert [line.split()[0] for line in lines[3:5]] == ["total", "published"]
+    assert [line.partition(":")[0] for line in lines[5:-1]] == [
+        "difference from published",
+        "disturbances",
+        "outcomes",
+        "entered an obstacle",
+    ]
+    assert lines[-1] == "" and len(lines) <= 10
+    assert not re.search(r"\b(green|solve|aborted|damaged|attempts|arrived)\b", "\n".join(lines))
+
+
+def test_the_summary_says_what_is_not_usual_and_where():
+    inside = (False,) * 3, (50.0,) * 3
+    over_edge = Verdict(Poses.of(np.zeros((3, 3))), *inside, edge=(5.0, -1.0, 5.0))
+    trials = batch(ERRORS, SPEC, verdict=over_edge)
+    trials[3] = replace(trials[3], path="runs/a/trial-003.mcap", recovered=True)
+    trials[4] = replace(
+        trials[4], result=result([1, 2, 3], outcome=Outcome.ABORTED, reason="pulled")
+    )
+    ours, theirs = group(trials, name="a"), group(batch(ERRORS[:9] * 2, SPEC), name="b")
+    lines = printed(ours, theirs, of=summary).splitlines()
+    assert lines[6].startswith("a - b: no significant difference, ")
+    assert lines[6].endswith(" (paired t, 17 pairs)")
+    rows = dict(line.split(": ", 1) for line in lines[7:-1])
+    assert rows["disturbances"] == "assumed in the spec, not measured"
+    assert rows["outcomes"].startswith("a: 19 sequence completed (every signal")
+    assert rows["left the arena"].startswith("a: 19 of 20 (95 % interval")
+    assert rows["read from damaged logs"] == "a: 1"
+    assert "a/trial-003: blue left the arena, read from a damaged log" in rows["flagged"]
+    assert (
+        "trial-004.mcap" not in rows["flagged"] and "trial-004: excluded, pulled" in rows["flagged"]
+    )
+    assert "difference from published" not in rows
+    assert len(lines) <= 14
+
+
+def test_the_verdicts_on_many_batches_are_a_table():
+    named = [group(batch(ERRORS[: 9 + i]), name=f"g{i}") for i in range(3)]
+    errors, compared = summary(contrast(named))
+    assert len(errors) == 3
+    assert [row[0] for row in compared.rows] == ["g0 - g1", "g0 - g2", "g1 - g2"]
 
 
 def test_without_a_terminal_lines_are_plain_and_whole():
@@ -53,10 +101,10 @@ def test_trials_left_out_are_listed_with_their_reason():
     )
     trials[2] = replace(trials[2], recovered=True)
     text = printed(group(trials))
-    assert "3 of 4 trials complete" in text
+    assert "3 of 4 trials valid" in text
     assert "trial-001.mcap   aborted" in text
-    assert "not in the means, pulled" in text
-    assert "in the means, read from a damaged log" in text
+    assert "excluded, pulled" in text
+    assert "sequence completed   read from a damaged log" in text
     assert "Flagged trials" not in printed(group(batch(ERRORS[:4])))
 
 
@@ -86,12 +134,12 @@ def test_latex_has_units_minus_signs_and_a_width():
     assert "error [mm] & n & mean" in text
     assert r"[$\mu$m]" in text
     assert "[um]" not in text
-    assert "three-m3pi against three-m3pi: final total error, disturbed simulation" in text
+    assert "Final total errors of 2 batches, disturbed simulation" in text
     rows = [line for line in text.splitlines() if line.endswith(r"\\")]
     assert not [row for row in rows if re.search(r"(?<![\w.$])-\d", row)]
-    assert re.search(r"difference from published \[mm\] & \$-\$\d", text)
+    assert re.search(r"difference from published & \$-\$\d", text)
     assert r" & -- & --" in text
-    assert r"arrived, 95 \% interval & -- (no arrival\_tolerance)" in text
+    assert r"arrived & -- (no arrival\_tolerance)" in text
     assert text.count(r"\begin{tabular}") == text.count(r"\resizebox{\ifdim\width>\linewidth")
     assert text.count(r"\begin{tabularx}{\linewidth}") == 3
 
@@ -107,12 +155,11 @@ def test_the_table_says_the_plant():
     plain = group(batch(ERRORS, experiment(reference=REFERENCE, scale=SCALE)))
     text = printed(plain)
     assert text.startswith("three-m3pi, undisturbed simulation: final error [mm], 20 of 20")
-    assert "p (Welch)" not in text
     assert "scaled" not in text
-    assert shown(plain, "difference from published [mm]") == "- (not real robots)"
+    assert shown(plain, "difference from published") == "- (not real robots)"
     disturbed = group(batch(ERRORS, SPEC))
     assert "assumed in the spec, not measured" in printed(disturbed)
-    assert shown(disturbed, "p (Welch)")
+    assert shown(disturbed, "difference from published").endswith("(Welch's t)")
     both = printed(disturbed, plain)
     (row,) = [line for line in both.splitlines() if line.strip().startswith("plant")]
     assert row.split() == ["plant", "disturbed", "simulation", "undisturbed", "simulation"]
@@ -121,11 +168,11 @@ def test_the_table_says_the_plant():
 
 def test_the_tail_of_the_errors_has_a_row_with_the_bound_of_the_spec_or_ten_medians():
     rows = [[10.0]] * 19 + [[450.0]]
-    label = "trials above 10 medians, 95 % interval"
-    assert shown(group(batch(rows)), label) == "1 of 20 above 100.0 mm (1 to 24 %)"
+    label = "errors above 10 times the median"
+    assert shown(group(batch(rows)), label) == "1 of 20 above 100.0 mm (95 % interval 1 to 24 %)"
     bounded = group(batch(rows, experiment(1, error_bound=500.0)))
-    label = "trials above error_bound, 95 % interval"
-    assert shown(bounded, label) == "0 of 20 above 500.0 mm (0 to 16 %)"
+    label = "errors above error_bound"
+    assert shown(bounded, label) == "0 of 20 above 500.0 mm (95 % interval 0 to 16 %)"
     assert contrast([bounded, bounded]).contrasts[0].differs == ()
 
 

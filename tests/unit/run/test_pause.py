@@ -71,7 +71,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     result = run_trial(spec, tmp_path, 3)
     log = read_trial(log_path(tmp_path, 3))
-    assert result.outcome is Outcome.NOTHING_BETTER
+    assert result.outcome is Outcome.NO_BETTER_PLAN
     assert log.steps[-1].plan.pauses
     assert len(log.steps[-1].plan.searches) > 1
     assert verify(log_path(tmp_path, 3)).problems == ()

@@ -28,6 +28,7 @@ _SPECIAL = str.maketrans(
         **{c: "\\" + c for c in "&%$#_{}"},
     }
 )
+_UM = re.compile(r"\bum\b")
 _MINUS = re.compile(r"(?<![\w.])-(?=\d)")
 
 
@@ -74,7 +75,7 @@ def _print(table: Table, console: "Console") -> None:
     console.print(Text(printable(table.title), style="bold"), soft_wrap=not console.is_terminal)
     console.print(shown)
     for line in table.note.splitlines():
-        console.print(Text(printable(line)))
+        console.print(Text(printable(line)), soft_wrap=not console.is_terminal)
     console.print()
 
 
@@ -89,7 +90,7 @@ def markdown(tables: Sequence[Table]) -> str:
             "| " + " | ".join(map(_markdown, line)) + " |"
             for line in ([first.heading, *table.header[1:]], rule, *table.rows)
         ]
-        parts += ["", _markdown(table.note), ""] if table.note else [""]
+        parts += ["", *(f"- {_markdown(line)}" for line in table.note.splitlines()), ""]
     return "\n".join(parts)
 
 
@@ -101,11 +102,12 @@ def latex(tables: Sequence[Table]) -> str:
     r"""Return `tabular` and `tabularx` environments that fit the width of the text.
 
     The document needs the packages booktabs, graphicx and tabularx. Tables of numbers that are too
-    wide are set smaller, with title and note below; in tables of words the words are wrapped.
+    wide are set smaller; in tables of words the words are wrapped. Title and note are below.
     """
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
     for table in tables:
-        parts.append(f"% {printable(' '.join([table.title, table.note]).strip())}")
+        notes = [table.title, *table.note.splitlines()]
+        parts.append(f"% {printable(' '.join(notes).strip())}")
         header, *rows = (
             " & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)
         )
@@ -115,10 +117,10 @@ def latex(tables: Sequence[Table]) -> str:
             begin = rf"\begin{{tabularx}}{{\linewidth}}{{{_WORDS * width}}}"
             parts += [begin, *body, r"\end{tabularx}", ""]
         else:
-            note = _escaped(". ".join(filter(None, (table.title, table.note))))
-            last = rf"\multicolumn{{{width}}}{{l}}{{\footnotesize {note}}} \\"
+            note = _escaped(". ".join(filter(None, notes)))
             begin = rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}"
-            parts += [_FITTED, begin, *body, last, r"\end{tabular}}", ""]
+            below = rf"\par\smallskip{{\footnotesize\raggedright {note}.\par}}"
+            parts += [_FITTED, begin, *body, r"\end{tabular}}", below, ""]
     return "\n".join(parts)
 
 
@@ -131,7 +133,7 @@ def _latex_cell(text: str) -> str:
 def _escaped(text: str) -> str:
     """Return text with LaTeX's special characters escaped; a path may break after each part."""
     text = printable(text).strip().translate(_SPECIAL)
-    text = _MINUS.sub("$-$", text).replace("[um]", r"[$\mu$m]")
+    text = _UM.sub(r"$\\mu$m", _MINUS.sub("$-$", text))
     return text.replace("/", r"/\allowbreak{}")
 
 
@@ -156,7 +158,8 @@ def _html(table: Table, links: Mapping[str, str]) -> str:
     )
     kind = ' class="words"' if table.words else ""
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
-    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    lines = "<br>".join(map(escape, table.note.splitlines()))
+    note = f'<p class="note">{lines}</p>' if lines else ""
     return (
         f'<div class="scroll"><table{kind}>{caption}'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}</div>"

@@ -79,7 +79,7 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     final = {f"final_{name}": value for name, value in named(verdict.final, *OF_POSES).items()}
     numbers = named(result, *OF_RESULT, *OF_ERRORS) | named(verdict, *OF_VERDICT) | final
     numbers["reason"] = printable(result.reason, TEXT)
-    return pb.Result(outcome=result.outcome.value, unit=unit, warnings=warnings, **numbers)
+    return pb.Result(outcome=result.outcome.logged, unit=unit, warnings=warnings, **numbers)
 
 
 def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Result:
@@ -94,7 +94,7 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
     if any(len(column) != robots for column in columns):
         raise ValueError("the result and the run have different numbers of robots")
     return Result(
-        outcome=Outcome(m.outcome),
+        outcome=Outcome(Outcome.shown(m.outcome)),
         verdict=Verdict(
             final=Poses(*(np.array(column, dtype=np.float64) for column in final)),
             **stated(m, *OF_VERDICT),

@@ -102,7 +102,11 @@ class TrialLog(TrialRecords):
     def events(self) -> tuple[Event, ...]:
         """The operator messages, with the times shown to users, in order of time."""
         found = [
-            Event(self.elapsed_s(one.t_ns), one.level, one.text + _next_step(one.text))
+            Event(
+                self.elapsed_s(one.t_ns),
+                one.level,
+                Outcome.shown(one.text) + _next_step(one.text),
+            )
             for one in self.notes
         ]
         return tuple(sorted(found, key=lambda event: event.time_s))

@@ -165,7 +165,7 @@ class Encoder:
         t_ns, warnings = stop.sent_ns, self.warnings
         self._add(channels.COMMANDS, codec.encode_command(stop), t_ns)
         level = "error" if result.outcome is Outcome.ABORTED else "info"
-        self._say(t_ns, level, result.summary)
+        self._say(t_ns, level, result.summary.replace(result.outcome, result.outcome.logged, 1))
         self._sink.flush()
         if self._hosted:
             end = HostEnd(

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from tetractl.core.colors import BLUE, PALETTE, RED
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
-from tetractl.results.describe import Group
+from tetractl.results.describe import BatchStatistics
 from tetractl.results.estimate import Distribution, published_distribution
 from tetractl.results.open_batch import counts
 from tetractl.view import style
@@ -20,8 +20,10 @@ COLORS = [BLUE, *(color for color in PALETTE if color not in (BLUE, RED))]
 _ASIDE = 0.14  # shift of dots to the left of their category's centre [categories]
 
 
-def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None) -> Figure:
-    """Draw the total error of each counted trial by group, and the errors of the first group's
+def batch_figure(
+    groups: Sequence[BatchStatistics], links: Mapping[str, str] | None = None
+) -> Figure:
+    """Draw the total error of each counted trial by batch, and the errors of the first batch's
     robots.
 
     `links` maps the path of a trial to the address that its dot links to in an SVG. A headline
@@ -39,7 +41,7 @@ def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None
 
 
 @style.styled()
-def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
+def _drawn(groups: Sequence[BatchStatistics], links: Mapping[str, str]) -> Figure:
     figure = style.figure(style.PAGE_IN, 3.3)
     first = groups[0]
     unit = unit_of(first.unit)
@@ -61,8 +63,8 @@ def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
     return figure
 
 
-def _totals(axes: Axes, groups: Sequence[Group], links: Mapping[str, str]) -> list[str]:
-    """Draw the total errors of each group and return the labels of the groups."""
+def _totals(axes: Axes, groups: Sequence[BatchStatistics], links: Mapping[str, str]) -> list[str]:
+    """Draw the total errors of each batch and return the labels of the batches."""
     top = max(float(group.totals.max()) for group in groups)
     labels = []
     for i, group in enumerate(groups):

@@ -16,7 +16,7 @@ from tetractl.core.colors import PALETTE
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.results.describe import Group
+from tetractl.results.describe import BatchStatistics
 from tetractl.results.estimate import CONFIDENCE
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder
@@ -37,8 +37,8 @@ def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
     return _drawn(list(batches), errors, logs[0].start.setup.unit)
 
 
-def distributions_figure(groups: Sequence[Group]) -> Figure:
-    """Draw the errors of the counted trials of every group; a headline names the plants."""
+def distributions_figure(groups: Sequence[BatchStatistics]) -> Figure:
+    """Draw the errors of the counted trials of every batch; a headline names the plants."""
     figure = _drawn(
         [group.name for group in groups], [group.totals for group in groups], groups[0].unit
     )

@@ -9,7 +9,7 @@ from tetractl.core.table.table import NONE, Column, Table, fixed
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.lab.preflight import Preflight
 
-ANSWERS = {True: "yes", False: "no", None: "cannot"}
+ANSWERS = {True: "yes", False: "no", None: "n/a"}
 
 
 def robots_table(found: Preflight) -> Table:

@@ -14,7 +14,7 @@ FOUND = Preflight(
 def test_a_robot_that_is_not_tracked_has_no_place():
     assert list(robots_table(FOUND).rows) == [
         ("green", "3", "-0.02", "7.41", "yes"),
-        ("red", "not tracked", "-", "-", "cannot"),
+        ("red", "not tracked", "-", "-", "n/a"),
     ]
 
 

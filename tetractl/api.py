@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
-    from tetractl.results.contrast import GroupComparison
-    from tetractl.results.describe import Group
+    from tetractl.results.contrast import BatchComparison
+    from tetractl.results.describe import BatchStatistics
     from tetractl.results.open_batch import Batch
     from tetractl.run.batch import Ending
     from tetractl.run.interrupt import Interrupt
@@ -114,6 +114,40 @@ def run_batch(
     for error in report.errors.values():
         raise error
     return read_batch(store.folder)
+
+
+def run_study(
+    path: str | Path,
+    folder: str | Path | None = None,
+    *,
+    jobs: int = 1,
+    logs: str = "all",
+) -> "dict[str, Batch]":
+    """Simulate the trials of a study that its folder lacks, write its tables and figures, and
+    return the results of each arm by the arm's name.
+
+    The folder is logs/NAME if none is given; `logs` is all, failed, sample:N or none. A trial that
+    fails does not stop the others; its error is raised at the end. Errors are those of `run_trial`.
+    """
+    from tetractl.run import batch
+    from tetractl.run.executors import on_this_machine
+    from tetractl.study import arm_table, figure, options
+    from tetractl.study.load_study import load_study
+    from tetractl.study.row_store import Store
+
+    loaded = load_study(Path(path))
+    store = Store(Path("logs", loaded.study.name) if folder is None else Path(folder), loaded.arms)
+    with store.opened(), _interruptible() as interrupt:
+        tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), options.Shard(), False)
+        options.warm_up_arms(loaded, logging.getLogger("tetractl").info)
+        executor = on_this_machine(jobs, len(tasks), interrupt)
+        watcher = _Watcher(lambda trial, result: None)
+        report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
+        arm_table.write_tables(loaded, store)
+        figure.write_figures(loaded, store)
+    for error in report.errors.values():
+        raise error
+    return {arm.name: read_batch(store.folder / arm.name) for arm in loaded.arms}
 
 
 def read_log(path: str | Path) -> TrialLog:
@@ -210,7 +244,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
     return frame
 
 
-def summarise(batch: "Batch", name: str = "") -> "Group":
+def summarise(batch: "Batch", name: str = "") -> "BatchStatistics":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
     `name` is the batch's name in tables and figures. Raises UsageError if the trials are not of one
@@ -221,17 +255,17 @@ def summarise(batch: "Batch", name: str = "") -> "Group":
     return describe(batch, name)
 
 
-def compare(*groups: "Group") -> "GroupComparison":
-    """Compare the total errors of every two groups; differences are the first group minus the
+def compare(*batches: "BatchStatistics") -> "BatchComparison":
+    """Compare the total errors of every two batches; differences are the first batch minus the
     second.
     """
     from tetractl.results.contrast import contrast
 
-    return contrast(groups)
+    return contrast(batches)
 
 
 def plot(
-    data: "TrialLog | Sequence[TrialLog] | Group | GroupComparison",
+    data: "TrialLog | Sequence[TrialLog] | BatchStatistics | BatchComparison",
     kind: str = "trajectory",
     *,
     file: str | Path | None = None,
@@ -242,15 +276,15 @@ def plot(
     show several trials. Statistics and comparisons have one figure each, in which every
     trial is a dot.
     """
-    from tetractl.results.contrast import GroupComparison
-    from tetractl.results.describe import Group
+    from tetractl.results.contrast import BatchComparison
+    from tetractl.results.describe import BatchStatistics
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.draw import draw
 
-    if isinstance(data, GroupComparison):
+    if isinstance(data, BatchComparison):
         figure = batch_figure(data.groups)
-    elif isinstance(data, Group):
+    elif isinstance(data, BatchStatistics):
         figure = batch_figure([data])
     else:
         figure = draw(kind, [data] if isinstance(data, TrialLog) else data)
@@ -270,10 +304,8 @@ def verify(path: str | Path) -> "Verification":
 
 @contextmanager
 def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check a spec, compile its kernels, and yield an `Interrupt` that counts signals such as
-    Ctrl-C during the `with` block; after the block, KeyboardInterrupt if there were any."""
+    """Check a spec, compile its kernels, and yield the `Interrupt` of its trials."""
     from tetractl.control.build import warm_up
-    from tetractl.run.interrupt import Interrupt
     from tetractl.run.trial_limits import check
 
     experiment = spec.experiment
@@ -283,6 +315,16 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
         )
     check(experiment)
     warm_up(experiment, logging.getLogger("tetractl").info)
+    with _interruptible() as interrupt:
+        yield interrupt
+
+
+@contextmanager
+def _interruptible() -> "Iterator[Interrupt]":
+    """Yield an `Interrupt` that counts signals such as Ctrl-C during the `with` block; after the
+    block, KeyboardInterrupt if there were any."""
+    from tetractl.run.interrupt import Interrupt
+
     interrupt = Interrupt()
     if threading.current_thread() is threading.main_thread():
         with interrupt.watch():

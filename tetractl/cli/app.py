@@ -157,7 +157,7 @@ def run_app() -> int:
     except TetractlError as error:
         if isinstance(error, FaultyPluginError) and sys.flags.dev_mode:
             raise
-        return complain(error.exit, str(error), error.hint)
+        return complain(error.exit, error.message, error.hint)
     except TyperException as error:
         if not error.format_message():  # help was printed because no command was given
             return Exit.USAGE

@@ -50,7 +50,7 @@ def _list(as_json: bool) -> int:
         try:
             registry.load(kind.name)
         except PluginError as error:
-            problems[kind.code] = str(error)
+            problems[kind.code] = error.message
     if as_json:
         listed = [
             {

@@ -225,8 +225,8 @@ def verify(logs: ui.Logs, as_json: ui.AsJson = False) -> int:
             found = check(path)
         except LogError as error:
             good = False
-            done.append({"path": str(path), "ok": False, "error": str(error)})
-            lines = iter([f"{path}: FAILED: {str(error).removeprefix(f'{path}: ')}"])
+            done.append({"path": str(path), "ok": False, "error": error.message})
+            lines = iter([f"{path}: FAILED: {error.message.removeprefix(f'{path}: ')}"])
         else:
             good &= found.ok
             done.append({**asdict(found), "ok": found.ok})

@@ -159,7 +159,7 @@ def export(
             try:
                 added, damage = of_log(path, paths)
             except LogError as error:
-                ui.tell(f"warning: {error}")
+                ui.tell(f"warning: {error.message}")
                 unread += 1
                 continue
             ui.warn_of_damage(str(path), damage)

@@ -156,14 +156,14 @@ def validate(
     strict: ui.Strict = False,
     as_json: ui.AsJson = False,
 ) -> int:
-    """Check specs and report every problem at its line.
+    """Check specs and studies, and report every problem at its line.
 
     Valid values that will probably not work as intended cause a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
 
     Options:
-      specs SPEC: Spec files to check.
+      specs SPEC|STUDY: Files to check; of a study the spec of each arm, too.
       sets PATH=VALUE: Replace a value of every spec before the check.
     """
     results = [_check(spec, sets) for spec in specs]
@@ -180,9 +180,12 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
     from tetractl.experiment.load import spec_hash
     from tetractl.model.bounds import least_total_error
     from tetractl.run.plausibility import CheckContext
+    from tetractl.study.load_study import is_study
 
     shown = printable(str(path))
     try:
+        if not sets and is_study(path):
+            return _check_study(path, shown)
         loaded = ui.load(path, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
@@ -202,6 +205,21 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
     context = CheckContext(experiment)
     fields["least_total_error"] = least_total_error(context.setup, context.longest_s)
     return fields, [f"{shown}: ok: {line}"]
+
+
+def _check_study(path: Path, shown: str) -> tuple[dict[str, Any], list[str]]:
+    """Check a study and the spec of each arm; each warning is printed once."""
+    from tetractl.run.plausibility import find_warnings
+    from tetractl.study.load_study import load_study
+
+    loaded = load_study(path)
+    name, arms, trials = loaded.study.name, len(loaded.arms), loaded.study.trials.count
+    warnings = {str(one): one for arm in loaded.arms for one in find_warnings(arm.spec, arm.sets)}
+    ui.tell(*(f"warning: {text}" for text in warnings))
+    fields = {"path": shown, "ok": True, "name": name, "arms": arms, "trials": trials}
+    found = [asdict(one) for one in warnings.values()]
+    line = f"{shown}: ok: study {name}, arms {arms}, trials {trials} each"
+    return fields | {"warnings": found}, [line]
 
 
 def warm(

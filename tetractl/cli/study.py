@@ -1,14 +1,14 @@
 """`tetractl study`: runs arms of trials with the same seeds: at once, in shares or on a cluster."""
 
 import os
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.streams import first_signal_callback
-from tetractl.core.errors import Exit, TetractlError, UsageError
+from tetractl.core.errors import Exit, UsageError
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.run.interrupt import Interrupt, leave_on_signals
 
@@ -33,6 +33,7 @@ def study(
     cluster: str | None = None,
     trial: str | None = None,
     slurm: Annotated[int | None, ui.ValueRange(1)] = None,
+    dry_run: bool = False,
     quiet: Annotated[bool, "--quiet", "-q"] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
@@ -55,16 +56,17 @@ def study(
       cluster ADDRESS: Run on the Dask cluster with the scheduler at this address.
       trial ARM/N: Run one trial again, write its log, and compare the log with the trial's row.
       slurm N: Run nothing: print a Slurm job script that runs N shares.
+      dry_run: Run nothing: print the arms and how many of their trials would be run.
       quiet: Print only failures.
     """
     from rich.console import Console
 
-    from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
     from tetractl.run.cluster import Cluster
     from tetractl.run.executors import on_this_machine
+    from tetractl.study import options
     from tetractl.study.load_study import load_study
-    from tetractl.study.options import Logs, Shard, job_script, lacking, repeat
+    from tetractl.study.options import Logs, Shard, lacking
     from tetractl.study.row_store import Store
     from tetractl.view.terminal.progress import StudyProgress
 
@@ -79,12 +81,17 @@ def study(
     ending = f"-shard-{share.index}-of-{share.of}" if shard else ""
     folder = out or Path("logs") / f"{loaded.study.name}{ending}"
     if slurm is not None:
-        print(job_script(file, loaded.study.name, slurm, folder, logs), end="")
+        print(options.job_script(file, loaded.study.name, slurm, folder, logs), end="")
         return Exit.DONE
     store = Store(folder, loaded.arms)
+    if dry_run:
+        store.read()
+        tasks, _ = lacking(loaded, store, rule, share, rerun_outdated)
+        print_tables([options.dry_run(loaded, folder, tasks)])
+        return Exit.DONE
     with store.opened():
         if trial is not None:
-            print(repeat(loaded, store, trial))
+            print(options.repeat(loaded, store, trial))
             return Exit.DONE
         if merge:
             ui.tell(f"{store.merge(folders or [])} trials added to {folder}")
@@ -99,9 +106,7 @@ def study(
             )
         interrupt = Interrupt(first_signal_callback(STOPPING))
         if cluster is None and tasks:
-            for arm in {arm.controller: arm for arm in loaded.arms}.values():
-                with suppress(TetractlError):  # the failure is reported with its trial
-                    warm_up(arm.spec.experiment, partial(ui.announce_compiling, quiet))
+            options.warm_up_arms(loaded, partial(ui.announce_compiling, quiet))
         found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         here = on_this_machine(jobs or found or 1, len(tasks), interrupt)
         leave_on_signals(Exit.INTERRUPTED)

@@ -4,6 +4,7 @@ Every message is one line (plus an optional hint); the command line prints it wi
 traceback. Anything that is not a `TetractlError` is a bug in tetractl.
 """
 
+import re
 import unicodedata
 from enum import IntEnum
 
@@ -18,16 +19,25 @@ class Exit(IntEnum):
     INTERRUPTED = 130  # Ctrl-C or another signal, after stopping the robots and closing the log
 
 
+IN_PYTHON = {"--out": "folder=", "--resume": "resume=True", "--against": "compare()"}
+"""The names in Python of options that hints name."""
+
+
 class TetractlError(Exception):
-    """An error that the user can fix: one clear line, a hint, an exit code."""
+    """An error that the user can fix: one clear line, a hint, an exit code.
+
+    `str` is for Python: the message, and below it the hint with names of Python.
+    """
 
     exit = Exit.FAILED
 
     def __init__(self, message: str, hint: str | None = None) -> None:
         super().__init__(message)
-        self.hint = hint
-        if hint:
-            self.add_note(f"hint: {hint}")  # Python prints it below the message
+        self.message, self.hint = message, hint
+
+    def __str__(self) -> str:
+        hint = re.sub(r"--\w+", lambda it: IN_PYTHON.get(it[0], it[0][2:]), self.hint or "")
+        return f"{self.message}\nhint: {hint}" if hint else self.message
 
 
 class UsageError(TetractlError):

@@ -160,7 +160,7 @@ class InnerLoop:
         try:
             self._tick()
         except AbortError as error:
-            self.guard.abort(str(error))
+            self.guard.abort(error.message)
         except (Exception, SystemExit) as error:
             reason, now = text_of(error), self._clock.now()
             self.guard.abort(reason)
@@ -216,7 +216,7 @@ class InnerLoop:
             self._stop = self._stop or sent
         except AbortError as error:  # a failed actuator cannot send the remaining stops either
             self._stops_left = 0
-            self.guard.abort(str(error))
+            self.guard.abort(error.message)
 
     def _steer(self, held: Steer | Turn, ruling: Ruling, now: int) -> None:
         """Send if the actuator's period has passed, the action is new, or a robot must stop."""

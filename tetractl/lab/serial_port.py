@@ -227,7 +227,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
         try:
             sent = stops()
         except AbortError as error:
-            failure = str(error)
+            failure = error.message
             time.sleep(0.05)
         else:
             if not said:

@@ -209,7 +209,7 @@ def what_if(log: TrialLog, other: Experiment) -> WhatIf:
         try:
             decision = plan_again(controller, log, last, step.observation)
         except TetractlError as error:
-            ended = f"at step {step.k} the other controller fails: {error}"
+            ended = f"at step {step.k} the other controller fails: {error.message}"
             break
         if not isinstance(decision, Plan):
             outcome = decision.outcome if isinstance(decision, End) else decision

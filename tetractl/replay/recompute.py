@@ -190,7 +190,7 @@ def recompute(
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
             return Difference(step.k, *found)
         except TetractlError as error:
-            return Difference(step.k, "plan", str(error))
+            return Difference(step.k, "plan", error.message)
         if not isinstance(decision, Plan):
             return Difference(step.k, "plan", f"the controller ends the trial: {_named(decision)}")
         if decision.generator != step.plan.generator:

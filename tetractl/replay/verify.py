@@ -206,7 +206,9 @@ def differences(
         yield Difference(None, "records", f"{text}; {limits.FACTOR}=2 allows twice as much")
         return
     except (TetractlError, ValueError, OverflowError) as error:
-        yield Difference(None, "plant", f"cannot be simulated again: {error}")
+        yield Difference(
+            None, "plant", f"cannot be simulated again: {str(error).partition(chr(10))[0]}"
+        )
         return
     if repetition.failure:
         yield Difference(None, "plant", f"cannot be simulated again: {repetition.failure}")

@@ -154,5 +154,6 @@ def run_batch(
 
 def _one_line(error: Exception) -> str:
     """Return an error's message in one line, after the class of an unexpected error."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, TetractlError) else f"{type(error).__name__}: {text}"
+    if isinstance(error, TetractlError):
+        return " ".join(error.message.split())
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -80,7 +80,7 @@ class Trial:
             outcome = Outcome.INTERRUPTED
         except BaseException as error:
             known = isinstance(error, TetractlError)
-            outcome, reason = self._failed(str(error) if known else text_of(error))
+            outcome, reason = self._failed(error.message if known else text_of(error))
             bug = error if outcome is Outcome.ABORTED else None
         return self._end(outcome, reason, bug, opened_ns)
 

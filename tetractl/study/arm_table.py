@@ -147,14 +147,15 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
         more = len(loaded.arms) - LISTED
         notes.append(f"and {more} more arms, listed in the table of trials")
     first, n, mean, std, *_, interval = errors.columns
-    label = f"above {'error_bound' if named[0][1].tail.stated else '10 medians'}"
+    tails = [error.tail for _, error in named]
+    above = [Column(tails[0].label, [tail.text() for tail in tails])]
     columns = (
         replace(first, name="arm", unit=""),
         n,
         mean,
         interval,
         std,
-        Column(label, [error.tail.text() for _, error in named]),
+        *(above if any(tail.above for tail in tails) else []),
         Column("aborted", [aborted[arm.name] for arm in arms]),
         Column("plant", [str(plant) for plant in plants], words=True),
     )

@@ -222,7 +222,7 @@ def _arm(
         check(spec.experiment)
     except SpecError as error:
         place = document.place(("base",))
-        raise InvalidSpecError([place.problem(("base",), str(error), study.base)]) from None
+        raise InvalidSpecError([place.problem(("base",), error.message, study.base)]) from None
     name, known_by = arm_name(controller, values), arm_hash(spec.experiment)
     return Arm(name, controller, values, sets, spec, known_by, code_of(spec))
 

@@ -7,12 +7,17 @@ with its row in the table.
 import pickle
 import re
 import shlex
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
-from tetractl.core.errors import LogError, UsageError, printable
+from tetractl.control.build import warm_up
+from tetractl.core.errors import LogError, TetractlError, UsageError, printable
+from tetractl.core.table.table import Table
 from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.log.format.run_records import encode_result
 from tetractl.log.provenance import host, processor
@@ -90,6 +95,22 @@ def lacking(
             elif outdated:
                 kept[arm.name] = kept.get(arm.name, 0) + 1
     return sorted(tasks, key=lambda task: task.trial), kept
+
+
+def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
+    """Compile what the arms need; a failure is reported with its trial."""
+    for arm in {arm.controller: arm for arm in loaded.arms}.values():
+        with suppress(TetractlError):
+            warm_up(arm.spec.experiment, announce)
+
+
+def dry_run(loaded: LoadedStudy, folder: Path, tasks: Sequence[Task]) -> Table:
+    """Return a table of the arms: their differences from the base, and how many trials to run."""
+    left = Counter(task.arm for task in tasks)
+    rows = [(arm.name, ", ".join(arm.sets), str(left[arm.name])) for arm in loaded.arms]
+    count = len(loaded.arms) * loaded.study.trials.count
+    title = f"{loaded.study.name} as it would be run, {len(tasks)} of {count} trials into {folder}"
+    return Table.of_texts(title, ("arm", "differs from the base in", "trials to run"), rows)
 
 
 def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:

@@ -26,7 +26,7 @@ class Store(TrialFolder):
 
     def __init__(self, folder: Path, arms: Sequence[Arm]) -> None:
         super().__init__(folder)
-        self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
+        self.rows = {arm.name: dict[int, Row]() for arm in arms}
         self._arms = {arm.name: arm for arm in arms}
         self._placed: set[str] = set()  # names of arms whose folder already has the arm's spec
 
@@ -37,11 +37,15 @@ class Store(TrialFolder):
         Raises UsageError if another run holds the lock, or if the rows belong to another study.
         """
         with locked(self.folder):
-            for arm in self._arms.values():
-                self.rows[arm.name] = rows_of(self.folder, arm, mend=True)
-                if self.rows[arm.name]:
-                    self.arm_folder(arm.name)
+            self.read(mend=True)
+            for arm in self._arms:
+                if self.rows[arm]:
+                    self.arm_folder(arm)
             yield
+
+    def read(self, mend: bool = False) -> None:
+        """Read the rows of the folder; `mend` as in `rows_of`."""
+        self.rows = {arm.name: rows_of(self.folder, arm, mend) for arm in self._arms.values()}
 
     def arm_folder(self, arm: str) -> Path:
         """Return the folder of an arm; if it is missing, create it with the arm's spec."""

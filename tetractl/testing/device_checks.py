@@ -57,7 +57,7 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         try:
             entered = stack.enter_context(camera)
         except AbortError as error:
-            yield Finding(f"not opened, so its frames are not checked ({error})")
+            yield Finding(f"not opened, so its frames are not checked ({error.message})")
             return
         yield true("__enter__: returns the camera", entered is camera)
         camera.frames()  # while it connects, it may not know its clock yet
@@ -267,8 +267,8 @@ class _Steered:
         try:
             sent = self.actuator.send(Turn(1.5), self.poses, self.all, self.robots.clock.now())
         except AbortError as error:
-            odd = self.actuator.halts or "on the spot" not in str(error)
-            yield Finding("turn: robots that halt, no others", str(error) if odd else "")
+            odd = self.actuator.halts or "on the spot" not in error.message
+            yield Finding("turn: robots that halt, no others", error.message if odd else "")
             return
         said = (sent.action, sent.moving) == (Turn(1.5), self.all)
         yield true("turn: robots that halt, no others", said and self.actuator.halts)

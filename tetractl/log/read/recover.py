@@ -81,7 +81,7 @@ def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
     try:
         trial = trial_of(contents)
     except LogError as error:
-        why = str(error).removeprefix(f"{contents.path}: ")
+        why = error.message.removeprefix(f"{contents.path}: ")
         return [*contents.problems, why], [*contents.lost, "records that reading a log requires"]
     problems, lost = map(
         list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())

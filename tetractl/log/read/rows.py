@@ -217,7 +217,7 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
     try:
         spec = parse_spec(read_text(beside), str(beside), written=True)
     except SpecError as error:
-        raise LogError(str(error)) from None
+        raise LogError(error.message) from None
     known_by = arm_hash(spec.experiment)
     found = read_rows(path, spec.experiment)
     for row in found.values():

@@ -138,7 +138,7 @@ class FieldActuator:
         try:
             reply = self.driver.ask()
         except AbortError as error:
-            return Health(problems=(str(error),))
+            return Health(problems=(error.message,))
         return inspect(reply, self.section)
 
     def _room(self, passed_ns: int) -> float:

@@ -60,7 +60,7 @@ def report(
             try:
                 log = read_trial(path)
             except LogError as error:
-                unread.append(str(error))
+                unread.append(error.message)
                 continue
             first = first or log
             logs.append(lean(log))

@@ -171,7 +171,9 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
         try:
             actuator = stack.enter_context(fake.build(setup, clock))
         except AbortError as error:
-            yield Finding(f"send: not called, as a port without a device is refused ({error.message})")
+            yield Finding(
+                f"send: not called, as a port without a device is refused ({error.message})"
+            )
             return
         yield from _Steered(actuator, setup, MovedRobots(clock, list, lambda: None)).sent()
 

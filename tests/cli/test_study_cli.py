@@ -10,6 +10,7 @@ import subprocess
 import pytest
 from support.studies import FAILING, SMALL, Running, results, rows, tetractl, write
 
+from tetractl.api import run_study
 from tetractl.log.read.reader import content_digest, read_result
 
 
@@ -58,6 +59,20 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
 
 
 @pytest.mark.system
+def test_a_study_is_checked_previewed_and_run_from_python_alike(whole, tmp_path, monkeypatch):
+    folder, _ = whole
+    write(tmp_path)
+    assert "study.yaml: ok: study" in tetractl("validate", "study.yaml", cwd=tmp_path).ok().stdout
+    dry = study("study.yaml", "--out", "again", "--dry-run", cwd=tmp_path).ok().stdout
+    assert "40 of 40 trials into again" in dry
+    assert "few-dead_time=0.1-a=3" in dry and not (tmp_path / "again").exists()
+    monkeypatch.chdir(tmp_path)
+    batches = run_study("study.yaml", "again", logs="none")
+    assert [len(one.trials) for one in batches.values()] == [5] * 8
+    totals = [row["total_error_mm"] for row in table(folder / "out")]
+    assert [row["total_error_mm"] for row in table(tmp_path / "again")] == totals
+
+
 def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
     write(tmp_path)
     out = tmp_path / "out"

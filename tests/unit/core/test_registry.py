@@ -77,7 +77,7 @@ def test_a_broken_package_is_named_with_its_entry_point(site, monkeypatch, targe
     with pytest.raises(PluginError) as raised:
         registry.load("bad")
     assert str(raised.value).startswith(f"bad-numbers 0.3: the number 'bad' cannot be used: {why}")
-    assert "\n" not in str(raised.value)
+    assert "\n" not in raised.value.message
     assert f"'bad = {target} of {GROUP}'" in str(raised.value.hint)
     assert raised.value.exit == 2
     assert list(registry.usable()) == ["euler", "pi"]

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.core.errors import cell, printable
+from tetractl.core.errors import UsageError, cell, printable
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,10 @@ def test_text_once_printable_stays_as_it_is(text, length):
 def test_a_spreadsheet_computes_nothing(text):
     assert cell(text).startswith("'")
     assert cell("arrived") == "arrived"
+
+
+def test_the_text_of_an_error_has_its_hint_in_words_of_python():
+    error = UsageError("out: holds logs already", "name another folder with --out, or add --resume")
+    said = "out: holds logs already\nhint: name another folder with folder=, or add resume=True"
+    assert (str(error), error.message) == (said, "out: holds logs already")
+    assert str(UsageError("alone")) == "alone"

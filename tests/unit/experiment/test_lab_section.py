@@ -139,7 +139,7 @@ def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
     """Regression: a spec could name any readable file, and its lines were printed."""
     with pytest.raises(SpecError) as error:
         calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
-    assert str(error.value) == "/etc/secret: is not a calibration file"
+    assert error.value.message == "/etc/secret: is not a calibration file"
 
 
 def test_a_calibration_that_never_ends_is_not_read(tmp_path):

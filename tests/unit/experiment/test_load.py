@@ -37,7 +37,7 @@ def problems(text, *sets):
     with pytest.raises(InvalidSpecError) as caught:
         parse_spec(text, "s.yaml", sets)
     assert caught.value.exit == Exit.USAGE
-    return str(caught.value).splitlines()
+    return caught.value.message.splitlines()
 
 
 def changed(old, new):

@@ -103,7 +103,7 @@ def test_texts_that_are_no_spec_at_all(text, words):
         document = parse_document(text, "s.yaml")
         raise InvalidSpecError(document.found)
     assert words in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    assert len(caught.value.message.splitlines()) == 1
 
 
 def test_a_bad_value_on_the_command_line_has_no_line_number():

@@ -101,7 +101,7 @@ def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path, folder, why):
     made, writer = trial(), LogWriter(tmp_path / folder / "trial.mcap")
     with pytest.raises(LogError, match=why) as caught:
         writer.on_start(made.start)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in caught.value.message
     assert caught.value.hint is None
     made.give_rounds(writer)  # what comes while the trial is ended is dropped
     writer.on_stop(made.stop, made.result)

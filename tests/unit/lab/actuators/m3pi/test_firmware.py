@@ -127,7 +127,7 @@ def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch)
     monkeypatch.setattr(firmware, "source_folder", lambda: tmp_path)
     with pytest.raises(TetractlError, match=r"could not build the firmware's core: .*error") as got:
         firmware.load("m3pi", tmp_path / "out")
-    assert "\n" not in str(got.value)
+    assert "\n" not in got.value.message
     assert list((tmp_path / "out").iterdir()) == []
 
 

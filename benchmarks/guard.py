@@ -34,7 +34,7 @@ from tetractl.lab.drift_check import LIMIT  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
 SLOW = {  # what the long check is for
-    "turn": (0.05, 0.2, 0.3, 0.6, 1.0, 1.25),  # rad/s
+    "turn": (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.6, 1.0, 1.25),  # rad/s
     "along": (0.003, 0.01, 0.03, 0.1),
     "against": (0.003, 0.01, 0.03, 0.1),
     "sideways": (0.003, 0.01, 0.03, 0.1),

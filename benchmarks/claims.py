@@ -111,10 +111,10 @@ def arms(folder: Path) -> dict[tuple[str, int, str], list[Measured]]:
     for number, row in enumerate(rows):
         if number % 50 == 0:
             progress(f"{number} of {len(rows)} logs")
-        if row["counted"] == "true" and row["log"]:
+        if row["counted"] == "true" and row["path"]:
             robots = sum(key.startswith("error_") and bool(row[key]) for key in row)
             key = row["controller"], robots, row["arena"]
-            found.setdefault(key, []).append(measure(folder / row["log"]))
+            found.setdefault(key, []).append(measure(folder / row["path"]))
     return found
 
 

@@ -19,13 +19,14 @@ def test_tables_hold_what_the_logs_hold(folder, kind):
     read = pandas.read_csv if kind == "csv" else pandas.read_parquet
     tables = {name: read(folder / kind / f"{name}.{kind}") for name in names}
     logs = [read_trial(path) for path in sorted((folder / "logs").glob("*.mcap"))]
+    assert all(list(table.columns[:2]) == ["path", "trial"] for table in tables.values())
     assert len(tables["trials"]) == 2
     assert len(tables["steps"]) == sum(len(log.steps) for log in logs)
     assert len(tables["poses"]) == sum(2 * len(log.frames) for log in logs)
     assert len(tables["events"]) == sum(len(log.events) for log in logs)
     for log in logs:
         assert log.result is not None
-        steps = tables["steps"].query(f"log == '{Path(log.path).relative_to(folder)}'")
+        steps = tables["steps"].query(f"path == '{Path(log.path).relative_to(folder)}'")
         assert steps["direction_rad"].tolist() == [s.command.direction for s in log.steps]
         assert steps["delivered_two"].tolist() == [s.command.delivered[1] for s in log.steps]
         poses = tables["poses"].query(f"trial == {log.start.trial} and robot == 'two'")

@@ -45,7 +45,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
     found = table(out)
     assert len(found) == 40
     for row in found[::7]:
-        log = out / row["log"]
+        log = out / row["path"]
         assert row["content_digest"] == content_digest(log)
         assert float(row["total_error_mm"]) == read_result(log).result.total_error
     assert found[0]["controller"] == "many"
@@ -117,7 +117,7 @@ def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path
     assert "40 trials added" in done.stderr
     assert results(tmp_path / "out") == results(whole[0] / "out")
     for row in table(tmp_path / "out")[::11]:
-        assert content_digest(tmp_path / "out" / row["log"]) == row["content_digest"]
+        assert content_digest(tmp_path / "out" / row["path"]) == row["content_digest"]
 
 
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
@@ -129,9 +129,9 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert "4 trials aborted" in done.stderr
     found = table(tmp_path / "out")
     assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
-    assert [bool(row["log"]) for row in found] == [True] * 4 + [False] * 4
+    assert [bool(row["path"]) for row in found] == [True] * 4 + [False] * 4
     for row in found[:4]:
-        assert content_digest(tmp_path / "out" / row["log"]) == row["content_digest"]
+        assert content_digest(tmp_path / "out" / row["path"]) == row["content_digest"]
 
 
 def test_shares_of_one_arm_are_one_batch(tmp_path):

@@ -92,8 +92,8 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
     result = trial.result
     return {
         "path": trial.path,
-        "seed": trial.seed,
         "trial": trial.trial,
+        "seed": trial.seed,
         "total_error": result.total_error,
         "robot_errors": list(result.robot_errors),
         "steps": result.steps,

@@ -68,7 +68,7 @@ def tables(found: BatchComparison) -> list[Table]:
     rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in odd[:LISTED_MAX]]
     if len(odd) > LISTED_MAX:
         rows.append((f"{len(odd) - LISTED_MAX} more", NONE, "in --format json"))
-    listed = Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
+    listed = Table.of_texts("Flagged trials", ("path", "outcome", "note"), rows)
     every = [_errors(groups), *trials, *_contrasts(found.contrasts), listed]
     return [table for table in every if len(table)]
 

@@ -2,8 +2,8 @@
 event.
 
 The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such
-as mm and mm/s. Times count from the first direction sent. `log` and `trial` are in every table of
-`tetractl export`, so that tables can be joined.
+as mm and mm/s. Times count from the first direction sent. `path` (of the log) and `trial` are in
+every table of `tetractl export`, so that tables can be joined.
 """
 
 from collections.abc import Callable, Container, Mapping
@@ -146,22 +146,18 @@ TABLES = ("trials", *OF_TRIAL)
 
 
 def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
-    """Return the named tables of a log, each with the columns `log` and `trial` in front, and its
-    damage.
+    """Return the named tables of a log, each with the columns `path` and `trial` in front, and
+    its damage.
 
     Raises LogError if the log cannot be read.
     """
     contents, found = scan(path), dict[str, Table]()
     if "trials" in names:
-        result = result_of(contents)
-        every = trials_table(Batch.of([result]))
-        left_out = ("path", "trial")  # `log` and `trial` are added
-        kept = tuple(column for column in every.columns if column.name not in left_out)
-        found["trials"] = Table("trials", kept).with_first(log=str(path), trial=result.trial)
+        found["trials"] = trials_table(Batch.of([result_of(contents)]))
     log = trial_of(contents)
     if any(name in names for name in OF_TRIAL):
         found |= {
-            name: table(log).with_first(log=str(path), trial=log.start.trial)
+            name: table(log).with_first(path=str(path), trial=log.start.trial)
             for name, table in OF_TRIAL.items()
             if name in names
         }

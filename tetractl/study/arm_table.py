@@ -43,7 +43,7 @@ def origins(loaded: LoadedStudy) -> list[Origin]:
 def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
-    The columns of `trials.csv` are `log` (a path from the study's folder, empty if no log was
+    The columns of `trials.csv` are `path` (of the log, from the study's folder; empty if no log was
     kept), `trial`, `arm`, `controller`, the swept fields by their paths, all columns of
     `tetractl export`, `content_digest` and `code`. `times.csv` has the columns that differ from run
     to run.
@@ -54,7 +54,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     for arm, row in counted_rows(loaded, store):
         found = _exported(arm, row)
         log = f"{arm.name}/trial-{row.trial:03d}.mcap" if row.logged else ""
-        head = {"log": log, "trial": row.trial, "arm": arm.name}
+        head = {"path": log, "trial": row.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
         tail = {"content_digest": row.content_digest, "code": row.code}
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}

@@ -204,13 +204,23 @@ def test_csv_files_are_read(tmp_path):
     assert (track.u.tolist(), track.until) == ([0.5, 0.7], pytest.approx(0.4))
 
 
+def test_poses_and_commands_of_one_path_are_a_trial(tmp_path):
+    paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
+    for path, text in zip(paths, (POSES, COMMANDS), strict=True):
+        head, *rows = text.splitlines()
+        named = [f"{log},{row}" for log in ("a.mcap", "b.mcap") for row in rows]
+        path.write_text("\n".join([f"path,{head}", *named]))
+    found = csv_tracks(paths)
+    assert [track.poses.shape for track in found] == [(2, 1, 3)] * 2
+
+
 @pytest.mark.parametrize(
     ("poses", "commands", "says"),
     [
         (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
         (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
         (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
-        (POSES, "time_s,direction_rad,log\n0,0.5,a\n", "poses and commands are needed"),
+        (POSES, "time_s,direction_rad,path\n0,0.5,a\n", "poses and commands are needed"),
     ],
 )
 def test_what_is_wrong_with_a_csv_file_is_told(tmp_path, poses, commands, says):

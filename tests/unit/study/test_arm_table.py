@@ -46,7 +46,7 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
         found = list(csv.DictReader(file))
     assert [(row["arm"], int(row["trial"])) for row in found] == list(ran.rows)
     assert list(found[0])[:6] == [
-        "log",
+        "path",
         "trial",
         "arm",
         "controller",

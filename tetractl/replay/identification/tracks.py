@@ -152,7 +152,7 @@ def csv_tracks(
 
     Poses are rows of time_s, robot (or cell, a number), x_UNIT, y_UNIT, heading_rad and perhaps
     valid, or what `pose_rows` reads with a scale and a rate; commands of time_s, direction_rad and
-    perhaps observed_s. Columns log and trial, if present, assign poses and commands to tracks.
+    perhaps observed_s. Columns path and trial, if present, assign poses and commands to tracks.
     Raises UsageError if data are missing, or very many.
     """
     trials: dict[Trial, _Numbers] = {}
@@ -164,7 +164,7 @@ def csv_tracks(
         if not commands:
             unit = _unit(first, unit, path)
         for row in chain([first], rows):
-            trial = row.get("log", ""), row.get("trial", "")
+            trial = row.get("path", ""), row.get("trial", "")
             one = trials.setdefault(trial, _Numbers(path))
             if commands:
                 one.commands.extend(_number(row, column, path) for column in COMMAND_COLUMNS)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND
+from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.core.table.table_files import table_files
 from tetractl.log.read.rows import SIMULATED, Row
@@ -89,10 +90,11 @@ class FieldValue:
 
     value: Any
     arms: int
+    errors: Floats  # (n,) of each trial
     error: Distribution
 
 
-def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribution:
+def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm]) -> FieldValue:
     """Describe the total error over the trials that have a result in all `arms`.
 
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
@@ -107,9 +109,9 @@ def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribu
         for arm in arms
     ]
     trials = sorted(set.intersection(*(set(found) for found in errors)))
-    means = [float(np.mean([found[trial] for found in errors])) for trial in trials]
+    means = np.array([np.mean([found[trial] for found in errors]) for trial in trials], dtype=float)
     bound = arms[0].spec.experiment.error_bound
-    return distributions(np.array([means], dtype=np.float64), bound)[0]
+    return FieldValue(value, len(arms), means, distributions(means[None], bound)[0])
 
 
 def field_values(
@@ -120,10 +122,7 @@ def field_values(
     for arm in arms:
         if path in arm.values:
             found.setdefault(as_yaml(arm.values[path]), []).append(arm)
-    made = [
-        FieldValue(several[0].values[path], len(several), error_of(loaded, store, several))
-        for several in found.values()
-    ]
+    made = [group_of(loaded, store, several[0].values[path], several) for several in found.values()]
     return sorted(made, key=lambda group: group.value) if numeric(made) else made
 
 
@@ -136,7 +135,7 @@ def numeric(found: Iterable[FieldValue]) -> bool:
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     """Return the table of arms: total error, aborted trials, and plant."""
     arms, plants = loaded.arms[:LISTED], origins(loaded)[:LISTED]
-    named = [(arm.name, error_of(loaded, store, [arm])) for arm in arms]
+    named = [(arm.name, group_of(loaded, store, arm.name, [arm]).error) for arm in arms]
     found = list(counted_rows(loaded, store))
     aborted = Counter(arm.name for arm, row in found if not row.complete)
     errors = error_table(f"{loaded.study.name}: total error [{loaded.unit}]", named, loaded.unit)

@@ -13,7 +13,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import unit_of
-from tetractl.study.arm_table import LISTED, FieldValue, error_of, field_values, numeric, origins
+from tetractl.study.arm_table import LISTED, FieldValue, field_values, group_of, numeric, origins
 from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
@@ -36,8 +36,8 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
-    """Draw the mean total error with its 95 % interval against a field, or by arm for the field
-    ARMS, at most LISTED arms; None if no trial has an error.
+    """Draw the total error of each trial, and the mean with its 95 % interval, against a field, or
+    by arm for the field ARMS, at most LISTED arms; None if no trial has an error.
 
     If several arms share a value, each trial is represented by its mean over these arms.
     """
@@ -49,31 +49,31 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
         arms = [arm for arm in shown if arm.controller == name]
         groups = field_values(loaded, store, field, arms)
         if by_arm:
-            groups = [FieldValue(arm.name, 1, error_of(loaded, store, [arm])) for arm in arms]
+            groups = [group_of(loaded, store, arm.name, [arm]) for arm in arms]
         curves[name] = [group for group in groups if group.error.n > 0]
     every = [group for found in curves.values() for group in found]
     if not every:
         return None
     with style.styled():
-        longest = max(len(str(group.value)) for group in every) if by_arm else 0
-        # width of a character of an arm's name [inches]
-        figure = style.figure(style.PAGE_IN, 2.8 + 0.05 * longest)
+        figure = style.figure(style.PAGE_IN, 2.8)
         axes = figure.subplots()
         places = _places(axes, every)
         for number, (name, found) in enumerate(curves.items()):
             x = [places[as_yaml(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
-            look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
             # shifted sideways, so that no curve hides another
             # horizontal distance between two controllers at the same value [inches]
-            aside_in = 0 if by_arm else 0.06 * (number - (len(curves) - 1) / 2)
-            look["transform"] = axes.transData + ScaledTranslation(
-                aside_in, 0, figure.dpi_scale_trans
-            )
-            _draw(axes, x, found, "-o" if joined else "o", name, look)
+            aside_in = 0 if by_arm else 0.12 * (number - (len(curves) - 1) / 2)
+            # and between the mean and its trials
+            left_in = aside_in - min(0.06, 2.5 / len(places))
+            look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
+            shifts = [
+                ScaledTranslation(by, 0, figure.dpi_scale_trans) for by in (aside_in, left_in)
+            ]
+            looks = [look | {"transform": axes.transData + shift} for shift in shifts]
+            _draw(axes, x, found, "-o" if joined else "o", name, *looks)
         if by_arm:
-            axes.set_xticks(list(places.values()), [str(group.value) for group in every])
-            axes.tick_params(axis="x", rotation=90, labelsize=6 if len(every) < LISTED / 2 else 4)
+            _name_arms(figure, axes, [str(group.value) for group in every])
         axes.set_xlabel("" if by_arm else field)
         axes.set_ylabel(f"total error [{unit_of(loaded.unit)}]")
         axes.set_ylim(bottom=0)
@@ -108,16 +108,36 @@ def _alike(found: Sequence[FieldValue], fields: int) -> bool:
     return len({group.arms for group in found}) == 1 and (fields == 1 or found[0].arms > 1)
 
 
+def _name_arms(figure: Figure, axes: Axes, names: list[str]) -> None:
+    """Label the x axis with the arms' names, and make the figure higher by the labels.
+
+    The names are level, with a line for the controller and for each field, or upright if these
+    lines are too long.
+    """
+    char_in = 0.05  # width of a character [inches]
+    level = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
+    longest = max(len(line) for label in level for line in label.split("\n"))
+    fits = char_in * (longest + 2) < 0.9 * style.PAGE_IN / len(names)
+    axes.set_xticks(range(len(names)), level if fits else names)
+    size = 6 if len(names) < LISTED / 2 else 4
+    axes.tick_params(axis="x", rotation=0 if fits else 90, labelsize=size)
+    lines = max(label.count("\n") for label in level)
+    below_in = 0.1 * lines if fits else char_in * max(map(len, names))
+    figure.set_figheight(figure.get_figheight() + below_in)
+
+
 def _draw(
     axes: Axes,
     x: list[float],
     found: Sequence[FieldValue],
     line: str,
     name: str,
-    look: dict[str, Any],
+    mean: dict[str, Any],
+    trial: dict[str, Any],
 ) -> None:
+    """Draw means with their intervals, in the look `mean`, and a dot for each trial."""
     means = [group.error.mean for group in found]
-    axes.plot(x, means, line, markersize=3.5, label=name or None, zorder=3, **look)
+    axes.plot(x, means, line, markersize=3.5, label=name or None, zorder=3, **mean)
     known = [(place, g.error.ci95) for place, g in zip(x, found, strict=True) if g.error.ci95.known]
     axes.vlines(
         [place for place, _ in known],
@@ -125,11 +145,14 @@ def _draw(
         [interval.high for _, interval in known],
         linewidth=2.5,
         alpha=0.45,
-        **look,
+        **mean,
     )
-    for place, group in zip(x, found, strict=True):  # shifted points do not determine the limits
-        ends = group.error.ci95.ends or [group.error.mean]
-        axes.update_datalim([(place, end) for end in ends])
+    dots = [(place, error) for place, g in zip(x, found, strict=True) for error in g.errors]
+    places, errors = [place for place, _ in dots], [error for _, error in dots]
+    axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **trial)
+    ends = [(place, end) for place, interval in known for end in (interval.low, interval.high)]
+    if dots:
+        axes.update_datalim([*dots, *ends])  # shifted points do not determine the limits
     axes.autoscale_view()
 
 
@@ -141,5 +164,5 @@ def _headline(loaded: LoadedStudy, found: Sequence[FieldValue]) -> str:
     pooled = " over the other fields" if any(group.arms > 1 for group in found) else ""
     return (
         f"{loaded.study.name}, {' and '.join(plants)}: mean{pooled} and its 95 % interval,"
-        f" n = {n} trials"
+        f" n = {n} trials, each a dot"
     )

@@ -6,7 +6,7 @@ import pytest
 from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import distributions
-from tetractl.study.arm_table import arms_table, error_of, field_values, write_tables
+from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.load_study import arm_name
 from tetractl.study.options import Logs, Shard
@@ -23,7 +23,9 @@ def errors(ran, arm):
 
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
     arm = ran.loaded.arms[2]
-    assert error_of(ran.loaded, ran.store, [arm]) == distributions(np.array([errors(ran, arm)]))[0]
+    found = group_of(ran.loaded, ran.store, arm.name, [arm])
+    assert found.errors.tolist() == errors(ran, arm)
+    assert found.error == distributions(np.array([errors(ran, arm)]))[0]
 
 
 def test_over_several_arms_trials_of_one_seed_count_once(ran):
@@ -91,13 +93,13 @@ def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):
     before = [path.read_bytes() for path in paths]
     assert [path.read_bytes() for path in write_figures(ran.loaded, ran.store)] == before
     figure = error_figure(ran.loaded, ran.store, "plant.dead_time")
-    lines = figure.axes[0].get_lines()
+    lines = [line for line in figure.axes[0].get_lines() if line.get_gid() != "trials"]
     assert [line.get_label() for line in lines] == ["many", "few"]
     assert [list(line.get_xdata()) for line in lines] == [[0, 0.1]] * 2
     (headline,) = (text.get_text() for text in figure.texts)
     assert headline == (
         "quick, disturbed simulation: mean over the other fields and its 95 % interval,"
-        " n = 5 trials"
+        " n = 5 trials, each a dot"
     )
 
 
@@ -110,8 +112,21 @@ def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     assert [path.name for path in write_figures(ran.loaded, ran.store)] == ["error-arms.png"]
     (axes,) = error_figure(ran.loaded, ran.store, "arms").axes
     assert [label.get_text() for label in axes.get_xticklabels()] == ["ours", "theirs"]
-    means = [float(line.get_ydata()[0]) for line in axes.get_lines()]
+    found = [list(line.get_ydata()) for line in axes.get_lines()]
+    means = [mean for (mean,) in found[::2]]
     assert means == pytest.approx([np.mean(errors(ran, arm)) for arm in ran.loaded.arms])
+    assert found[1::2] == [errors(ran, arm) for arm in ran.loaded.arms]
+
+
+def test_arms_have_level_names_if_there_is_room(ran):
+    few = replace(ran.loaded, arms=ran.loaded.arms[:3])
+    for loaded, first, turned in (
+        (few, "many\ndead_time=0\na=3", 0),
+        (replace(few, arms=few.arms * 9), "many-dead_time=0-a=3", 90),
+    ):
+        (axes,) = error_figure(loaded, ran.store, "arms").axes
+        label = axes.get_xticklabels()[0]
+        assert (label.get_text(), label.get_rotation()) == (first, turned)
 
 
 def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from tetractl.core.poses import Floats, Grey
+from tetractl.film.disturbances import Disturbances
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.organism_of import recognised
 from tetractl.film.pairs import fill_pairs
@@ -105,7 +106,7 @@ def follow(
     answers: list[CellAnswer] = []
     divisions: list[tuple[dict[int, SeenCell], int, int]] = []  # picture and tracks
     partings: list[tuple[int, int, int]] = []  # first picture and tracks
-    lights = []
+    lights, disturbances = [], Disturbances(seen_as.um_px, seen_as.organism.body_um[0])
     for number, picture in film:
         seconds = film.seconds(number)
         cells = tracker.see(picture, seconds, pieces)
@@ -126,6 +127,7 @@ def follow(
             _rename(shown, times, answer)
         answers += tracker.answers
         lights.append(tracker.finder.light)
+        disturbances.examine(picture, seconds, tracker.finder)
         on_picture(number)
     tracker.finish()
     for answer in tracker.answers:
@@ -137,6 +139,7 @@ def follow(
     contrast = float(np.median(seen)) if seen else None
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
     lines = [faint_line(contrast, limit), _faded_line(shown), *_pace_lines(shown, times)]
+    lines += disturbances.lines()
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape

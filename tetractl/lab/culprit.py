@@ -43,6 +43,7 @@ class Culprit:
     def __init__(self, drift: DriftCheck, mm: float) -> None:
         self._drift, self._mm = drift, mm
         self._seen: deque[tuple[int, Sequence[Pose | None]]] = deque()
+        self.suspect: int | None = None  # the robot that a run was aborted for
 
     def see(self, now_ns: int, poses: Sequence[Pose | None]) -> None:
         """Take a frame's poses, accepted or not."""
@@ -50,8 +51,12 @@ class Culprit:
         while now_ns - self._seen[0][0] > WINDOW_NS:
             self._seen.popleft()
 
-    def why(self, i: int) -> str:
-        """Return a text if the camera or the radio is at fault, "" if robot i is."""
+    def why(self) -> str:
+        """Return, once, a text if the camera or the radio is at fault, "" if the suspect is."""
+        i, self.suspect = self.suspect, None
+        return "" if i is None else self._why(i)
+
+    def _why(self, i: int) -> str:
         first, last = self._seen[0][1], self._seen[-1][1]
         known = [j for j, pair in enumerate(zip(first, last, strict=True)) if None not in pair]
         if len(known) < 2 or i not in known:

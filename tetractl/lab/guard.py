@@ -96,7 +96,7 @@ class Guard:
     drift: DriftCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
     _places: Places = field(init=False)
-    _culprit: Culprit = field(init=False)
+    culprit: Culprit = field(init=False)
     _last_frame_ns: int | None = None
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
@@ -126,7 +126,7 @@ class Guard:
         self.drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
         self._swaps = SwapDetector(rules.names)
         self._places = Places(rules.arena, rules.obstacles, limits.reaction, NOISE_MM / mm)
-        self._culprit = Culprit(self.drift, mm)
+        self.culprit = Culprit(self.drift, mm)
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -157,11 +157,12 @@ class Guard:
         if self.state in (GuardState.RUN, GuardState.HOLD):
             self.state = GuardState.READY
 
-    def abort(self, reason: str, emergency: bool = False) -> None:
-        """Enter `abort`, for good; later calls do not change the reason."""
+    def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
+        """Enter `abort`, for good, for a robot perhaps; later calls do not change the reason."""
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
+            self.culprit.suspect = suspect
             limit, newest = UNTRACKED_STOP_S * SECOND, self._last_frame_ns or 0
             self._ghosts = {
                 i: track.refused
@@ -205,7 +206,7 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
-        self._culprit.see(now, frame.poses)
+        self.culprit.see(now, frame.poses)
         fresh, gone_ns = list[bool](), self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
@@ -222,7 +223,7 @@ class Guard:
         if self._active and self.rules.individual:
             wrong, ghosts = self.drift.frame(now, accepted.poses, self._motion.seen)
             if wrong:
-                self.abort((len(ghosts) == 1 and self._culprit.why(ghosts[0])) or wrong)
+                self.abort(wrong, suspect=ghosts[0] if len(ghosts) == 1 else None)
                 self._ghosts |= dict.fromkeys(ghosts, wrong)
         return accepted
 
@@ -347,7 +348,7 @@ class Guard:
             if i in self.lost:
                 continue
             if i in self._disobedient and lost_ns > UNTRACKED_STOP_S * SECOND:
-                self.abort(self._culprit.why(i) or f"{name} {track.refused}")
+                self.abort(f"{name} {track.refused}", suspect=i)
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
             # the most time unseen, though not at once

@@ -15,7 +15,6 @@ as long.
 import math
 
 import numpy as np
-from scipy.special import stdtrit
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
@@ -90,6 +89,8 @@ def _not_at_rest(
     """Return why robot i does not count as standing still in the frames of `window`, "" if it
     stands still; and its motion (3,) [mm/s, mm/s, rad/s], None if it is not seen to move.
     """
+    from scipy.special import stdtrit
+
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [
         ((f.frame.sampled_ns - newest) / SECOND, pose.x * rig.mm, pose.y * rig.mm, pose.heading)

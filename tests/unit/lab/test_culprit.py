@@ -44,7 +44,8 @@ def accused(shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, sus
             way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
             drift.frame(now, poses, way)
         before = poses
-    return culprit.why(suspect)
+    culprit.suspect = suspect
+    return culprit.why()
 
 
 def pushed(who, size=20.0):

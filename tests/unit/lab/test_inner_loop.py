@@ -56,3 +56,24 @@ def test_a_loop_that_is_not_ready_steers_nothing():
     with lab.plant.rig as rig, refused:
         rig.loop.hold(Steer(0.1))
     assert lab.actuator.sent == []
+
+
+def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
+    """Regression: naming the culprit takes some 10 ms, and the stop waited for it."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    guard, sent = lab.plant.rig.guard, []
+
+    class Asked:
+        suspect = None
+
+        def why(self):
+            sent.append(lab.actuator.sent[-1].direction)
+            return "the camera"
+
+    guard.culprit = Asked()
+    guard.abort("green moves as no command does", suspect=0)
+    lab.plant.rig.loop.step()
+    assert sent[0] is None  # a stop
+    assert guard.reason == "the camera"

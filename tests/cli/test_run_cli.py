@@ -76,7 +76,8 @@ def test_a_run_writes_a_log_a_trial_and_says_where(batch):
     ]
     lines = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
     assert [line.split(":")[0] for line in lines[:3]] == [f"trial {i} of 3" for i in (1, 2, 3)]
-    assert lines[3:] == ["logs in logs", "look at one with: tetractl replay logs/trial-000.mcap"]
+    every = "logs in logs; every figure: tetractl stats logs --full"
+    assert lines[3:] == [every, "look at one with: tetractl replay logs/trial-000.mcap"]
     assert "\x1b" not in done.stderr + done.stdout
     for i in range(3):
         log = read_trial(folder / "logs" / f"trial-00{i}.mcap")

@@ -92,7 +92,8 @@ class Margins:
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no
         robot unless its body touches them."""
-        bare, at = self._bare, (poses.x, poses.y, self._nearest, self._least)
+        x, y = np.array(poses.x), np.array(poses.y)  # an observation's are read-only, another type
+        bare, at = self._bare, (x, y, self._nearest, self._least)
         grown = Obstacles(np.empty_like(bare.rows), np.empty_like(bare.walls), bare.boxes)
         clearance.grow(bare.rows, bare.walls, bare.boxes, *at, margin, grown.rows, grown.walls)
         return grown

@@ -273,7 +273,8 @@ class Trial:
             deadline_misses=self._misses,
             tour=self._tour,
         )
-        failures: list[Exception] = []
+        failures: list[TetractlError] = []
+        bugs = [] if isinstance(bug, TetractlError | None) else [bug]
         for observer in self.observers:
             try:
                 try:
@@ -281,13 +282,14 @@ class Trial:
                     _pass_news(observer, news)
                 finally:
                     observer.on_stop(stop, result)
-            except Exception as error:
+            except TetractlError as error:
                 failures.append(error)
-        bugs = [one for one in (bug, *failures) if not isinstance(one, TetractlError | None)]
+            except Exception as error:
+                bugs.append(error)
         if bugs:
             raise bugs[0]
         if failures and outcome is not Outcome.ABORTED:
-            result = replace(result, outcome=Outcome.ABORTED, reason=str(failures[0]))
+            result = replace(result, outcome=Outcome.ABORTED, reason=failures[0].message)
         return result
 
 

@@ -110,7 +110,7 @@ lab.actuator.robots.0.limit=9 lab.actuator.robots.0.left.dead_zone=9
 def test_labs_that_cannot_be_are_refused(settings, line):
     with pytest.raises(InvalidSpecError) as caught:
         load_spec(SPEC, settings.split())
-    text = str(caught.value)
+    text = caught.value.message
     for part in line.split(": "):
         assert part in text
 

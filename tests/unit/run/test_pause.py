@@ -90,7 +90,7 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         off = [wrap(log.steps[k].plan.action.facing - poses.heading) for poses in (before, after)]
         assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
     recording = Recording(log)
-    for k, text in ((turns[0], "direction    turning"), (turns[-1] + 1, " deg")):
+    for k, text in ((turns[0], "direction turning on the spot"), (turns[-1] + 1, " deg")):
         assert text in step_line(recording, k)
     assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning"
     starts = [k for k in turns if k - 1 not in turns]

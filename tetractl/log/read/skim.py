@@ -44,9 +44,8 @@ def _skimmed(path: Path) -> RawLog | None:
     if log.size > limits.file_limit():
         return None
     with path.open("rb") as file:
-        reader = StreamReader(
-            file, emit_chunks=True, validate_crcs=True, record_size_limit=limits.CHUNK_MAX
-        )
+        longest = min(limits.CHUNK_MAX, log.size)  # memory is taken before a record is read
+        reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=longest)
         for record in reader.records:
             if isinstance(record, Chunk):
                 _, channels, messages = unpack(record)

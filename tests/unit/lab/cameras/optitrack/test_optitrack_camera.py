@@ -38,7 +38,7 @@ def refusal(folder, script="", *sets):
         camera,
     ):
         pass
-    return str(caught.value), caught.value.hint
+    return caught.value.message, caught.value.hint
 
 
 def own_address(camera):
@@ -158,7 +158,7 @@ def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
             AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
         ) as e:
             camera.__enter__()
-    assert str(e.value).endswith("which fit protocol 3.0")
+    assert e.value.message.endswith("which fit protocol 3.0")
     assert "set lab.camera.version" in e.value.hint
 
 

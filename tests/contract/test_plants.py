@@ -193,7 +193,7 @@ def test_stop_is_idempotent(make):
 def test_robots_stand_in_a_pause_and_drive_on_with_the_next_direction(make):
     rig = make(1)
     with opened(rig):
-        for direction in (0.7, None, 0.7):
+        for direction in (1.5, None, 1.5):  # clear of obstacles
             if direction is None:
                 assert rig.plant.send(Stop()).stops
                 rig.clock.sleep_until(rig.clock.now() + SECOND // 2)

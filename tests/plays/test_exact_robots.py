@@ -30,7 +30,7 @@ def driven(folder, *sets):
 
 def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
     result, states = driven(tmp_path, "controller.steps_max=240")
-    assert (result.outcome, result.reason) == (Outcome.NOTHING_BETTER, "")
+    assert (result.outcome, result.reason) == (Outcome.NO_BETTER_PLAN, "")
     assert result.total_error < 1
     assert states.index(State.RESTING) == len(states) - 1
 

@@ -60,7 +60,7 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
         for k in range(10):
             sure[1] = 1.0 if k < 3 else 0.6
             plant.observe()
-            plant.send(Steer(0.1))
+            plant.send(Steer(1.5))
             assert all(sample.film is not None for sample in plant.samples())
             notes += [one.text for one in plant.news() if isinstance(one, Note)]
             lab.clock.sleep_until(lab.clock.now() + SECOND // 5)

@@ -92,7 +92,7 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
     recording = Recording(log)
     for k, text in ((turns[0], "direction turning on the spot"), (turns[-1] + 1, " deg")):
         assert text in step_line(recording, k)
-    assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning"
+    assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning on the spot"
     starts = [k for k in turns if k - 1 not in turns]
     told = "all robots turn on the spot: they have no safe way ahead"
     assert [note.text for note in log.notes].count(told) == len(starts)

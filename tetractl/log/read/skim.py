@@ -1,7 +1,9 @@
 """Reads an undamaged log in one pass that keeps few of its messages, however long the log is."""
 
+import os
 import zlib
 from collections.abc import Iterable
+from io import BufferedReader, FileIO
 from pathlib import Path
 
 from mcap.records import Attachment, Chunk, DataEnd, Footer, Header, Statistics
@@ -13,6 +15,13 @@ from tetractl.log.format.tetractl_pb2 import ControllerStep, WheelCommand
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog, Tally
 from tetractl.log.read.salvage import MAGIC, unpack
+
+
+class _Held(BufferedReader):
+    """A file that takes memory for what it holds, not for what a record in it claims to hold."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        return super().read(size if size is None else min(size, os.fstat(self.fileno()).st_size))
 
 
 def tallied(entries: Iterable[Entry], known: dict[str, Tally] | None = None) -> dict[str, Tally]:
@@ -43,9 +52,10 @@ def _skimmed(path: Path) -> RawLog | None:
     directed, sealed, begin, stated = False, False, 0, 0
     if log.size > limits.file_limit():
         return None
-    with path.open("rb") as file:
-        longest = min(limits.CHUNK_MAX, log.size)  # memory is taken before a record is read
-        reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=longest)
+    with _Held(FileIO(path)) as file:
+        reader = StreamReader(
+            file, emit_chunks=True, validate_crcs=True, record_size_limit=limits.CHUNK_MAX
+        )
         for record in reader.records:
             if isinstance(record, Chunk):
                 _, channels, messages = unpack(record)

@@ -67,7 +67,7 @@ class Disturbances:
             times, widths = np.transpose(self._wide)
             yield (
                 f"something {np.median(widths):.0f} um wide, such as a bubble, moves or grows "
-                f"for {np.ptp(times):.0f} s: cells near it are missed, and may change "
+                f"for {np.ptp(times):.0f} s: cells near it may be missed, or change "
                 "their numbers. Film without it"
             )
         slow = [each for each in self._drifts if np.hypot(*each) < FAST * self.body_um]

@@ -22,9 +22,9 @@ import numpy as np
 
 from tetractl import api
 from tetractl.core.clock import SECOND
+from tetractl.replay.identification.design import sequence_spec
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
-from tetractl.replay.open_loop import sequence_spec
 from tetractl.results.estimate import proportion_interval
 
 SPEC = Path(__file__).parent.parent / "experiments" / "three_m3pi.yaml"
@@ -48,7 +48,7 @@ def _log(number: int, sets: list[str], rate: float | None):
     rng = np.random.default_rng([number, 1])
     timing = (f"controller.period={PERIOD}", "controller.signal_periods=1", "wheels.watchdog=null")
     loaded = api.load_spec(SPEC, f"trials.seed={number}", *timing, *sets, *NOISE)
-    spec = sequence_spec(loaded, rng.uniform(-2, 2, STEPS), 0.0)
+    spec = sequence_spec(loaded, rng.uniform(-2, 2, STEPS))
     with TemporaryDirectory() as folder:
         return api.run_trial(spec, folder=folder), spec
 

@@ -13,6 +13,7 @@ from support.durable import random_kill
 from support.lateness import lateness
 from support.running import QUICK
 
+from tetractl.log.read.reader import read_trial
 from tetractl.run.store import locked
 
 LOSS_S = 1.2
@@ -66,3 +67,13 @@ def test_a_trial_is_repeated_from_its_log(logs):
     done = tetractl(logs, "rerun trial-001.mcap --out again --quiet").ok()
     assert "the content digests agree: " in done.stderr
     assert [path.name for path in (logs / "again").iterdir()] == ["trial-001.mcap"]
+
+
+def test_a_trial_is_run_again_under_another_controller(logs):
+    was = read_trial(logs / "trial-001.mcap").start
+    done = tetractl(logs, "rerun trial-001.mcap --set controller.steps_max=3 -o other -q").ok()
+    again = read_trial(logs / "other" / "trial-001.mcap")
+    assert (again.experiment.controller.steps_max, again.result.outcome.value) == (3, "steps max")
+    assert (again.start.seed, again.start.trial) == (was.seed, was.trial)
+    assert f"total error {again.result.total_error:.2f} mm, in the log " in done.stderr
+    assert "digests" not in done.stderr

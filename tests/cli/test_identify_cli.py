@@ -1,4 +1,4 @@
-"""`tetractl identify`, `what-if` and `redrive`, as they are called."""
+"""`tetractl identify` and `design`, as they are called."""
 
 import json
 
@@ -58,25 +58,3 @@ def test_a_design_is_proposed_as_a_spec_and_driven(folder):
     found = json.loads(driven.stdout)
     assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.005)
     assert tetractl(folder, "verify", "design").returncode == 0
-
-
-def test_what_if_predicts_and_says_so(folder):
-    log = "logs/trial-000.mcap"
-    done = tetractl(folder, "what-if", log, "--set", "controller.dead_time=0.1").ok()
-    assert "a prediction on the recorded observations, not closed loop" in done.stdout
-    assert "steps would have sent another direction" in done.stdout
-    words = ("what-if", log, "--set", "controller.dead_time=0", "--json")
-    same = json.loads(tetractl(folder, *words).stdout)
-    assert same["logs"][0]["changed"] == 0
-    assert len(same["logs"][0]["steps"]) == same["logs"][0]["recorded_steps"]
-
-
-def test_commands_are_driven_again_through_the_simulation(folder):
-    log = "logs/trial-000.mcap"
-    words = ("redrive", log, "--plant", "sim", "-o", "again", "--plot", "again.svg")
-    done = tetractl(folder, *words).ok()
-    assert "open loop" in done.stdout
-    most = next(line for line in done.stdout.splitlines() if line.startswith(" at most"))
-    assert [float(cell) for cell in most.split()[2:]] == [0, 0]  # the same seed, the same world
-    assert (folder / "again.svg").read_bytes().startswith(b"<?xml")
-    assert tetractl(folder, "verify", "again").returncode == 0

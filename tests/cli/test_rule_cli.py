@@ -21,7 +21,7 @@ def commands(command=None, words=()):
         yield from commands(each, (*words, name))
 
 
-WITHOUT_JSON = ["init", "schema", "plot", "replay", "redrive", "export", "open", "serve", "report"]
+WITHOUT_JSON = ["init", "schema", "plot", "replay", "export", "open", "serve", "report"]
 WITHOUT_JSON += ["study", "warm", "lab stop", "lab calibrate", "lab survey"]
 """Commands that write files, play, or give what has no form but its own."""
 
@@ -34,7 +34,7 @@ def test_options_of_one_meaning_have_one_name():
         assert ("--out" in options) == ("-o" in options), words
         assert "--json" in options or " ".join(words) in WITHOUT_JSON, words
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
-        takes_spec |= words == ("what-if",)  # of the spec that its log holds (decision 0031)
+        takes_spec |= words == ("rerun",)  # of the spec that its log holds (decision 0031)
         takes_spec |= words == ("kinds",)  # of the section that is checked (decision 0057)
         assert ("--set" in options) == takes_spec, words
     assert {"--out", "--json", "--set", "--yes"} <= seen

@@ -88,7 +88,7 @@ def test_figures_and_a_page_are_made_of_the_log(tracks):
 @pytest.mark.parametrize(
     "words",
     [
-        ("verify",), ("replay",), ("recover",), ("identify",), ("open",), ("rerun",), ("redrive",),
+        ("verify",), ("replay",), ("recover",), ("identify",), ("open",), ("rerun",),
         ("export", "-o", "x.csv", "--table", "poses"), ("plot", "--kind", "trajectory"),
         ("stats", "--against", "track.mcap"), ("plot", "--kind", "video"),
     ],

@@ -90,9 +90,8 @@ identify logs --yes | No such option
 identify logs poses.csv | logs and CSV files cannot be combined
 design spec.yaml --yes | --logs and --yes need --plant
 design lab.yaml --plant lab | there is no terminal at which to ask | add --yes
-redrive LOG --plant lab --yes | lab
-what-if logs | --set
-what-if LOG --set plant.dead_time=0 | only fields of 'controller' can be replaced
+rerun LOG --plant lab --yes | lab
+rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
 analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | --plans: must be at least 1

@@ -39,9 +39,7 @@ READERS = {
     "report": "report {log} -o report.html",
     "plot": "plot {log} -o plot.svg",
     "export": "export {log} -o tables",
-    "what-if": "what-if {log} --set controller.optimizer.particles=9",
     "rerun": "rerun {log} --out again",
-    "redrive": "redrive {log} --out driven",
 }
 
 

@@ -29,7 +29,6 @@ COMMANDS = {
     "recover": "recover {log} -o {out}/r.mcap",
     "export --parquet": "export {log} -o {out}/tables --format parquet",
     "identify": "identify {log}",
-    "what-if": "what-if {log} --set controller.steps_max=9",
     "plot swarm": "plot {log} --kind swarm -o {out}/w.png",
     "plot errors": "plot {log} --kind errors -o {out}/es.png",
     "plot arms": "plot {log} --kind arms -o {out}/a.png",
@@ -58,7 +57,7 @@ COMMANDS |= {
     "study --merge": "study {log}/study.yaml --out {out}/merged --merge {log}/out",
 }
 TELL_ON_STDOUT = ("verify", "info", "info --json", "recover", "validate")
-SLOW = {name for name in COMMANDS if name.partition(" ")[0] in ("plot", "report", "what-if")}
+SLOW = {name for name in COMMANDS if name.partition(" ")[0] in ("plot", "report")}
 SLOW |= {"study report", "study --merge"}
 
 _parser = cache(typer.main.get_command)  # made for each call it takes longer than most commands

@@ -127,8 +127,6 @@ COMMANDS = (
     serve.open_,
     serve.serve,
     logs.verify,
-    again.what_if,
-    again.redrive,
     stats.stats,
     stats.analyze,
     study.study,

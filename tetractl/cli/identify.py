@@ -47,10 +47,9 @@ def design(
     """
     from tetractl.experiment.plants import on_plant
     from tetractl.log.read.reader import read_trial
-    from tetractl.replay.identification.design import propose
+    from tetractl.replay.identification.design import propose, sequence_spec
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import track_of
-    from tetractl.replay.open_loop import sequence_spec
     from tetractl.run.store import default_folder
 
     if plant is None and (logs is not None or yes):
@@ -62,7 +61,7 @@ def design(
         if loaded.experiment.plant.real_time:
             ui.require_confirmation(yes)
     proposed = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
-    motion = sequence_spec(loaded, proposed.directions, 0.0)
+    motion = sequence_spec(loaded, proposed.directions)
     if plant is None:
         _print_design(loaded, proposed, as_json)
         if out is not None:

@@ -10,15 +10,17 @@ Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and
 Academic Press (1977), chapter 6.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tetractl.control.filter import USUAL
+from tetractl.control.sequence import SequenceSection
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
 from tetractl.model.free_space import clearance
 from tetractl.model.motion.exact import step
 from tetractl.model.path_check import separations
@@ -103,6 +105,23 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
         heading_bias_std=deviations[1 + n :],
         clearance=_room(setup, _path(setup, directions, period)),
     )
+
+
+def sequence_spec(spec: LoadedSpec, directions: Floats) -> LoadedSpec:
+    """Return a spec whose controller sends `directions` [rad], one per control period.
+
+    The robots stand still until the first direction, and arrival does not end the trial.
+    """
+    controller = SequenceSection(
+        period=spec.experiment.controller.period,
+        dead_time=spec.experiment.controller.dead_time,
+        steps_max=len(directions),
+        directions=tuple(directions.tolist()),
+    )
+    experiment = spec.experiment.model_copy(update={"controller": controller})
+    text = resolved_yaml(experiment)
+    made = parse_spec(text, spec.name, written=True)
+    return replace(spec, experiment=made.experiment, text=text, path=None)
 
 
 def _room(setup: Setup, path: Floats) -> float:

@@ -22,7 +22,6 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
-from tetractl.replay.open_loop import Apart
 from tetractl.replay.player import first_seen, tracked
 from tetractl.view import style
 from tetractl.view.figures.axes import (
@@ -337,32 +336,3 @@ def _nice_step(length: float, most: int) -> float:
     """
     power = 10.0 ** np.floor(np.log10(length / most))
     return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))
-
-
-@style.styled()
-def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure:
-    """Draw the recorded path (solid) and the new path of each robot, and the distance between them
-    over time.
-    """
-    setup = recorded.start.setup
-    unit = unit_of(setup.unit)
-    colors = robot_colors(setup.names, setup.colors)
-    figure = style.figure(style.PAGE_IN, 3.4)
-    paths, over_time = figure.subplots(1, 2)
-    signs = list[Artist]()
-    for log, line, what in ((recorded, "-", "recorded"), (again, "--", "driven again")):
-        xy = tracked(log.mocap, log.valid)[log.mocap_ns >= log.began_ns]
-        for robot, color in enumerate(colors):
-            paths.plot(*xy[:, robot].T, line, color=color, lw=1.1)
-        signs.append(style.sign(f"{what}, {log.origin.value}", color=style.INK, ls=line, lw=1.1))
-    for shape in setup.obstacles:
-        paths.add_patch(Polygon(shape.outline(), **style.OBSTACLE))
-    paths.set_aspect("equal", adjustable="datalim")
-    for name, color, values in zip(setup.names, colors, apart.distance.T, strict=True):
-        signs += over_time.plot(apart.time_s, values, color=color, lw=1.1, label=name)
-    over_time.set_ylim(0, max(float(np.nanmax(apart.distance, initial=0.0)) * 1.04, 1e-9))
-    style.panel(paths, "a", "paths", f"x [{unit}]", f"y [{unit}]")
-    gap = "distance between each robot's two paths"
-    style.panel(over_time, "b", gap, "time since the first command [s]", f"distance [{unit}]")
-    style.legend(figure, signs, 6)
-    return figure

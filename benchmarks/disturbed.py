@@ -41,7 +41,7 @@ from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.results.estimate import distributions, percent
-from tetractl.run.checked_controller import build_controller
+from tetractl.run.checked_controller import CheckedController, build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
@@ -188,7 +188,7 @@ def counted(kind: type[M], section: RecommendedMpc, setup: Setup, key: int) -> M
     return kind(section, setup, key, Host(work.wrap, work))
 
 
-def as_specified(spec: Experiment, key: int, plant: Plant) -> Controller:
+def as_specified(spec: Experiment, key: int, plant: Plant) -> CheckedController:
     return build_controller(spec, key)
 
 

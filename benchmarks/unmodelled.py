@@ -116,8 +116,9 @@ def report(name: str, spec: Experiment, trials: int) -> None:
     made: list[tuple[Mpc, Plant]] = []
 
     def build(spec: Experiment, key: int, plant: Plant) -> Controller:
-        made.append((as_specified(spec, key, plant), plant))
-        return made[-1][0]
+        checked = as_specified(spec, key, plant)
+        made.append((checked.controller, plant))
+        return checked
 
     results = run_trials(spec, trials, build)
     ends: list[tuple[Estimate, Plant]] = [(mpc.estimator.estimate, plant) for mpc, plant in made]

@@ -171,7 +171,7 @@ class InnerLoop:
                     self._repeat_stop(now)
             fault = plugin_fault(error)  # slow, so after the stop
             if fault and self.guard.reason == reason:
-                self.guard.reason = str(fault)
+                self.guard.reason = fault.message
 
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()

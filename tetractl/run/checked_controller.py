@@ -38,7 +38,7 @@ class CheckedController:
     ) -> None:
         self._section, self._setup = section, setup
         self._ours = type(section).__module__.startswith("tetractl.")
-        self._controller = section.build(setup if self._ours else copy.deepcopy(setup), key, host)
+        self.controller = section.build(setup if self._ours else copy.deepcopy(setup), key, host)
 
     def plan(
         self,
@@ -47,7 +47,7 @@ class CheckedController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Return the decision; WrongValueError for one that cannot be sent and logged."""
-        found: Any = self._controller.plan(observation, last_command, earlier)
+        found: Any = self.controller.plan(observation, last_command, earlier)
         try:
             return self._checked(found)
         except ValueError as error:

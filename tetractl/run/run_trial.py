@@ -259,7 +259,7 @@ class Trial:
         finally:
             self.plant.close()
         if bug is not None and (fault := plugin_fault(bug, self.start.packages)):
-            reason, bug = str(fault), None
+            reason, bug = fault.message, None
             news = [*news, *(Note(stop.sent_ns, "error", call) for call in fault.calls)]
         if verdict.not_at_rest and outcome is not Outcome.ABORTED:
             outcome, reason = Outcome.ABORTED, verdict.not_at_rest

@@ -86,11 +86,11 @@ def headings(plant, clock, directions, period_ns):
 def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
     rng = np.random.default_rng(1)  # by which no robot comes near another, or the edge
     directions = np.cumsum(rng.uniform(-step, step, round(4 / period)))
-    bench = bench_spec(*EVEN).experiment
+    bench = bench_spec(*EVEN, "obstacles=[]").experiment
     clock = VirtualClock()
     simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
     period_ns = round(period * SECOND)
-    with virtual_lab(None, spec=lab_spec(), seed=3) as lab:
+    with virtual_lab(None, spec=lab_spec("obstacles=[]"), seed=3) as lab:
         theirs = headings(lab.plant, lab.clock, directions, period_ns)
     ours = headings(simulated, clock, directions, period_ns)
     at = np.arange(0.3, 3.8, 0.01)

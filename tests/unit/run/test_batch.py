@@ -143,7 +143,7 @@ def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_pa
     assert sorted(ran_of(report)) == [0, 2]
     (error,) = report.errors.values()
     assert isinstance(error, AbortError)
-    assert str(error) == "a trial's process was killed twice, perhaps because memory ran out"
+    assert error.message == "a trial's process was killed twice, perhaps because memory ran out"
     assert "--jobs" in error.hint
     assert (tmp_path / "trial-001.attempt-1.mcap.part").exists()  # of the first time
     assert (tmp_path / "trial-001.mcap.part").exists()

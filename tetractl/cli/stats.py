@@ -85,14 +85,15 @@ def show(found: "BatchComparison", form: str, full: bool = False) -> None:
     """Print batches and their comparisons to stdout, as a table in short or in `full`."""
     from tetractl.results.tables import data_table, summary, tables
 
+    made = tables if full else summary
     if form == "table":
-        print_tables(tables(found) if full else summary(found))
+        print_tables(made(found))
     elif form == "json":
         print(json_text(found.record), flush=True)
     elif form == "csv":
         print(csv_text(data_table(found)), end="")
     else:
-        print(TEXTS[form](tables(found) if full else summary(found)))
+        print(TEXTS[form](made(found)))
 
 
 def _show_films(films: "Sequence[TrackLog]", form: str) -> None:

@@ -66,7 +66,6 @@ def study(
     from tetractl.run.executors import on_this_machine
     from tetractl.study import options
     from tetractl.study.load_study import load_study
-    from tetractl.study.options import Logs, Shard, lacking
     from tetractl.study.row_store import Store
     from tetractl.view.terminal.progress import StudyProgress
 
@@ -76,7 +75,9 @@ def study(
         raise UsageError("--merge needs the folders of the shares, and folders need --merge")
     if sum([shard is not None, merge, trial is not None, slurm is not None]) > 1:
         raise UsageError("--shard, --merge, --trial and --slurm exclude each other: give one")
-    rule, share = Logs.parse(logs), Shard.parse(shard) if shard else Shard()
+
+    rule = options.Logs.parse(logs)
+    share = options.Shard.parse(shard) if shard else options.Shard()
     loaded = load_study(file)
     ending = f"-shard-{share.index}-of-{share.of}" if shard else ""
     folder = out or Path("logs") / f"{loaded.study.name}{ending}"
@@ -86,7 +87,7 @@ def study(
     store = Store(folder, loaded.arms)
     if dry_run:
         store.read()
-        tasks, _ = lacking(loaded, store, rule, share, rerun_outdated)
+        tasks, _ = options.lacking(loaded, store, rule, share, rerun_outdated)
         print_tables([options.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
@@ -96,7 +97,7 @@ def study(
         if merge:
             ui.tell(f"{store.merge(folders or [])} trials added to {folder}")
             return _conclude(loaded, store, share, "the same command without --merge")
-        tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
+        tasks, outdated = options.lacking(loaded, store, rule, share, rerun_outdated)
         if outdated:
             named = [f"{name} ({n})" for name, n in outdated.items()]
             more = f" and {len(named[4:])} more arms" if named[4:] else ""

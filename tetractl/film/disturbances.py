@@ -45,8 +45,11 @@ class Disturbances:
         found = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
         wide = max((min(cv2.boundingRect(each)[2:]) for each in found), default=0) * self.um_px
         large = wide > LARGE * self.body_um and not finder.light.lost
-        self._turn = [*self._turn, (seconds, wide)] if large else []
-        self._wide = max(self._wide, self._turn, key=len)
+        if large:
+            self._turn.append((seconds, wide))
+            self._wide = max(self._wide, self._turn, key=len)
+        else:
+            self._turn = []
         self._small = [*self._small[-2:], np.asarray(small, np.uint8)]
         if len(self._lights) % EVERY == 3:  # the median of three pictures lacks what swims
             still = np.median(self._small, axis=0).astype(np.uint8)

@@ -217,14 +217,13 @@ def plan_again(
     """Return a controller's decision on an observation that follows the control step `last` of a
     log, or on the first observation if `last` is None. FaultyPluginError if a plug-in fails.
     """
-    if last is None:
-        with plugins_blamed():
-            return controller.plan(observation)
-    began, times = last.observation.sampled_ns, log.mocap_ns
-    between = np.flatnonzero((times > began) & (times < observation.sampled_ns))
-    earlier = [log.sample(int(i)).observation for i in between]
+    command, earlier = None, []
+    if last is not None:
+        began, times = last.observation.sampled_ns, log.mocap_ns
+        between = np.flatnonzero((times > began) & (times < observation.sampled_ns))
+        command, earlier = last.command, [log.sample(int(i)).observation for i in between]
     with plugins_blamed():
-        return controller.plan(observation, last.command, earlier)
+        return controller.plan(observation, command, earlier)
 
 
 def first_steps(log: TrialLog) -> list[Step]:

@@ -75,7 +75,6 @@ def study(
         raise UsageError("--merge needs the folders of the shares, and folders need --merge")
     if sum([shard is not None, merge, trial is not None, slurm is not None]) > 1:
         raise UsageError("--shard, --merge, --trial and --slurm exclude each other: give one")
-
     rule = options.Logs.parse(logs)
     share = options.Shard.parse(shard) if shard else options.Shard()
     loaded = load_study(file)

@@ -1,6 +1,6 @@
 """Registries of kinds, the objects that a spec names by `type`, of tetractl and other packages."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -102,15 +102,17 @@ class Registry:
             f"the kind's entry point is '{where}'; update or uninstall the package",
         )
 
-    def files(self) -> Iterator[Path]:
-        """Yield the source file of each kind's module, without importing it."""
-        modules = [target.partition(":")[0] for target in self.builtin.values()]
-        modules += [point.module for point in self._installed.values()]
-        for module in dict.fromkeys(modules):
-            with suppress(ImportError, ValueError):  # the package cannot be imported
-                spec = find_spec(module)
-                if spec is not None and spec.origin is not None and Path(spec.origin).exists():
-                    yield Path(spec.origin)
+    def files(self, packages: Container[str]) -> Iterator[Path]:
+        """Yield all source files of some packages that provide kinds; nothing is imported."""
+        points = self._installed.values()
+        modules = [point.module for point in points if _package(point)[0] in packages]
+        for top in dict.fromkeys(module.partition(".")[0] for module in modules):
+            spec = find_spec(top)
+            if spec is not None and spec.submodule_search_locations:
+                for folder in spec.submodule_search_locations:
+                    yield from Path(folder).rglob("*.py")
+            elif spec is not None and spec.origin is not None and Path(spec.origin).exists():
+                yield Path(spec.origin)
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:

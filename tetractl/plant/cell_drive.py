@@ -51,7 +51,7 @@ class CellDrive:
         walk: float,
         random: np.random.Generator,
     ) -> None:
-        from tetractl.control.kernels.swimming import swim
+        from tetractl.plant.swim_kernel import swim
 
         count, self._swim, self.random = len(setup.names), swim, random
         cells, self.unit_um = Swimmers.drawn(random, count), setup.metres * 1e6

@@ -59,13 +59,13 @@ class SimHost:
 
     `repeats_ns` (B,) are the times of the next transmissions [ns]. One trial is made, and its true
     gains and dead zones are drawn from `erring`; `beside` puts trials side by side. The arrays are
-    those of `kernels.wheels.answer`.
+    those of `wheel_kernel.answer`.
     """
 
     def __init__(
         self, section: WheelDriveSection, setup: Setup, erring: np.random.Generator
     ) -> None:
-        from tetractl.control.kernels.wheels import answer
+        from tetractl.plant.wheel_kernel import answer
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
         both, self._answer, self._section = (2, setup.a.size), answer, section
@@ -150,7 +150,7 @@ class WheelDrive(WheeledRobots):
         walking: np.random.Generator,
         erring: np.random.Generator,
     ) -> None:
-        from tetractl.control.kernels.wheels import roll
+        from tetractl.plant.wheel_kernel import roll
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
         self.roll, self.host = roll, SimHost(section, setup, erring)

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles import wheels as oracle
 
-from tetractl.control.kernels import wheels as kernels
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
@@ -20,6 +19,7 @@ from tetractl.model.wheels import (
     wheel_speeds,
     with_room,
 )
+from tetractl.plant import wheel_kernel as kernels
 
 
 def test_the_papers_robot_by_hand():

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from tetractl.control.kernels import swimming as kernel
 from tetractl.core.commands import FieldOff, Steer, Stop
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -13,6 +12,7 @@ from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.experiment.load import parse_spec
 from tetractl.model.motion import swimming
 from tetractl.model.swimmers import Swimmers
+from tetractl.plant import swim_kernel as kernel
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial

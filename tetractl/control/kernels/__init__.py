@@ -10,7 +10,6 @@ small arrays.
 A kernel is compiled once for each class of constants of a motion (`tetractl.model.motion`).
 Obstacles are numbers: every shape runs the same code.
 
-A kernel depends on all files of folders named `kernels` and of motions. Each version of these
-files has a separate cache (`core.kernels.kernel_cache`), so that no outdated code runs after an
-edit or an upgrade.
+The compiled code of a kernel is kept for the files and constants that it reaches
+(`core.kernels.sources`), so that no outdated code runs after an edit or an upgrade.
 """

@@ -1,8 +1,9 @@
 """Keeps compiled kernels between runs, in place of numba's own cache.
 
-Numba's cache ends the process if one of its files is empty, damaged or cannot be written, and
-unpickles any file. Here each file begins with the SHA-256 of its contents; if the sum does not
-match, the code is compiled again. If a file cannot be written, a note is printed once.
+Numba's cache ends the process if one of its files is empty, damaged or cannot be written, unpickles
+any file, and does not see that a function in another file was edited. Here each file begins with
+the SHA-256 of its contents; if the sum does not match, the code is compiled again. If a file cannot
+be written, a note is printed once.
 """
 
 import hashlib
@@ -10,7 +11,7 @@ import os
 import pickle
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -23,29 +24,18 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from tetractl.core.cache import cache_folder, claim, compiler_settings, compiling, digest, say_once
-from tetractl.core.registries import MOTIONS
+from tetractl.core.kernels import sources
 
 _SUM = hashlib.sha256().digest_size
 
 
-def sources() -> Iterator[Path]:
-    """Yield the source files of kernels: those in folders named `kernels`, and motions.
-
-    For a motion of another package these are all modules in its folder, or only its file if the
-    module is in no package.
-    """
-    yield from Path(__file__).parents[2].rglob("kernels/*.py")
-    for file in MOTIONS.files():
-        yield from file.parent.glob("*.py") if (file.parent / "__init__.py").exists() else [file]
-
-
 @cache
 def folder() -> Path | None:
-    """Return the cache folder for the present sources and settings, None if it cannot be made.
+    """Return the cache folder for the compiler's present settings, None if it cannot be made.
 
     Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
-    name = f"kernels-{digest(set(sources()), compiler_settings())}"
+    name = f"kernels-{digest((), compiler_settings())}"
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         chosen = Path(given).absolute() / name
         why = claim(chosen)
@@ -124,7 +114,8 @@ class KernelCache:
 
     def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # with the version of Python, whose objects the code reads
-        return sig, codegen.magic_tuple(), numba.__version__, sys.implementation.cache_tag
+        system = codegen.magic_tuple(), numba.__version__, sys.implementation.cache_tag
+        return sig, *system, sources.digest(self._function, sig)
 
     def _path(self, key: tuple[Any, ...]) -> Path:
         name = f"{self._function.__module__}.{self._function.__qualname__}"

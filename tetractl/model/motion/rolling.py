@@ -1,6 +1,6 @@
 """Two-wheeled robots, see `model.wheels`: what a host sends them, and where they go.
 
-Plain loops over arrays: `tetractl.control.kernels.wheels` compiles them for the simulation.
+Plain loops over arrays: `tetractl.plant.wheel_kernel` compiles them for the simulation.
 """
 
 import math

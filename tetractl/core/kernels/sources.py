@@ -1,0 +1,111 @@
+"""What the code of a kernel is compiled from: the files and constants that its function reaches."""
+
+import hashlib
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba.core import types
+from numba.core.registry import CPUDispatcher
+
+
+def digest(function: Callable[..., Any], sig: Any) -> str:
+    """Return 16 hex digits of all that the code of a function depends on, for a signature.
+
+    These are the file of each function that it calls, directly or not, the constants that they
+    name, and the modules of the classes of its arguments: a motion is such a class, whose module
+    may use others of its package's folder.
+    """
+    files: set[Path] = set()
+    found = hashlib.sha256()
+    for one in _reached(function):
+        files.update(_own_file(one))
+        for name, value in _named(one):
+            found.update(f"{name} = {_frozen(value)}".encode())
+            if isinstance(value, FunctionType):  # an overload: its code is in the same file
+                files.update(_own_file(value))
+    for kind in _classes(sig if isinstance(sig, tuple) else sig.args):
+        files.update(_module_files(kind.__module__))
+    for each in sorted(map(_contents, files)):  # wherever the package is installed
+        found.update(each)
+    return found.hexdigest()[:16]
+
+
+def _reached(function: Callable[..., Any]) -> Iterator[FunctionType]:
+    """Yield a plain function and each that is compiled into it, once."""
+    seen, open_ends = set(), [function]
+    while open_ends:
+        one = open_ends.pop()
+        if not isinstance(one, FunctionType) or one in seen:
+            continue
+        seen.add(one)
+        yield one
+        values = [value for _, value in _named(one)]
+        values += [
+            beside
+            for value in values
+            if isinstance(value, FunctionType)
+            for beside in value.__globals__.values()
+        ]
+        open_ends += [value.py_func for value in values if isinstance(value, CPUDispatcher)]
+
+
+def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of all that a function's code names outside itself."""
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    yield from ((name, cell.cell_contents) for name, cell in cells)
+    names = sorted(_names(function.__code__))
+    for name in names:
+        if name in function.__globals__:
+            value = function.__globals__[name]
+            yield name, value
+            if isinstance(value, ModuleType) and value.__name__ not in ("math", "numpy"):
+                yield from ((n, vars(value)[n]) for n in names if n in vars(value))
+
+
+def _frozen(value: Any) -> str:
+    """Return a constant as text: its value is frozen into the code; "" for all else."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_frozen, value))})"
+    return repr(value) if isinstance(value, bool | int | float | complex | str | np.generic) else ""
+
+
+def _names(code: CodeType) -> set[str]:
+    inner = (one for one in code.co_consts if isinstance(one, CodeType))
+    return set(code.co_names).union(*map(_names, inner))
+
+
+def _classes(kinds: Iterable[Any]) -> Iterator[type[Any]]:
+    """Yield the classes of the named tuples among types, of any depth."""
+    for kind in kinds:
+        if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
+            yield kind.instance_class
+        if isinstance(kind, types.Tuple | types.UniTuple | types.NamedTuple | types.NamedUniTuple):
+            yield from _classes(tuple(kind))
+
+
+@cache
+def _module_files(name: str) -> frozenset[Path]:
+    """Return the files of a module's folder if it is in a package, else its own."""
+    origin = sys.modules[name].__file__
+    if origin is None:
+        return frozenset()
+    file = Path(origin)
+    inside = (file.parent / "__init__.py").exists()
+    return frozenset(file.parent.glob("*.py") if inside else (file,))
+
+
+def _own_file(function: FunctionType) -> tuple[Path, ...]:
+    file = Path(function.__code__.co_filename)
+    return (file,) if file.is_file() else ()
+
+
+@cache
+def _contents(file: Path) -> bytes:
+    return hashlib.sha256(file.read_bytes()).digest()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from tetractl.cli import ui
@@ -234,7 +235,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
     for (_, trial), result in report.aborted.items():
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
     left = f"; {lacking} trials were not run" if lacking else ""
-    ui.tell(f"logs in {folder}{left}; every figure: tetractl stats {folder} --full")
+    ui.tell(f"logs in {folder}{left}; every figure: tetractl stats {quote(str(folder))} --full")
     if error:
         raise error
     if report.aborted:
@@ -243,7 +244,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
         ui.tell(f"interrupted; continue with the same command and --out {folder} --resume")
         return Exit.INTERRUPTED
     first = min((trial for _, trial in report.results), default=0)
-    ui.tell(f"look at one with: tetractl replay {log_path(folder, first)}")
+    ui.tell(f"look at one with: tetractl replay {quote(str(log_path(folder, first)))}")
     if unprinted:
         raise unprinted
     return Exit.DONE

@@ -160,7 +160,7 @@ def _kept(
     n = {"n_trials": len(batch.trials), "n_counted": total.n}
     return (
         Value.row("plant", str(origin), True, **plant),
-        Value({}, tuple(assumed if origin is Origin.DISTURBED else [])),
+        Value({}, tuple(assumed if origin is Origin.DISTURBED else []), brief=""),
         Value.row("valid trials", f"{total.n} of {len(batch.trials)}", True, **n),
         Value.row(tail.label, tail.text(experiment.units.length), not tail.above or tiny),
     )

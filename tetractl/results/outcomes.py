@@ -34,7 +34,9 @@ def _outcomes(trials: Sequence[ResultSummary]) -> Value:
     found = Counter(trial.outcome for trial in trials)
     text = "; ".join(f"{n} {one.value} ({one.meaning})" for one, n in found.most_common())
     ended = {one.value: found[one] for one in (Outcome.ABORTED, Outcome.INTERRUPTED)}
-    return Value.row("outcomes", text, outcomes={one.value: found[one] for one in Outcome}, **ended)
+    brief = ", ".join(f"{n} {one.value}" for one, n in found.most_common())
+    items = {"outcomes": {one.value: found[one] for one in Outcome}, **ended}
+    return Value(items, (("outcomes", text),), brief=brief)
 
 
 def _recovered(trials: Sequence[ResultSummary]) -> Value:
@@ -112,15 +114,17 @@ def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Stat
         return found | {body: any(of(verdict, radius)) if radius else None}
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
-        columns, counted = [of_trial(trial) for trial in trials], counted_by(trials[0].experiment)
+        columns = [of_trial(trial) for trial in trials]
+        counted = counted_by(trials[0].experiment).partition(" ")[0]
         items, text = {body: None, f"{body}_ci95": None}, f"{NONE} (no radius)"
-        usual = label != "entered an obstacle"
+        usual, brief = label != "entered an obstacle", None
         for key, column in ([centre] if centre else []) + [(body, body)]:
             if columns[0][column] is not None:
                 found, share = fraction(key, [one[column] for one in columns])
                 items, text = items | found, f"{share}, counting {counted}"
+                brief = f"{found[key]} of {len(trials)} ({counted})"
                 usual &= not found[key]
-        return Value.row(label, text, usual, **items)
+        return Value(items, ((label, text),), usual, brief)
 
     return Statistic(of_batch, of_trial)
 

@@ -21,11 +21,14 @@ from tetractl.results.open_batch import counts
 class Value:
     """The value of a statistic: by key for JSON (`items`), and as rows of label and text for a
     table. The rows of a `usual` value, such as no damaged log, are shown with `--full` only.
+    Without it, `brief` stands for the text of a row next to those of other batches; if it is "",
+    the row is left out.
     """
 
     items: dict[str, Any]
     rows: tuple[tuple[str, str], ...]
     usual: bool = False
+    brief: str | None = None
 
     @classmethod
     def row(cls, label: str, text: str, usual: bool = False, /, **items: Any) -> Self:

@@ -10,6 +10,7 @@ from tetractl.core.table.table import NONE, Column, Table, fixed, lengths, p_val
 from tetractl.core.table.table_files import flat
 from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import BatchComparison, Contrast
 from tetractl.results.describe import PUBLISHED, BatchStatistics, flagged
 from tetractl.results.estimate import Distribution, Interval, known_distribution
@@ -39,19 +40,28 @@ def _verdict(one: Contrast) -> str:
     found = "no significant difference" if alike else f"{one.verdict} mean error"
     found = f"no verdict ({one.reason})" if one.verdict is None else found
     show = lengths(one.difference.value, finest(one.one.experiment))
-    counted = one.counted if one.pairs else f"{one.counted} trials"
-    return f"{found}, {one.difference.text(one.one.unit, show, one.p_holm)} ({test}, {counted})"
+    basis = f"{test}, {one.counted}" if one.pairs else test  # else n is in the table
+    return f"{found}, {one.difference.text(one.one.unit, show, one.p_holm)} ({basis})"
 
 
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, str]]:
     """Yield label and text of every value that is not usual, and of the flagged trials."""
-    rows = dict[str, dict[str, list[str]]]()
+    rows, several = dict[str, dict[str, list[str]]](), len(groups) > 1
+
+    def add(label: str, text: str, name: str) -> None:
+        rows.setdefault(label, {}).setdefault(text, []).append(name)
+
     for group in groups:
-        for label, text in (row for value in group.values if not value.usual for row in value.rows):
-            rows.setdefault(label, {}).setdefault(text, []).append(group.name)
-    for trial in (trial for group in groups for trial in flagged(group.batch)):
-        name = "/".join(Path(trial.path.removesuffix(".mcap")).parts[-2:])
-        rows.setdefault("flagged", {}).setdefault(", ".join(trial.notes), []).append(name)
+        for value in (value for value in group.values if not value.usual):
+            for label, text in value.rows:
+                if shown := text if value.brief is None or not several else value.brief:
+                    add(label, shown, group.name)
+        odd = [(Path(t.path).stem, ", ".join(t.notes)) for t in flagged(group.batch)]
+        if several:  # one of each batch: the others are named in full
+            more = f" and {len(odd) - 1} more" if odd[1:] else ""
+            odd = [(group.name, f"{trial} ({notes}){more}") for trial, notes in odd[:1]]
+        for trial, notes in odd:
+            add("flagged", notes, trial)
     every = [group.name for group in groups]
     for label, texts in rows.items():
         named = (t if names == every else f"{listing(names)}: {t}" for t, names in texts.items())
@@ -125,6 +135,8 @@ def _errors(groups: Sequence[BatchStatistics], robots: bool = True) -> Table:
     else:
         named = [(group.name, group.total) for group in groups]
         title = f"Final total errors of {len(groups)} batches, {plants}"
+        assumed = any(group.origin is Origin.DISTURBED for group in groups)
+        title += " (disturbances assumed)" * assumed
     for group in groups:
         known = group.experiment.reference
         if known and all(name != "published" for name, _ in named):

@@ -48,10 +48,7 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
     assert (items["obstacle_violations"], items["left_arena"]) == (0, 1)
     assert (items["body_in_obstacle"], items["body_over_edge"], items["bodies_touch"]) == (1, 2, 1)
     rows = found.rows
-    assert (
-        rows["left the arena"]
-        == "2 of 3 (95 % interval 21 to 94 %), counting bodies of radius 47 mm"
-    )
+    assert rows["left the arena"] == "2 of 3 (95 % interval 21 to 94 %), counting bodies"
     assert rows["touched one another"].startswith("1 of 3")
     columns = trials_table(found.batch).as_dict()
     assert columns["outside_arena"] == [False, True, False]

@@ -3,6 +3,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
@@ -50,16 +51,32 @@ def test_the_summary_says_what_is_not_usual_and_where():
     assert lines[6].startswith("a - b: no significant difference, ")
     assert lines[6].endswith(" (paired t, 17 pairs)")
     rows = dict(line.split(": ", 1) for line in lines[7:-1])
-    assert rows["disturbances"] == "assumed in the spec, not measured"
-    assert rows["outcomes"].startswith("a: 19 sequence completed (every signal")
-    assert rows["left the arena"].startswith("a: 19 of 20 (95 % interval")
+    assert rows["outcomes"].startswith("a: 19 sequence completed, 1 aborted; b: 18 ")
+    assert rows["left the arena"] == "a: 19 of 20 (centres)"
     assert rows["read from damaged logs"] == "a: 1"
-    assert "a/trial-003: blue left the arena, read from a damaged log" in rows["flagged"]
-    assert (
-        "trial-004.mcap" not in rows["flagged"] and "trial-004: excluded, pulled" in rows["flagged"]
+    assert rows["flagged"] == "a: trial-000 (blue left the arena) and 19 more"
+    assert not {"difference from published", "disturbances"} & set(rows)
+    lines = printed(ours, of=summary).splitlines()
+    rows = dict(line.split(": ", 1) for line in lines[5:-1])
+    assert rows["outcomes"].startswith("19 sequence completed (every signal")
+    assert rows["left the arena"].startswith("19 of 20 (95 % interval")
+    assert "; trial-003: blue left the arena, read from a damaged log" in rows["flagged"]
+    assert "; trial-004: excluded, pulled" in rows["flagged"]
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_the_summary_takes_twelve_lines_of_a_terminal(width):
+    edge = Verdict(Poses.of(np.zeros((3, 3))), *((False,) * 3, (50.0,) * 3), edge=(5.0, -1.0, 5.0))
+    bodies = experiment(
+        reference=REFERENCE,
+        plant=DISTURBED,
+        controller={"type": "mpc", "collision": {"radius": 47}},
     )
-    assert "difference from published" not in rows
-    assert len(lines) <= 14
+    ours, paper = group(batch(ERRORS, bodies)), group(batch(ERRORS, SPEC, verdict=edge))
+    two = (replace(ours, name="ours"), replace(paper, name="paper"))
+    for groups in ((ours,), two):
+        lines = printed(*groups, of=summary, width=width, force_terminal=True).splitlines()
+        assert len([line for line in lines if line]) <= 12 - 2 * (len(groups) == 1)  # of `run`
 
 
 def test_the_verdicts_on_many_batches_are_a_table():
@@ -142,6 +159,8 @@ def test_latex_has_units_minus_signs_and_a_width():
     assert r"arrived & -- (no arrival\_tolerance)" in text
     assert text.count(r"\begin{tabular}") == text.count(r"\resizebox{\ifdim\width>\linewidth")
     assert text.count(r"\begin{tabularx}{\linewidth}") == 3
+    one, other = (group(batch(ERRORS, SPEC), name=name) for name in ("[a]", "b"))
+    assert "{[}a] & " in latex(summary(contrast([one, other])))  # "\\ [a]" would be a length
 
 
 def shown(summary, label, *comparison):

@@ -16,7 +16,7 @@ LISTED_MAX = 20
 WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 
-_FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
+_FITTED = r"\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a LaTeX column with wrapped text
 _SPECIAL = str.maketrans(
     {
@@ -114,7 +114,7 @@ def latex(tables: Sequence[Table]) -> str:
         body = [r"\toprule", header, r"\midrule", *rows, r"\bottomrule"]
         width = len(table.columns)
         if table.words:
-            begin = rf"\begin{{tabularx}}{{\linewidth}}{{{_WORDS * width}}}"
+            begin = rf"\noindent\begin{{tabularx}}{{\linewidth}}{{{_WORDS * width}}}"
             parts += [begin, *body, r"\end{tabularx}", ""]
         else:
             note = _escaped(". ".join(filter(None, notes)))
@@ -131,8 +131,10 @@ def _latex_cell(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Return text with LaTeX's special characters escaped; a path may break after each part."""
-    text = printable(text).strip().translate(_SPECIAL)
+    """Return text with LaTeX's special characters escaped, and a first "[", which would belong to
+    the end of the row above; a path may break after each part.
+    """
+    text = re.sub(r"^\[", "{[}", printable(text).strip().translate(_SPECIAL))
     text = _UM.sub(r"$\\mu$m", _MINUS.sub("$-$", text))
     return text.replace("/", r"/\allowbreak{}")
 

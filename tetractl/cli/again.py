@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def rerun(
     log: ui.Log,
     sets: ui.Sets = None,
-    plant: ui.PlantChoice = "sim",
+    plant: str = "sim",
     yes: ui.Yes = False,
     unattended: bool = False,
     out: Path | None = None,
@@ -81,7 +81,7 @@ def _errors_of(was: Path, again: Path, unit: str) -> int:
     return Exit.DONE
 
 
-def _recorded(trial: "TrialLog", plant: ui.PlantChoice, sets: Sequence[str]) -> "LoadedSpec":
+def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec":
     """Return the spec of a log with values replaced, changed to the given plant.
 
     No calibration file is read: the spec in a log of the lab has the calibration's values.

@@ -6,6 +6,7 @@ answers at once.
 
 import re
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -31,8 +32,10 @@ from tetractl.cli import (
     track,
     ui,
 )
-from tetractl.core.errors import Exit, TetractlError
+from tetractl.core.errors import Exit, TetractlError, UsageError
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
+from tetractl.core.registry import PluginError, Registry
+from tetractl.experiment.packages import not_installed
 
 PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
     (
@@ -79,6 +82,14 @@ class _Command(TyperCommand):
 class _Group(TyperGroup):
     def get_params(self, ctx: Any) -> Any:
         return _placeholders(super().get_params(ctx))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command with this name; UsageError if its package is not installed."""
+        group = LAB_GROUP if self.name == "lab" else GROUP
+        found = super().get_command(ctx, cmd_name)
+        if found is None and (missing := not_installed(group, cmd_name)):
+            raise UsageError(f"'{ctx.command_path} {cmd_name}' {missing[0]}", missing[1])
+        return found
 
 
 app = typer.Typer(
@@ -134,14 +145,42 @@ COMMANDS = (
     identify.identify,
     track.track,
 )
+GROUP, LAB_GROUP = "tetractl.commands", "tetractl.lab_commands"
+"""Groups of entry points, with which other packages add commands."""
 LAB_COMMANDS = (lab_emulate.emulate, lab.check, lab.stop, lab.calibrate, lab_survey.survey)
 lab_app = typer.Typer(name="lab", no_args_is_help=True, help=lab.HELP, cls=_Group)
 app.add_typer(lab_app)
-for group, functions in ((app, COMMANDS), (lab_app, LAB_COMMANDS)):
-    for function in functions:
-        name = function.__name__.strip("_").replace("_", "-")
-        help_text = _BREAK.sub(" ", ui.declare_options(function))
-        group.command(name, cls=_Command, help=help_text)(function)
+
+
+def _add(group: typer.Typer, name: str, function: Callable[..., object]) -> None:
+    help_text = _BREAK.sub(" ", ui.declare_options(function))
+    group.command(name, cls=_Command, help=help_text)(function)
+
+
+def _unusable(group: typer.Typer, name: str, error: PluginError) -> None:
+    """Add a command that only says why another package's command cannot be used."""
+
+    def fail() -> None:
+        raise error
+
+    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
+    text = f"Cannot be used: {error.message}"
+    group.command(name, help=text, context_settings=anything, add_help_option=False)(fail)
+
+
+for group, registry, functions in (
+    (app, Registry(GROUP, {}), COMMANDS),
+    (lab_app, Registry(LAB_GROUP, {}), LAB_COMMANDS),
+):
+    ours = {function.__name__.strip("_").replace("_", "-"): function for function in functions}
+    for name, function in ours.items():
+        _add(group, name, function)
+    for name in registry.names():
+        try:
+            if name not in ours:
+                _add(group, name, registry.load(name))
+        except PluginError as error:
+            _unusable(group, name, error)
 
 
 def run_app() -> int:

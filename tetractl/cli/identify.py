@@ -24,7 +24,7 @@ def design(
     spec: ui.Spec,
     sets: ui.Sets = None,
     seconds: Annotated[float, ui.ValueRange(1, 120)] = 10.0,
-    plant: ui.PlantChoice | None = None,
+    plant: str | None = None,
     logs: Path | None = None,
     yes: ui.Yes = False,
     out: Path | None = None,

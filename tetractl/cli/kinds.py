@@ -18,8 +18,8 @@ def kinds(
     """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
     on.
 
-    Each line names the interface, the `type`, and the package and the code that provide it. Exits
-    with 2 if an installed package is broken.
+    Each line names the interface, the `type`, and the package and the code that provide it, and
+    what a kind needs that is not installed. Exits with 2 if an installed package is broken.
 
     With --check it tests a kind of your own: that its NumPy functions, compiled functions and
     derivatives agree, that its bounds hold, and that equal seeds give equal results. Exits with 1
@@ -42,15 +42,22 @@ def kinds(
 
 def _list(as_json: bool) -> int:
     from tetractl.core.registries import REGISTRIES
-    from tetractl.core.registry import PluginError
+    from tetractl.core.registry import Kind, PluginError
 
-    problems: dict[str, str] = {}
+    problems: dict[Kind, str] = {}
+    broken: list[str] = []
     rows = [(registry, kind) for registry in REGISTRIES for kind in registry.kinds()]
     for registry, kind in rows:
         try:
             registry.load(kind.name)
-        except PluginError as error:
-            problems[kind.code] = error.message
+        except (PluginError, ModuleNotFoundError) as error:
+            cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
+            own = kind.code.partition(".")[0]
+            if isinstance(cause, ModuleNotFoundError) and not (cause.name or own).startswith(own):
+                problems[kind] = f"needs {cause.name}, which is not installed"
+            else:
+                problems[kind] = str(error)
+                broken.append(str(error))
     if as_json:
         listed = [
             {
@@ -59,7 +66,7 @@ def _list(as_json: bool) -> int:
                 "package": kind.package or None,
                 "version": kind.version or None,
                 "code": kind.code,
-                "problem": problems.get(kind.code),
+                "problem": problems.get(kind),
             }
             for registry, kind in rows
         ]
@@ -67,9 +74,10 @@ def _list(as_json: bool) -> int:
     else:
         for registry, kind in rows:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
-            print(f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}")
-        ui.tell(*(f"error: {problem}" for problem in problems.values()))
-    return Exit.USAGE if problems else Exit.DONE
+            line = f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}"
+            print(f"{line}  [{problems[kind]}]" if kind in problems else line)
+        ui.tell(*(f"error: {problem}" for problem in broken))
+    return Exit.USAGE if broken else Exit.DONE
 
 
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:

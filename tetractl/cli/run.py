@@ -14,7 +14,7 @@ def run(
     trials: Annotated[int | None, ui.ValueRange(1)] = None,
     seed: Annotated[int | None, ui.ValueRange(0)] = None,
     sets: ui.Sets = None,
-    plant: ui.PlantChoice | None = None,
+    plant: str | None = None,
     yes: ui.Yes = False,
     unattended: bool = False,
     out: Path | None = None,

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
 
 import typer
 
@@ -101,9 +101,8 @@ Strict = Annotated[bool, option("", "Exit with code 2 if a spec has warnings.", 
 Yes = Annotated[
     bool, option("", "Move robots without asking; needed if there is no terminal.", "--yes")
 ]
-PlantChoice = Literal["sim", "lab", "emulated"]
 LabChoice = Annotated[
-    Literal["lab", "emulated"],
+    str,
     option(
         "lab|emulated",
         "lab: the spec's lab. emulated: emulate that lab in virtual time.",

@@ -3,24 +3,22 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
-from tetractl.core.commands import VIRTUAL_LAB
-from tetractl.core.errors import SpecError, printable
+from tetractl.core.errors import SpecError, UsageError, printable
 from tetractl.core.registries import PLANTS
 from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
-from tetractl.experiment.registry_fields import KindSection
+from tetractl.experiment.packages import not_installed
+from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
-
-PlantKind = Literal["sim", "lab", "emulated"]
 
 
 class Calibration(Model):
@@ -34,18 +32,19 @@ class Calibration(Model):
     """Values that replace values in `lab.actuator`."""
 
 
-def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
+def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
     """Return the spec with the plant that will be run: of a given kind, or the spec's own.
 
     Values of the lab's calibration file replace the spec's; the file's text is attached to the log.
     An unused `lab` section is kept for other runs.
     """
     experiment = loaded.experiment
-    if kind == "sim" and not experiment.plant.simulated:
-        updated = {"plant": KindSection(PLANTS, default="sim").make(), "lab": experiment.plant}
-        return replace(loaded, experiment=experiment.model_copy(update=updated))
-    if kind in (None, "sim") and experiment.plant.simulated:
+    if experiment.plant.simulated and kind in (None, "sim", experiment.plant.type):
         return loaded
+    if kind is not None and not of_lab(kind):
+        lab = experiment.lab if experiment.plant.simulated else experiment.plant
+        updated = {"plant": _with_defaults(kind), "lab": lab}
+        return replace(loaded, experiment=experiment.model_copy(update=updated))
     lab = lab_as(kind, lab_of(experiment, loaded.name))
     loaded = replace(loaded, experiment=experiment.model_copy(update={"plant": lab, "lab": None}))
     for loc, message in section_contradictions(loaded.experiment):
@@ -59,9 +58,26 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     return replace(loaded, experiment=experiment, attached=attached)
 
 
-def lab_as(kind: PlantKind | None, lab: LabSection) -> LabSection:
-    """Return a lab as a plant of a kind; None and another package's kind change nothing."""
-    if kind is None or kind == lab.type or VIRTUAL_LAB not in (kind, lab.type):
+def _with_defaults(kind: str) -> PlantSection:
+    try:
+        return PLANTS.load(kind).model_validate({"type": kind})
+    except ValidationError as error:
+        fields = ", ".join(str(one["loc"][0]) for one in error.errors() if one["loc"])
+        raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
+
+
+def of_lab(kind: str) -> bool:
+    """Return whether a kind of plant has the fields of a lab; UsageError if there is none."""
+    if kind not in PLANTS:
+        why, hint = not_installed(PLANTS.group, kind) or ("there is no such plant", None)
+        raise UsageError(f"--plant {kind}: {why}", hint or f"one of {', '.join(PLANTS.names())}")
+    section: type[PlantSection] = PLANTS.load(kind)
+    return issubclass(section, LabSection)
+
+
+def lab_as(kind: str | None, lab: LabSection) -> LabSection:
+    """Return a lab as a plant of a kind; None, and "lab" for one that is real, change nothing."""
+    if kind is None or kind == lab.type or (kind == "lab" and lab.real_time):
         return lab
     return PLANTS.load(kind).model_validate(dict(lab) | {"type": kind})
 

@@ -10,6 +10,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.core.registry import Registry
 from tetractl.experiment.base import Model
+from tetractl.experiment.packages import not_installed
 
 STRICT = {"strict": True}
 """Validation context in which values of another type are refused, as when a spec is read."""
@@ -70,6 +71,8 @@ class KindSection:
         if name is None:
             raise PydanticCustomError("union_tag_not_found", "has no type", {"known": known})
         if not isinstance(name, str) or name not in self.registry:
+            if missing := not_installed(self.registry.group, str(name)):
+                raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(missing)})
             raise PydanticCustomError("union_tag_invalid", "has an unknown type", {"known": known})
         section = self.registry.load(name)
         if not issubclass(section, self._base):

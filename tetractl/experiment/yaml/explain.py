@@ -123,6 +123,9 @@ def _problem(
         return place.problem(
             (*loc, "type"), known + did_you_mean(str(wrong), list(options)), place.text
         )
+    if kind == "not_installed":
+        place = document.place((*loc, "type"))
+        return place.problem((*loc, "type"), context["why"], place.text)
     place = document.place(loc)
     message = _words(details, loc, value, document.data, schema)
     if value is None and loc in document.values and kind != "inconsistent":

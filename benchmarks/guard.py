@@ -6,6 +6,7 @@
     python benchmarks/guard.py --rate 30          frames as seldom as an AprilTag camera's
     python benchmarks/guard.py --culprits         what the reasons name, in two plays each
     python benchmarks/guard.py --alarms 1000      the same trials with nothing wrong
+    python benchmarks/guard.py --batches 4        batches with a pose that turns in one trial
 
 Three m3pi robots drive by model predictive control in the emulated lab, in virtual time, before a
 camera with noise of 0.3 mm and 4 mrad; each wheel is up to 10 % off, and 5 % of the
@@ -26,11 +27,14 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
+from support.bench_agreement import lab_spec  # noqa: E402
 from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, slow_radio, trial_of  # noqa: E402
 from support.virtual_lab import VirtualLab  # noqa: E402
 
 from tetractl.core.errors import AbortError  # noqa: E402
 from tetractl.lab.drift_check import LIMIT  # noqa: E402
+from tetractl.log.read.trial_log import Origin, ResultSummary  # noqa: E402
+from tetractl.results.turning import turned_otherwise  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
 SLOW = {  # what the long check is for
@@ -68,6 +72,8 @@ NAMED = {
     "radio": "is the radio slow",
     "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
 }
+BATCH = 20  # trials of a batch
+TURNS = (0.05, 0.1, 0.15, 0.2)  # of a pose in one trial of a batch [rad/s]
 TAIL = 5.0  # statistic above which the tail of good trials is fitted
 
 
@@ -190,12 +196,52 @@ def alarms(first: int, last: int) -> None:
             )
 
 
+def batches(first: int, last: int) -> None:
+    """Print what `stats` marks in each batch, whose robots are those of the trial of its number:
+    of BATCH trials in which nothing is wrong; and of the same trials, but for the one of the
+    batch's number, in which a pose turns from the first command on, for each robot and rate.
+    """
+    spec = lab_spec().experiment
+
+    def run(batch: int, trial: int, play: Ghost | None = None) -> ResultSummary:
+        haunt = play.haunt if play else lambda lab: None
+        result = trial_of(haunt, trial, RATE_HZ, robots_of=batch)
+        name = f"trial {trial}"
+        return ResultSummary(name, spec, 0, trial, Origin.EMULATED, result, False, None)
+
+    rows = {rate: [0] * 5 for rate in TURNS}
+    for batch in range(first, last):
+        honest = [run(batch, trial) for trial in range(BATCH)]
+        ended = sum(not one.outcome.complete for one in honest)
+        marks = dict(turned_otherwise(honest))
+        print(f"batch {batch}: {BATCH} trials, {ended} aborted, marked: {marks or 0}", flush=True)
+        for rate, row in rows.items():
+            for who in ALL:
+                play = Ghost("turn", rate, (who,), at_s=0.0, limit_s=60.0)
+                k = batch % BATCH
+                false = run(batch, k, play)
+                marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
+                seen = any(t in false.result.reason for t in (*NOTICED, "still moves"))
+                mark = false.path in marks
+                row[:4] = row[0] + 1, row[1] + seen, row[2] + mark, row[3] + (mark and not seen)
+                row[4] += len(marks) - mark
+                print(f"  {rate} {who}: {false.result.summary}; {dict(marks)}", flush=True)
+    print("| pose shown | stopped for it | marked | of those not stopped | other trials marked |")
+    print("|---|--:|--:|--:|--:|")
+    for rate, (n, seen, marked, alone, others) in rows.items():
+        print(
+            f"| turn, {rate:g} rad/s | {seen} of {n} | {marked} of {n} | {alone} of {n - seen} "
+            f"| {others} |"
+        )
+
+
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--plays", type=int, default=2, metavar="N")
 parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
 parser.add_argument("--slow", action="store_true", help="poses that leave their robots slowly")
 parser.add_argument("--culprits", action="store_true", help="what the reasons name")
 parser.add_argument("--alarms", type=int, metavar="N", help="trials in which nothing is wrong")
+parser.add_argument("--batches", type=int, metavar="N", help="batches with false trials in them")
 parser.add_argument("--first", type=int, default=0, metavar="K", help="the first of them")
 parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
 
@@ -204,6 +250,8 @@ if __name__ == "__main__":
     PLAYS, RATE_HZ = options.plays, options.rate
     if options.alarms:
         alarms(options.first, options.first + options.alarms)
+    elif options.batches:
+        batches(options.first, options.first + options.batches)
     elif options.culprits:
         print("| what happens | is | camera named | radio named | robot named | other | off [mm] |")
         print(f"|---|---|{'--:|' * 5}")

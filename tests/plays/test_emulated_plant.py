@@ -34,6 +34,9 @@ def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path)
     assert len(set(first)) == 2  # each trial has noise of its own
     log = read_trial(tmp_path / "one" / "trial-000.mcap")
     assert (log.start.plant.kind, log.origin.value) == ("emulated", "emulated lab")
+    assert log.result is not None
+    assert all(0.0 < error < 1.0 for error in log.result.verdict.turn_std)
+    assert len(log.result.verdict.turn) == 3  # rates that are known, of wheels as in the spec
     again = ("rerun", "one/trial-001.mcap", "--plant", "emulated", "--out", "again")
     done = tetractl(tmp_path, *again).ok()
     assert f"the content digests agree: {first[1]}" in done.stderr

@@ -158,10 +158,13 @@ def slow_radio(lab: VirtualLab, delay_s: float) -> None:
 
 
 def trial_of(
-    change: Callable[[VirtualLab], None], trial: int = 0, rate_hz: float = CAMERA_HZ
+    change: Callable[[VirtualLab], None],
+    trial: int = 0,
+    rate_hz: float = CAMERA_HZ,
+    robots_of: int | None = None,
 ) -> Result:
     """Run a trial of the lab changed by `change`, with noisy frames and wheels up to 10 % off."""
     spec = lab_spec("controller.optimizer.rounds=2")
-    result = lab_trial(spec, trial, 0.1, NOISE | {"rate": rate_hz}, change).result
+    result = lab_trial(spec, trial, 0.1, NOISE | {"rate": rate_hz}, change, robots_of).result
     assert result is not None
     return result

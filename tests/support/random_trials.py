@@ -105,6 +105,10 @@ def trial(
         rounds.append((samples, replace(step, solve_ns=step.solve_ns + host_ns)))
     final = _poses(rng, robots)
     errors = rng.uniform(0, 500, robots).tolist()
+    verdict = Verdict(final, (True,) + (False,) * (robots - 1), _clearances(rng, robots))
+    if not simulated:
+        turn = tuple(rng.normal(0.0, 0.1, robots).tolist())
+        verdict = replace(verdict, turn=turn, turn_std=(*[0.01] * (robots - 1), float("inf")))
     result = Result(
         outcome=Outcome.SEQUENCE_COMPLETED,
         reason="no signal left",
@@ -112,7 +116,7 @@ def trial(
         duration_s=steps * 0.2,
         total_error=sum(errors),
         robot_errors=tuple(errors),
-        verdict=Verdict(final, (True,) + (False,) * (robots - 1), _clearances(rng, robots)),
+        verdict=verdict,
         solve_ns=tuple(int(n) + host_ns for n in rng.integers(0, 10**9, steps)),
         deadline_misses=host_ns % 7,
     )

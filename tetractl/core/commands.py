@@ -115,7 +115,9 @@ class Verdict:
     the least distance of each robot to another robot, inf for a single robot; both are empty in
     older logs. All distances are measured from the robots' centres; the methods count bodies of a
     `radius` [length unit], by default the centres. `stood` is a text on the simulated robots that
-    stood for long though commanded to move, "" for none.
+    stood for long though commanded to move, "" for none. In a lab with robots on wheels `turn` (N,)
+    is the rate at which each robot turned by itself while it drove, and `turn_std` (N,) its
+    standard error, inf if it is unknown [rad/s]; otherwise both are empty.
     """
 
     final: Poses
@@ -125,6 +127,8 @@ class Verdict:
     edge: tuple[float, ...] = ()
     apart: tuple[float, ...] = ()
     stood: str = ""
+    turn: tuple[float, ...] = ()
+    turn_std: tuple[float, ...] = ()
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) entered an obstacle."""

@@ -130,6 +130,7 @@ STATISTICS = Registry(  # in the order in which tables show them
         "way_points": "tetractl.results.outcomes:WAY_POINTS",
         "time_inside": "tetractl.results.outcomes:TIME_INSIDE",
         "lost": "tetractl.results.outcomes:LOST",
+        "turn": "tetractl.results.turning:TURN",
         "recovered": "tetractl.results.outcomes:RECOVERED",
         "solve_ms": "tetractl.results.outcomes:SOLVE_MS",
         "deadline_misses": "tetractl.results.outcomes:DEADLINE_MISSES",

@@ -50,6 +50,7 @@ SPACING, GRID = 5, 32  # blocks between two moments of the grid, and the most mo
 LIMIT = 16.0  # of the statistic; good trials of the emulated lab reach 13, see decision 0090
 STEADY = 0.25  # largest error of wheels whose error is constant; a dead zone causes a larger one
 SURE = 3.0  # standard deviations by which a wheel must be beyond its largest error
+LEAST_KNOWN = 0.01  # share of the prior's variance that a trial must have explained
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 TURNS = (
     "robots turn by themselves while they drive, by wheels that differ or by poses false since "
@@ -127,14 +128,30 @@ class DriftCheck:
         standard deviations; "" if none does. Their wheels differ, or their poses are false since
         the start: one trial cannot distinguish them.
         """
-        per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
-        rates, errors = per * self._fit[:, 2], per * np.sqrt(self._spread[:, 2, 2])
         found = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
-            for name, rate, error in zip(self._names, rates, errors, strict=True)
+            for name, rate, error in zip(self._names, *self.turning(), strict=False)
             if abs(rate) > SURE * error
         ]
         return TURNS.format(", ".join(found)) if found else ""
+
+    def turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the rates (N,) at which the robots turn by themselves when they drive as fast as
+        they were commanded at most, and their standard errors, inf for robots that did not drive
+        [rad/s]; both empty if none is known.
+
+        The prior of d is taken out again, so that trials of one robot can be compared: d known by
+        m with the variance q, of which the prior is p, has the rate v / r m / (1 - q / p) and the
+        variance (v / r)^2 q / (1 - q / p).
+        """
+        per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
+        variance = self._spread[:, 2, 2]
+        share = 1.0 - variance / PRIOR[2] ** 2
+        known = (share > LEAST_KNOWN) & (per > 0.0)
+        share = np.where(known, share, 1.0)
+        rates = np.where(known, per * self._fit[:, 2] / share, 0.0)
+        errors = np.where(known, per * np.sqrt(variance / share), np.inf)
+        return (tuple(rates.tolist()), tuple(errors.tolist())) if known.any() else ((), ())
 
     def left_over(self, i: int, seen: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
         """Return what commands and wheels do not explain of the motion of robot i over its poses

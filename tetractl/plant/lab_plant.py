@@ -4,6 +4,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -228,7 +229,9 @@ class LabPlant:
         if self.rig.guard.state is GuardState.ABORT:
             not_at_rest = not_at_rest or self.rig.guard.reason
         self._take_frames()
-        return self._path_check.verdict(self._final(), not_at_rest)
+        turn, error = self.rig.guard.drift.turning()
+        verdict = self._path_check.verdict(self._final(), not_at_rest)
+        return replace(verdict, turn=turn, turn_std=error)
 
     def _final(self) -> Poses:
         """Return the final poses: at rest or, if the robots swim on, the poses in the frame whose

@@ -17,6 +17,7 @@ from tetractl.results.mean_difference import MeanDifference, welch
 from tetractl.results.open_batch import Batch, counts, experiment_of
 from tetractl.results.outcomes import SAFETY
 from tetractl.results.statistic import Value, statistics
+from tetractl.results.turning import turned_otherwise
 
 PUBLISHED = "difference from published"
 """Label of the difference from the published result."""
@@ -231,13 +232,13 @@ def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
     A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle,
-    left the arena, touched another one, was lost or stood though commanded to move, or the trial
-    ended at `steps max`. Warnings flag trials in a lab only, since in a simulation the spec
-    requests the disturbances.
+    left the arena, touched another one, was lost, stood though commanded to move or turned
+    otherwise than in the other trials, or the trial ended at `steps max`. Warnings flag trials in a
+    lab only, since in a simulation the spec requests the disturbances.
     """
-    found = []
+    found, turned = [], turned_otherwise(batch.trials)
     for trial in batch.trials:
-        if notes := _notes(trial):
+        if notes := [*_notes(trial), *turned.get(trial.path, ())]:
             why = () if counts(trial) else ("excluded",)
             found.append(Flagged(trial.path, trial.outcome.value, (*why, *notes)))
     for trial in batch.attempts:

@@ -99,3 +99,30 @@ def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
     rate, error = map(float, re.search(r"green ([+\d.]+) ± ([\d.]+) rad/s$", text).groups())
     assert rate == pytest.approx(0.2, abs=3 * error + 0.02)
     assert "blue" not in text
+
+
+def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels():
+    """Their difference is in the standard errors, and a robot that does not drive has no rate."""
+    random = np.random.default_rng(3)
+    check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
+    assert check.turning() == ((), ())
+    own, off = np.array([0.3, -0.5, 0.1]), []
+    for seconds in (1.0, 20.0):
+        poses, way, last = np.zeros((3, 3)), np.zeros((3, 3)), ()
+        check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
+        for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
+            check.sent(now - SECOND // 20, [SPEED, SPEED, 0.0], np.zeros(3))
+            speed = np.array([SPEED, SPEED, 0.0])
+            poses[:, 2] += own * (speed > 0) * FRAME_NS / SECOND
+            courses = np.array([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+            poses[:, :2] += (speed * courses).T * FRAME_NS / SECOND
+            seen = [Pose(*map(float, row)) for row in poses + random.normal(0, 0.003, (3, 3))]
+            if last:
+                pairs = zip(last, seen, strict=True)
+                way = way + np.array([motion(then, pose) for then, pose in pairs])
+                check.frame(now, seen, way)
+            last = seen
+        rates, errors = map(np.array, check.turning())
+        off.append(np.abs(rates - own)[:2] / errors[:2])
+        assert errors[2] == np.inf
+    assert np.max(off) < 3.0 and errors[0] < 0.02

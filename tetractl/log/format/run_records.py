@@ -18,7 +18,7 @@ from tetractl.log.format.codec import named, stated
 
 OF_RESULT = ("reason", "steps", "duration_s", "passed", "inside", "lost")
 OF_ERRORS = ("total_error", "robot_errors")
-OF_VERDICT = ("entered", "clearance", "edge", "apart")
+OF_VERDICT = ("entered", "clearance", "edge", "apart", "turn", "turn_std")
 OF_POSES = ("x", "y", "heading")
 """Fields that a result, its verdict and its final poses share with their message."""
 
@@ -91,6 +91,7 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
     final = (m.final_x, m.final_y, m.final_heading)
     columns = [*final, m.robot_errors, m.entered, m.clearance]
     columns += [column for column in (m.edge, m.apart, m.inside, m.lost) if column]
+    columns += [m.turn, m.turn_std] if m.turn or m.turn_std else []
     if any(len(column) != robots for column in columns):
         raise ValueError("the result and the run have different numbers of robots")
     return Result(

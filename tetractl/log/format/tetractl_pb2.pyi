@@ -226,7 +226,7 @@ class Host(_message.Message):
     def __init__(self, facts: _Optional[_Iterable[_Union[Fact, _Mapping]]] = ...) -> None: ...
 
 class Result(_message.Message):
-    __slots__ = ("outcome", "reason", "unit", "steps", "duration_s", "total_error", "robot_errors", "entered", "clearance", "edge", "apart", "final_x", "final_y", "final_heading", "passed", "inside", "lost", "warnings")
+    __slots__ = ("outcome", "reason", "unit", "steps", "duration_s", "total_error", "robot_errors", "entered", "clearance", "edge", "apart", "final_x", "final_y", "final_heading", "passed", "inside", "lost", "warnings", "turn", "turn_std")
     OUTCOME_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
@@ -245,6 +245,8 @@ class Result(_message.Message):
     INSIDE_FIELD_NUMBER: _ClassVar[int]
     LOST_FIELD_NUMBER: _ClassVar[int]
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    TURN_FIELD_NUMBER: _ClassVar[int]
+    TURN_STD_FIELD_NUMBER: _ClassVar[int]
     outcome: str
     reason: str
     unit: str
@@ -263,7 +265,9 @@ class Result(_message.Message):
     inside: _containers.RepeatedScalarFieldContainer[float]
     lost: _containers.RepeatedScalarFieldContainer[int]
     warnings: int
-    def __init__(self, outcome: _Optional[str] = ..., reason: _Optional[str] = ..., unit: _Optional[str] = ..., steps: _Optional[int] = ..., duration_s: _Optional[float] = ..., total_error: _Optional[float] = ..., robot_errors: _Optional[_Iterable[float]] = ..., entered: _Optional[_Iterable[bool]] = ..., clearance: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., apart: _Optional[_Iterable[float]] = ..., final_x: _Optional[_Iterable[float]] = ..., final_y: _Optional[_Iterable[float]] = ..., final_heading: _Optional[_Iterable[float]] = ..., passed: _Optional[_Iterable[float]] = ..., inside: _Optional[_Iterable[float]] = ..., lost: _Optional[_Iterable[int]] = ..., warnings: _Optional[int] = ...) -> None: ...
+    turn: _containers.RepeatedScalarFieldContainer[float]
+    turn_std: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, outcome: _Optional[str] = ..., reason: _Optional[str] = ..., unit: _Optional[str] = ..., steps: _Optional[int] = ..., duration_s: _Optional[float] = ..., total_error: _Optional[float] = ..., robot_errors: _Optional[_Iterable[float]] = ..., entered: _Optional[_Iterable[bool]] = ..., clearance: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., apart: _Optional[_Iterable[float]] = ..., final_x: _Optional[_Iterable[float]] = ..., final_y: _Optional[_Iterable[float]] = ..., final_heading: _Optional[_Iterable[float]] = ..., passed: _Optional[_Iterable[float]] = ..., inside: _Optional[_Iterable[float]] = ..., lost: _Optional[_Iterable[int]] = ..., warnings: _Optional[int] = ..., turn: _Optional[_Iterable[float]] = ..., turn_std: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class HostEnd(_message.Message):
     __slots__ = ("solve_ns", "deadline_misses", "ended")

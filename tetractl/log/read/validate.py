@@ -151,6 +151,8 @@ def check_result(result: Result) -> None:
     distances = np.array([*verdict.clearance, *verdict.edge, *verdict.apart])
     # distances are inf without obstacles or other robots
     _within("a clearance", distances[distances != np.inf], VALUE_MAX)
+    _within("a turn", verdict.turn, VALUE_MAX)
+    _within("an error of a turn", [e for e in verdict.turn_std if e != np.inf], VALUE_MAX, 0)
     _within("duration_s", [result.duration_s], TIME_MAX_NS / 1e9, 0)
     check_counts("steps", [result.steps, result.deadline_misses])
     check_counts("a solve time", result.solve_ns)

@@ -1,0 +1,95 @@
+"""Compares how each robot of a lab turned by itself with its other trials in the batch.
+
+A pose that turns, with its course, from the start of a trial on looks like wheels that differ, and
+no check of one trial can tell the two apart. But a robot has the same wheels in every trial. With
+its rate x_k and standard error e_k in trial k of n (`lab.drift_check`) and the median m of the
+rates, trial k differs if
+
+    |x_k - m| > z sqrt(e_k^2 + (1 + FEW / n)^2 s^2),   s = 1.4826 median |x_j - m|,
+
+where s is the standard deviation of the trials, whatever fewer than half of them show, and z a
+quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
+fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates without
+errors e_k exceed the limit in 1 % of batches of ten trials or more, and in 3 % at most of smaller.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.table.table import NONE
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.statistic import Statistic, Value
+
+CHANCE = 0.01
+LEAST, FEW = 6, 14.0
+LABEL = "less certain"
+
+
+def _compared(trials: Sequence[ResultSummary]) -> Iterator[tuple[str, str, float, float]]:
+    """Yield the path of a trial, a robot, by how much it turned otherwise than in the median of its
+    trials, and the limit of this [rad/s].
+    """
+    robots = trials[0].experiment.setup.names if trials else ()
+    for i, name in enumerate(robots):
+        turns = ((trial.path, trial.result.verdict) for trial in trials)
+        known = [(path, v.turn[i], v.turn_std[i]) for path, v in turns if v.turn]
+        known = [one for one in known if math.isfinite(one[2])]
+        if len(known) < LEAST:
+            continue
+        off = np.array([rate for _, rate, _ in known])
+        off -= np.median(off)
+        spread = (1 + FEW / len(known)) * 1.4826 * np.median(np.abs(off))
+        z = NormalDist().inv_cdf(1 - CHANCE / (2 * len(robots) * len(known)))
+        limits = z * np.hypot([error for *_, error in known], spread)
+        for (path, *_), each, limit in zip(known, off.tolist(), limits.tolist(), strict=True):
+            yield path, name, each, limit
+
+
+def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+    """Return a text for each robot that turned otherwise than in its other trials, by the path of
+    the trial.
+    """
+    found = defaultdict[str, list[str]](list)
+    for path, name, off, limit in _compared(trials):
+        if abs(off) > limit:
+            found[path].append(f"{name} turned by {off:+.2f} rad/s unlike in the other trials")
+    return found
+
+
+def _of_batch(trials: Sequence[ResultSummary]) -> Value:
+    if not any(trial.result.verdict.turn for trial in trials):
+        return Value({"less_certain": None}, ())
+    compared = list(_compared(trials))
+    if not compared:
+        text = f"{NONE} (turns are compared in {LEAST} trials or more)"
+        return Value.row(LABEL, text, True, less_certain=None)
+    odd = len({path for path, _, off, limit in compared if abs(off) > limit})
+    text = f"{odd} of {len({path for path, *_ in compared})} trials"
+    if odd:
+        text += ", in which wheels changed or poses are false: a robot turned unlike in the others"
+    else:
+        text += f", turns of {max(limit for *_, limit in compared):.2f} rad/s would be seen"
+    return Value.row(LABEL, text, not odd, less_certain=odd)
+
+
+def _of_trial(trial: ResultSummary) -> dict[str, Any]:
+    """Return each robot's rate and its standard error, None if they are unknown."""
+    verdict, names = trial.result.verdict, trial.experiment.setup.names
+    if trial.simulated or trial.experiment.setup.wheel_radius is None:
+        return {}
+    nothing = (math.inf,) * len(names)
+    rates, errors = verdict.turn or nothing, verdict.turn_std or nothing
+    items = dict[str, Any]()
+    for name, rate, error in zip(names, rates, errors, strict=True):
+        known = math.isfinite(error)
+        items[f"turn_{name}_rad_s"] = rate if known else None
+        items[f"turn_std_{name}_rad_s"] = error if known else None
+    return items
+
+
+TURN = Statistic(_of_batch, _of_trial)

@@ -6,22 +6,35 @@ as mm and mm/s. Times count from the first direction sent. `path` (of the log) a
 every table of `tetractl export`, so that tables can be joined.
 """
 
-from collections.abc import Callable, Container, Mapping
+import math
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.plan import Estimate
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import printable
+from tetractl.core.plan import INNOVATIONS
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
-from tetractl.log.read.reader import result_of, trial_of
+from tetractl.core.trial import Integers
+from tetractl.log.format.channels import HOST_TIMING, STEP
+from tetractl.log.format.codec import OF_ESTIMATE, STOP_REASON_MAX
+from tetractl.log.format.tetractl_pb2 import StepTiming
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.reader import result_of, trial_of, written
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.results.describe import trial_items
 from tetractl.results.open_batch import Batch
 
+OF_STEP = (
+    *("k", "time_s", "observed_s", "direction_rad", "cost", "target_cost", "obstacle_cost"),
+    *("signals", "searches", "iterations", "evaluations", "stopped", "solve_ms", "deadline_missed"),
+)
+"""The columns of `steps` that do not name a robot."""
 _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 
 
@@ -43,38 +56,43 @@ def _row(trial: ResultSummary) -> dict[str, Any]:
     return {**fields, f"total_error_{unit}": total, **dict(zip(names, errors, strict=True))}
 
 
-def steps(log: TrialLog) -> Table:
+def steps(log: TrialLog, contents: RawLog) -> Table:
     """Return one row per control step k: the direction sent, its plan and its searches.
 
     Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
     paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
     not reach it.
     """
-    setup, found = log.start.setup, log.steps
-    columns: dict[str, Any] = {
-        "k": [step.k for step in found],
-        "time_s": [log.elapsed_s(step.command.sent_ns) for step in found],
-        "observed_s": [log.elapsed_s(step.observation.sampled_ns) for step in found],
-        "direction_rad": [step.command.direction for step in found],
-        "cost": [step.plan.cost for step in found],
-        "target_cost": [step.plan.target_cost for step in found],
-        "obstacle_cost": [step.plan.obstacle_cost for step in found],
-        "signals": [len(step.plan.signals) for step in found],
-        "searches": [len(step.plan.searches) for step in found],
-        "iterations": [len(step.plan.search.history) - 1 for step in found],
-        "evaluations": [step.plan.evaluations for step in found],
-        "stopped": [str(step.plan.search.stopped) for step in found],
-        "solve_ms": [step.solve_ns / 1e6 for step in found],
-        "deadline_missed": [step.deadline_missed for step in found],
-    }
-    for i, name in enumerate(setup.names):
-        columns[f"delivered_{name}"] = [step.command.delivered[i] for step in found]
-    for i, name in enumerate(setup.names if setup.wheel_radius is not None else ()):
-        for side in ("left", "right"):
-            speeds = [step.command.left if side == "left" else step.command.right for step in found]
-            columns[f"{side}_{name}_{setup.unit}_s"] = [
-                None if one is None else float(one[i]) for one in speeds
-            ]
+    setup, rows = log.start.setup, list[tuple[Any, ...]]()
+    wheels = [f"{side}_{name}_{setup.unit}_s" for name in setup.names for side in ("left", "right")]
+    wheels = wheels if setup.wheel_radius is not None else []
+    timings = {one.k: one for one in contents.messages(HOST_TIMING)}
+    for step in contents.messages(STEP):
+        sent, searches, timing = step.command, step.searches, timings.get(step.k, StepTiming())
+        row = (
+            step.k,
+            sent.sent_ns,
+            step.observation.sampled_ns,
+            sent.direction if sent.HasField("direction") else None,
+            step.cost,
+            step.target_cost,
+            step.obstacle_cost,
+            len(step.signals),
+            len(searches),
+            len(searches[step.chosen].history) - 1,
+            sum(one.evaluations for one in searches),
+            printable(searches[step.chosen].stopped, STOP_REASON_MAX),
+            timing.solve_ns / 1e6,
+            timing.deadline_missed,
+        )
+        speeds = [one for pair in zip(sent.left, sent.right, strict=True) for one in pair]
+        speeds = speeds or [None] * len(wheels)
+        rows.append((*row, *sent.delivered, *(speeds if wheels else ())))
+    names = (*OF_STEP, *(f"delivered_{name}" for name in setup.names), *wheels)
+    values = [*zip(*rows, strict=True)] or [()] * len(names)
+    columns = dict[str, Any](zip(names, values, strict=True))
+    for name in ("time_s", "observed_s"):
+        columns[name] = _seconds(log, columns[name])
     return _table("steps", columns)
 
 
@@ -86,7 +104,7 @@ def poses(log: TrialLog) -> Table:
     setup, frames = log.start.setup, len(log.frames)
     unit, robots = setup.unit, len(setup.names)
     columns: dict[str, Any] = {
-        "time_s": np.repeat((log.mocap_ns - log.began_ns) / 1e9, robots),
+        "time_s": np.repeat(_seconds(log, log.mocap_ns), robots),
         "frame": np.repeat(log.frames, robots),
         "robot": np.tile(setup.names, frames),
     }
@@ -99,34 +117,40 @@ def poses(log: TrialLog) -> Table:
     return _table("poses", columns)
 
 
-def estimates(log: TrialLog) -> Table:
+def estimates(log: TrialLog, contents: RawLog) -> Table:
     """Return one row per control step and robot: the controller's estimates and their standard
     deviations."""
-    setup = log.start.setup
-    of: dict[str, Callable[[Estimate], Floats | float | None]] = {
-        "a_rad_s": lambda found: found.a,
-        "a_std_rad_s": lambda found: found.a_std,
-        f"speed_{setup.unit}_s": lambda found: found.speed,
-        f"speed_std_{setup.unit}_s": lambda found: found.speed_std,
-        "heading_bias_rad": lambda found: found.heading_bias,
-        "heading_bias_std_rad": lambda found: found.heading_bias_std,
-        "dead_time_s": lambda found: found.dead_time,
-        "dead_time_std_s": lambda found: found.dead_time_std,
-        "misfit": lambda found: None if found.misfit is None else found.misfit.max(axis=1),
+    setup, unit = log.start.setup, log.start.setup.unit
+    names = {name: name for name in OF_ESTIMATE} | {
+        "a": "a_rad_s",
+        "a_std": "a_std_rad_s",
+        "speed": f"speed_{unit}_s",
+        "speed_std": f"speed_std_{unit}_s",
+        "heading_bias": "heading_bias_rad",
+        "heading_bias_std": "heading_bias_std_rad",
+        "dead_time": "dead_time_s",
+        "dead_time_std": "dead_time_std_s",
     }
-    known = [(step, found) for step in log.steps if (found := step.plan.estimate) is not None]
-    robots = len(setup.names)
-    times = [log.elapsed_s(step.command.sent_ns) for step, _ in known]
+    width = dict.fromkeys(names, 1) | {"misfit": len(INNOVATIONS)}
+    robots, ks, sent = len(setup.names), list[int](), list[int]()
+    found: dict[str, list[Any]] = {name: [] for name in names}
+    for step in contents.messages(STEP):
+        if not step.HasField("estimate"):
+            continue
+        ks.append(step.k)
+        sent.append(step.command.sent_ns)
+        known = {field.name: value for field, value in step.estimate.ListFields()}
+        for name, values in found.items():
+            value = known.get(name, math.nan)
+            values += [value] * (robots * width[name]) if isinstance(value, float) else value[:]
     columns: dict[str, Any] = {
-        "k": np.repeat([step.k for step, _ in known], robots),
-        "time_s": np.repeat(times, robots),
-        "robot": np.tile(setup.names, len(known)),
+        "k": np.repeat(ks, robots),
+        "time_s": np.repeat(_seconds(log, sent), robots),
+        "robot": np.tile(setup.names, len(ks)),
     }
-    for name, get in of.items():
-        rows = np.full((len(known), robots), np.nan)
-        for row, (_, found) in zip(rows, known, strict=True):
-            row[:] = np.nan if (one := get(found)) is None else one
-        columns[name] = rows.ravel()
+    for name, values in found.items():
+        rows = np.array(values, dtype=float).reshape(len(ks) * robots, width[name])
+        columns[names[name]] = rows.max(axis=1)
     return _table("estimates", columns)
 
 
@@ -136,32 +160,36 @@ def events(log: TrialLog) -> Table:
     return _table("events", {key: [asdict(one)[key] for one in log.events] for key in keys})
 
 
-OF_TRIAL: Mapping[str, Callable[[TrialLog], Table]] = {
+OF_TRIAL: Mapping[str, Callable[[TrialLog, RawLog], Table]] = {
     "steps": steps,
-    "poses": poses,
+    "poses": lambda log, _: poses(log),
     "estimates": estimates,
-    "events": events,
+    "events": lambda log, _: events(log),
 }
 TABLES = ("trials", *OF_TRIAL)
 
 
 def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
     """Return the named tables of a log, each with the columns `path` and `trial` in front, and
-    its damage.
+    its damage. Plans are not decoded, so values of theirs that no table shows are not checked.
 
     Raises LogError if the log cannot be read.
     """
     contents, found = scan(path), dict[str, Table]()
     if "trials" in names:
         found["trials"] = trials_table(Batch.of([result_of(contents)]))
-    log = trial_of(contents)
-    if any(name in names for name in OF_TRIAL):
-        found |= {
-            name: table(log).with_first(path=str(path), trial=log.start.trial)
-            for name, table in OF_TRIAL.items()
-            if name in names
-        }
+    log = trial_of(contents, 1)
+    for name, table in OF_TRIAL.items():
+        if name in names:
+            with written(contents):
+                rows = table(log, contents)
+            found[name] = rows.with_first(path=str(path), trial=log.start.trial)
     return found, log.damage
+
+
+def _seconds(log: TrialLog, times: Sequence[int] | Integers) -> Floats:
+    """Return the times since the first direction [s] at times of the trial's clock [ns]."""
+    return (np.array(times, dtype=np.int64) - log.began_ns) / SECOND
 
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:

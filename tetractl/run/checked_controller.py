@@ -18,7 +18,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, ControllerSection, Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.format.codec import STOP_REASON_MAX
-from tetractl.log.read.validate import STEP_MAX, check_action, check_plan
+from tetractl.log.read.validate import STEP_MAX, check_actions, check_plan
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":
@@ -111,7 +111,7 @@ def _instead(value: Any) -> Turn | Stop | FieldOff | None:
     if not isinstance(value, Turn | Stop | FieldOff | None):
         raise TypeError(f"it is a {type(value).__name__}")
     if value is not None:
-        check_action(value)
+        check_actions([value])
     return value
 
 

@@ -57,6 +57,25 @@ def test_a_data_file_has_the_values_and_the_unit_in_the_name():
     assert pandas.DataFrame(TABLE.as_dict()).speed_mm_s.tolist()[0] == 180.25
 
 
+def test_numbers_have_all_their_digits_and_unknown_ones_no_cell():
+    numbers = [0.1, 1e-5, -0.0, 1e300, 5e-324, math.inf, math.nan, None, 2**64 - 1, True]
+    words = ["a", 'say "no", twice', "=1", "null", "Infinity", "NaN", "x],[y", "ü", None, 1.5]
+    table = Table("", (Column("n", numbers), Column("i", [*range(10)]), Column("w", words)))
+    assert [row.split(",", 2) for row in csv_text(table).splitlines()[1:]] == [
+        ["0.1", "0", "a"],
+        ["0.00001", "1", '"say ""no"", twice"'],
+        ["-0.0", "2", "'=1"],
+        ["1e+300", "3", "null"],
+        ["5e-324", "4", "Infinity"],
+        ["inf", "5", "NaN"],
+        ["", "6", '"x],[y"'],
+        ["", "7", "ü"],
+        ["18446744073709551615", "8", ""],
+        ["true", "9", "1.5"],
+    ]
+    assert csv_text(Table("", (Column("n", []), Column("w", [])))) == "n,w\n"
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path, kind):
     path = tmp_path / f"speeds.{kind}"

@@ -2,6 +2,7 @@
 step has to have a direction."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
-from tetractl.results.trial_tables import steps
+from tetractl.results.trial_tables import of_log
 from tetractl.run.task import log_path, run_trial
 from tetractl.view.figures.draw import draw
 from tetractl.view.terminal.replay_screen import step_line
@@ -60,7 +61,8 @@ def test_it_is_verified_whole(path):
 
 def test_tables_and_arrays_hold_no_direction_then(log):
     off = [step.command.action == FieldOff() for step in log.steps]
-    assert [u is None for u in steps(log).as_dict()["direction_rad"]] == off
+    found, _ = of_log(Path(log.path), ("steps",))
+    assert [u is None for u in found["steps"].as_dict()["direction_rad"]] == off
     assert np.isnan(to_arrays(log).direction).tolist() == off
 
 

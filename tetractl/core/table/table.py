@@ -89,8 +89,13 @@ class Column:
     @property
     def known(self) -> list[Any]:
         """The values for a data file: None in place of NaN."""
-        values = self.values.tolist() if isinstance(self.values, Array) else self.values
-        return [None if value != value else value for value in values]
+        return [None if value != value else value for value in self.listed]
+
+    @property
+    def listed(self) -> Sequence[Any]:
+        """The values as Python's."""
+        given = self.values  # `isinstance(given, Array)` takes as long as a hundred values
+        return given if isinstance(given, list | tuple) else given.tolist()
 
 
 @dataclass(frozen=True, slots=True)

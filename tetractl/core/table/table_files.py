@@ -4,14 +4,17 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, is_dataclass
-from functools import partial
+from functools import lru_cache, partial
 from importlib.util import find_spec
-from itertools import chain, repeat
+from itertools import chain, groupby, repeat
 from pathlib import Path
 from typing import Any, TextIO
+
+from pydantic_core import to_json
 
 from tetractl.core.errors import LogError, UsageError, cell
 from tetractl.core.table.table import Array, Column, Table
@@ -19,6 +22,7 @@ from tetractl.core.table.table import Array, Column, Table
 PART = ".part"
 CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
 """Largest size of a CSV file to read, its largest number of rows, and their largest length."""
+_NUMBERS = {float, int, bool, type(None)}
 UNSIGNED = ("seed",)
 """Columns of integers from 0 to 2**64 - 1."""
 
@@ -31,24 +35,35 @@ def csv_text(table: Table) -> str:
 
 
 def _write_csv(table: Table, stream: TextIO, header: bool) -> None:
-    writer = csv.writer(stream, lineterminator="\n")
     if header:
-        writer.writerow([column.key for column in table.columns])
-    writer.writerows(zip(*(_cells(column.known) for column in table.columns), strict=True))
+        stream.write(",".join(_text(column.key) for column in table.columns) + "\n")
+    rows = zip(*_cells([column.listed for column in table.columns]), strict=True)
+    stream.write("".join(f"{','.join(row)}\n" for row in rows))
 
 
-def _cells(values: list[Any]) -> list[Any]:
-    """Return cells as R, MATLAB and spreadsheets read them: truth values as true and false.
+def _cells(columns: list[Sequence[Any]]) -> Iterator[Sequence[str]]:
+    """Yield columns of cells as R, MATLAB and spreadsheets read them: numbers with all digits,
+    truth values as true and false, unknown values empty. Neighbouring columns of numbers are one.
 
     Text that a spreadsheet would evaluate gets an apostrophe in front.
     """
-    kinds = set(map(type, values))
-    if bool in kinds:
-        return [str(v).lower() if v is True or v is False else v for v in values]
-    if str not in kinds:
-        return values
-    texts = {v: cell(v) for v in set(values) if isinstance(v, str)}
-    return [texts.get(v, v) for v in values]
+    for plain_values, group in groupby(columns, lambda one: set(map(type, one)) <= _NUMBERS):
+        if not plain_values:
+            yield from ([*map(_text, values)] for values in group)
+            continue
+        rows = [*zip(*group, strict=True)]
+        text = to_json(rows, inf_nan_mode="constants").decode()[2:-2]  # 9 times as fast as repr
+        for word, ours in (("null", ""), ("NaN", ""), ("Infinity", "inf")):
+            text = text.replace(word, ours) if word[0] in text else text
+        yield text.split("],[") if rows else []
+
+
+@lru_cache(typed=True)  # columns repeat their words
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        return next(_cells([[value]]))[0] if type(value) in _NUMBERS else str(value)
+    text = cell(value)
+    return '"{}"'.format(text.replace('"', '""')) if re.search('[",\r\n]', text) else text
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:

@@ -190,8 +190,8 @@ def decode_command(message: pb.WheelCommand) -> Command:
         action,
         sent_ns=message.sent_ns,
         delivered=tuple(message.delivered),
-        left=_floats(message.left) if message.left else None,
-        right=_floats(message.right) if message.right else None,
+        left=_floats(left) if (left := message.left) else None,
+        right=_floats(right) if (right := message.right) else None,
     )
 
 

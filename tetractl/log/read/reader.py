@@ -1,15 +1,17 @@
 """Reads trials from their logs: completely, or the intact part of a damaged log."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from tetractl.core.commands import Command, Note, Verdict
+from tetractl.core.commands import Note, Verdict
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
@@ -41,11 +43,19 @@ def read_trial(path: Path) -> TrialLog:
     return trial_of(scan(Path(path)))
 
 
-def trial_of(contents: RawLog) -> TrialLog:
-    """Decode the trial in a scanned file; raises LogError as `read_trial` does."""
+def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
+    """Decode the trial in a scanned file, with only its first `steps` control steps if given;
+    raises LogError as `read_trial` does."""
     experiment, start = _start(contents)
+    with written(contents):
+        return _trial(contents, experiment, start, steps)
+
+
+@contextmanager
+def written(contents: RawLog) -> Iterator[None]:
+    """Raise a LogError for a value that cannot be decoded within the `with` block."""
     try:
-        return _trial(contents, experiment, start)
+        yield
     except TooMuchError as error:
         raise LogError(f"{contents.path}: {error}") from None
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
@@ -55,10 +65,11 @@ def trial_of(contents: RawLog) -> TrialLog:
         ) from None
 
 
-def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
+def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | None) -> TrialLog:
     robots = len(start.setup.names)
     frames = _frames(contents, robots)
-    commands = tuple(_commands(contents, robots))
+    commands = tuple(map(codec.decode_command, contents.messages(channels.COMMANDS)))
+    validate.check_commands(commands, robots)
     stops = [command for command in commands if command.stops]
     simulated = start.plant.simulated
     log = TrialLog(
@@ -69,7 +80,7 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         mocap=frames.poses,
         valid=frames.valid,
         truth=frames.truth if simulated else None,
-        steps=tuple(_steps(contents, robots)),
+        steps=_steps(contents, robots, steps),
         stop=stops[-1] if stops else None,
         result=contents.result,
         damage=None,
@@ -245,26 +256,19 @@ def _frames(contents: RawLog, robots: int) -> Frames:
     return found
 
 
-def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
-    """Decode the commands to `robots` robots."""
-    for message in contents.messages(channels.COMMANDS):
-        command = codec.decode_command(message)
-        validate.check_command(command, robots)
-        yield command
-
-
-def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
-    """Decode the control steps of N robots, with their solve times."""
+def _steps(contents: RawLog, robots: int, most: int | None) -> tuple[Step, ...]:
+    """Decode the control steps of N robots, at `most` so many, with their solve times."""
+    found: list[Step] = []
     timings = {message.k: message for message in contents.messages(channels.HOST_TIMING)}
-    for message in contents.messages(channels.STEP):
+    for message in islice(contents.messages(channels.STEP), most):
         searches = message.searches
         numbers = sum(len(search.signals) + len(search.history) for search in searches)
         numbers += len(message.signals) + 3 * len(message.path_x)
         cost = limits.STEP_COST + limits.SEARCH_COST * len(searches) + limits.NUMBER_COST * numbers
         contents.budget.spend(cost, "very many searches")
-        step = codec.decode_step(message, timings.get(message.k), robots)
-        validate.check_step(step)
-        yield step
+        found.append(codec.decode_step(message, timings.get(message.k), robots))
+    validate.check_steps(found, robots)
+    return tuple(found)
 
 
 def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:

@@ -1,12 +1,12 @@
 """Reads an undamaged log in one pass that keeps few of its messages, however long the log is."""
 
-import os
 import zlib
 from collections.abc import Iterable
 from io import BufferedReader, FileIO
 from pathlib import Path
 
-from mcap.records import Attachment, Chunk, DataEnd, Footer, Header, Statistics
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Chunk, DataEnd, Footer, Header, McapRecord, Statistics
 from mcap.stream_reader import StreamReader
 
 from tetractl.log.format.channels import COMMANDS, LOG, STEP, SUMMARY, Entry
@@ -20,8 +20,19 @@ from tetractl.log.read.salvage import MAGIC, unpack
 class _Held(BufferedReader):
     """A file that takes memory for what it holds, not for what a record in it claims to hold."""
 
+    def __init__(self, path: Path) -> None:
+        super().__init__(FileIO(path))
+        self._size = path.stat().st_size
+
     def read(self, size: int | None = -1, /) -> bytes:
-        return super().read(size if size is None else min(size, os.fstat(self.fileno()).st_size))
+        return super().read(size if size is None else min(size, self._size))
+
+
+class _Reader(StreamReader):
+    """Reads all records but the indexes of chunks' messages, which take longest to read."""
+
+    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+        return None if opcode == Opcode.MESSAGE_INDEX else super()._read_record(opcode, length)
 
 
 def tallied(entries: Iterable[Entry], known: dict[str, Tally] | None = None) -> dict[str, Tally]:
@@ -52,8 +63,8 @@ def _skimmed(path: Path) -> RawLog | None:
     directed, sealed, begin, stated = False, False, 0, 0
     if log.size > limits.file_limit():
         return None
-    with _Held(FileIO(path)) as file:
-        reader = StreamReader(
+    with _Held(path) as file:
+        reader = _Reader(
             file, emit_chunks=True, validate_crcs=True, record_size_limit=limits.CHUNK_MAX
         )
         for record in reader.records:

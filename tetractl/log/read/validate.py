@@ -5,7 +5,7 @@ checks can be computed with, drawn and printed. Each function raises ValueError 
 that no trial can have.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,39 +53,33 @@ def check_frames(frames: Frames) -> None:
         check_times(times)
 
 
-def check_command(command: Command, robots: int) -> None:
-    """Check a command to N robots."""
-    check_action(command.action)
-    check_times([command.sent_ns])
-    if len(command.delivered) != robots:
-        raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")
-    for wheel in (command.left, command.right):
-        if wheel is None:
-            continue
-        if len(wheel) != robots:
-            text = f"a command has {len(wheel)} wheel speeds per side for {robots} robots"
-            raise ValueError(text)
-        _within("a wheel's speed", wheel, VALUE_MAX)
+def check_commands(commands: Sequence[Command], robots: int) -> None:
+    """Check commands to N robots, all at once, which is faster."""
+    check_actions([one.action for one in commands])
+    check_times([one.sent_ns for one in commands])
+    wheels = [wheel for one in commands for wheel in (one.left, one.right) if wheel is not None]
+    for count in {len(one.delivered) for one in commands} - {robots}:
+        raise ValueError(f"a command is for {count} robots instead of {robots}")
+    for count in {len(wheel) for wheel in wheels} - {robots}:
+        raise ValueError(f"a command has {count} wheel speeds per side for {robots} robots")
+    _within("a wheel's speed", np.concatenate([[], *wheels]), VALUE_MAX)
 
 
-def check_action(action: Action) -> None:
-    """Check the direction of an action."""
-    match action:
-        case Steer(u) | Turn(u):
-            _within("a direction", [u], VALUE_MAX)
-        case _:
-            pass
+def check_actions(actions: Iterable[Action]) -> None:
+    """Check the directions of actions."""
+    directed = [one for one in actions if isinstance(one, Steer | Turn)]
+    found = [one.direction if isinstance(one, Steer) else one.facing for one in directed]
+    _within("a direction", found, VALUE_MAX)
 
 
-def check_step(step: Step) -> None:
-    """Check a control step of N robots."""
-    seen, plan = step.observation, step.plan
-    robots = len(seen.valid)
-    check_frames(Frames.of([Sample(seen, None)], robots))
-    check_command(step.command, robots)
-    check_counts("k", [step.k])
-    check_counts("a solve time", [step.solve_ns])
-    check_plan(plan, robots)
+def check_steps(steps: Sequence[Step], robots: int) -> None:
+    """Check control steps of N robots, all at once, which is faster."""
+    check_frames(Frames.of([Sample(step.observation, None) for step in steps], robots))
+    check_commands([step.command for step in steps], robots)
+    check_counts("k", (step.k for step in steps))
+    check_counts("a solve time", (step.solve_ns for step in steps))
+    for step in steps:
+        check_plan(step.plan, robots)
 
 
 def check_plan(plan: Plan, robots: int) -> None:

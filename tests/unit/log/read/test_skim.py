@@ -36,3 +36,13 @@ def test_what_is_damaged_or_of_another_writer_is_left_to_the_salvage(log, tmp_pa
     path.write_bytes(data[:-1])
     assert skim(path) is None
     assert skim(rewritten(log, tmp_path / "again.mcap")) is None
+
+
+def test_the_indexes_of_messages_are_not_parsed(log, monkeypatch):
+    """They are most of the records' parts of a long log, and nothing needs them."""
+
+    def parsed(stream):
+        raise AssertionError
+
+    monkeypatch.setattr("mcap.records.MessageIndex.read", parsed)
+    assert skim(log) is not None

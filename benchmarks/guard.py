@@ -21,6 +21,7 @@ import argparse
 import math
 import re
 import sys
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
@@ -72,7 +73,7 @@ NAMED = {
     "radio": "is the radio slow",
     "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
 }
-BATCH = 20  # trials of a batch
+BATCH = 12  # trials of a batch
 TURNS = (0.05, 0.1, 0.15, 0.2)  # of a pose in one trial of a batch [rad/s]
 TAIL = 5.0  # statistic above which the tail of good trials is fitted
 
@@ -199,40 +200,38 @@ def alarms(first: int, last: int) -> None:
 def batches(first: int, last: int) -> None:
     """Print what `stats` marks in each batch, whose robots are those of the trial of its number:
     of BATCH trials in which nothing is wrong; and of the same trials, but for the one of the
-    batch's number, in which a pose turns from the first command on, for each robot and rate.
+    batch's number, in which the pose of one robot turns from the first command on.
     """
     spec = lab_spec().experiment
 
-    def run(batch: int, trial: int, play: Ghost | None = None) -> ResultSummary:
-        haunt = play.haunt if play else lambda lab: None
+    def run(batch: int, trial: int, rate: float = 0.0) -> ResultSummary:
+        play = Ghost("turn", rate, (batch % 3,), at_s=0.0, limit_s=60.0)
+        haunt = play.haunt if rate else lambda lab: None
         result = trial_of(haunt, trial, RATE_HZ, robots_of=batch)
-        name = f"trial {trial}"
-        return ResultSummary(name, spec, 0, trial, Origin.EMULATED, result, False, None)
+        what = f"{rate:g} rad/s, {play.off_mm:.0f} mm off; " if rate else ""
+        turns = zip(result.verdict.turn, result.verdict.turn_std, strict=True)
+        said = ", ".join(f"{turn:+.3f} ± {error:.3f}" for turn, error in turns)
+        print(f"batch {batch}, trial {trial}: {what}{result.summary}; {said} rad/s", flush=True)
+        return ResultSummary(f"{trial}", spec, 0, trial, Origin.EMULATED, result, False, None)
 
-    rows = {rate: [0] * 5 for rate in TURNS}
+    stopped, alone, found, n = Counter(), Counter(), Counter(), last - first
     for batch in range(first, last):
-        honest = [run(batch, trial) for trial in range(BATCH)]
-        ended = sum(not one.outcome.complete for one in honest)
-        marks = dict(turned_otherwise(honest))
-        print(f"batch {batch}: {BATCH} trials, {ended} aborted, marked: {marks or 0}", flush=True)
-        for rate, row in rows.items():
-            for who in ALL:
-                play = Ghost("turn", rate, (who,), at_s=0.0, limit_s=60.0)
-                k = batch % BATCH
-                false = run(batch, k, play)
-                marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
-                seen = any(t in false.result.reason for t in (*NOTICED, "still moves"))
-                mark = false.path in marks
-                row[:4] = row[0] + 1, row[1] + seen, row[2] + mark, row[3] + (mark and not seen)
-                row[4] += len(marks) - mark
-                print(f"  {rate} {who}: {false.result.summary}; {dict(marks)}", flush=True)
-    print("| pose shown | stopped for it | marked | of those not stopped | other trials marked |")
-    print("|---|--:|--:|--:|--:|")
-    for rate, (n, seen, marked, alone, others) in rows.items():
-        print(
-            f"| turn, {rate:g} rad/s | {seen} of {n} | {marked} of {n} | {alone} of {n - seen} "
-            f"| {others} |"
-        )
+        honest, k = [run(batch, trial) for trial in range(BATCH)], batch % BATCH
+        found[0.0] += len(turned_otherwise(honest))
+        for rate in TURNS:
+            false = run(batch, k, rate)
+            marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
+            noticed = any(text in false.result.reason for text in (*NOTICED, "still moves"))
+            stopped[rate] += noticed
+            found[rate] += (mark := false.path in marks)
+            alone[rate] += mark and not noticed
+            found[0.0] += len(marks) - mark
+    print("| turn [rad/s] | stopped for it | marked | of those not stopped for it |")
+    print("|--:|--:|--:|--:|")
+    for rate in TURNS:
+        counts = (stopped[rate], n), (found[rate], n), (alone[rate], n - stopped[rate])
+        print(f"| {rate:g} | {' | '.join(f'{these} of {of}' for these, of in counts)} |")
+    print(f"{found[0.0]} marks of trials in which nothing is wrong, {n * BATCH} trials")
 
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -16,6 +16,7 @@ errors e_k exceed the limit in 1 % of batches of ten trials or more, and in 3 % 
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from statistics import NormalDist
 from typing import Any
 
@@ -23,6 +24,7 @@ import numpy as np
 
 from tetractl.core.table.table import NONE
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.open_batch import listing
 from tetractl.results.statistic import Statistic, Value
 
 CHANCE = 0.01
@@ -68,13 +70,15 @@ def _of_batch(trials: Sequence[ResultSummary]) -> Value:
     if not compared:
         text = f"{NONE} (turns are compared in {LEAST} trials or more)"
         return Value.row(LABEL, text, True, less_certain=None)
-    odd = len({path for path, _, off, limit in compared if abs(off) > limit})
-    text = f"{odd} of {len({path for path, *_ in compared})} trials"
+    odd = [(path, name, off) for path, name, off, limit in compared if abs(off) > limit]
+    count = len({path for path, *_ in odd})
+    text = f"{count} of {len({path for path, *_ in compared})} trials"
     if odd:
-        text += ", in which wheels changed or poses are false: a robot turned unlike in the others"
+        named = [f"{name} in {Path(path).stem}, {off:+.2f} rad/s" for path, name, off in odd]
+        text += f", by wheels that changed or false poses: {listing(named, '; ')}"
     else:
         text += f", turns of {max(limit for *_, limit in compared):.2f} rad/s would be seen"
-    return Value.row(LABEL, text, not odd, less_certain=odd)
+    return Value.row(LABEL, text, not odd, less_certain=count)
 
 
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:

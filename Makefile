@@ -5,6 +5,7 @@ RUNTIME := .venv/.runtime
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 DEMO := logs/demo
+PACKAGES := ./packages/tetractl-emulator
 
 .PHONY: demo demo-ours demo-paper test test-fast test-all lint clean
 
@@ -16,8 +17,8 @@ $(RUNTIME): pyproject.toml constraints.txt
 	@$(PIP) -e . 'setuptools>=77'
 	@touch $(RUNTIME)
 
-$(STAMP): $(RUNTIME)
-	@$(PIP) -e '.[dev]'
+$(STAMP): $(RUNTIME) $(PACKAGES:%=%/pyproject.toml)
+	@$(PIP) -e '.[dev]' $(PACKAGES:%=-e %)
 	@touch $(STAMP)
 
 # The reference experiment on the simulated bench: the published controller and ours in the same 20

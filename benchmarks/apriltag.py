@@ -27,11 +27,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
+from tetractl_emulator.pictures.stream_side import EmulatedNetworkCamera
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Grey, Poses
-from tetractl.emulate.apriltag.side import CARD, Optics, Renderer
-from tetractl.emulate.stream_side import EmulatedNetworkCamera
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera, Tracker
 from tetractl.lab.cameras.apriltag.detect import MODULES, refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag

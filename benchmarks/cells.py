@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.film_logs import write_film
 from support.synthetic_film import FilmScript, SyntheticFilm
 from support.tampering import noticed, tamperings
+from tetractl_emulator.pictures.dish.picture import PictureLook
 
-from tetractl.emulate.dish.picture import PictureLook
 from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.names import Names

@@ -22,8 +22,8 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402
+from tetractl_emulator.optitrack.natnet_server import pack_answer  # noqa: E402
 
-from tetractl.emulate.optitrack.natnet_server import pack_answer  # noqa: E402
 from tetractl.lab.cameras.optitrack import natnet  # noqa: E402
 from tetractl.lab.cameras.optitrack.wire import HEADER, parse  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402

@@ -2,7 +2,7 @@
 
     python benchmarks/lab_reactions.py [--repeat N] [NAME ...]
 
-Plays the scripts of `experiments/faults/` end to end and prints a Markdown table: from the fault's
+Plays the emulator's scripts of faults end to end and prints a Markdown table: from the fault's
 first visible moment to the stop on the radio's port, and to the robots at rest; worst of N plays.
 The limit is the fault's own tolerance plus 100 ms.
 """
@@ -44,7 +44,7 @@ def main() -> None:
     options = parser.parse_args()
     print("| fault | plays | stop [ms] | limit [ms] | at rest [ms] | emulator's worst lag [ms] |")
     print("|---|--:|--:|--:|--:|--:|")
-    for path in sorted((ROOT / "experiments" / "faults").glob("*.yaml")):
+    for path in sorted((ROOT / "packages/tetractl-emulator/faults").glob("*.yaml")):
         expect = load_script(path).expect
         assert expect is not None
         timed = expect.tolerance is not None or expect.still is not None

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-TREES = ("tetractl", "tests", "benchmarks", "docs", "examples", "experiments", "firmware", ".")
+TREES = ("tetractl", "tests", "benchmarks", "docs", "examples", "experiments", "packages", ".")
 WORDS = {
     r"told apart|tell(?:s|ing)? apart": "distinguished",
     r"told": "given, configured, reported, commanded",

@@ -14,8 +14,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from support.synthetic_film import FilmScript, SyntheticFilm
+from tetractl_emulator.pictures.dish.picture import (
+    SUB_EXPOSURES,
+    DishPainter,
+    PictureLook,
+    RenderedSpeck,
+)
 
-from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook, RenderedSpeck
 from tetractl.model.swimmers import Bodies, Swimmers
 
 from .truth import FilmTruth

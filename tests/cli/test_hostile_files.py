@@ -9,9 +9,9 @@ from support.cli import tetractl
 from support.mutate import rewrite, stating
 from support.running import QUICK
 from support.studies import SMALL, run, write
+from tetractl_emulator.script import parse_script
 
 from tetractl.core.table import table_files
-from tetractl.emulate.script import parse_script
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact

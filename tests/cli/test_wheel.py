@@ -7,9 +7,10 @@ import sys
 import sysconfig
 import zipfile
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
-from support.paths import ROOT
+from support.paths import EMULATOR, ROOT
 
 pytestmark = pytest.mark.system
 
@@ -29,21 +30,35 @@ def run(folder, *words, code=0, env=None):
     return done.stdout + done.stderr
 
 
+def built(place, source, name):
+    """Build the wheel of a package; return its path."""
+    build = ["-m", "pip", "wheel", "--quiet", "--no-deps", "-w", place, source]
+    if find_spec("hatchling"):  # else pip fetches it
+        build.insert(3, "--no-build-isolation")
+    run(place, sys.executable, *build)
+    (wheel,) = place.glob(f"{name}-*.whl")
+    return wheel
+
+
+def install(python, wheel):
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel]
+    run(wheel.parent, *pip)
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """The environment's folder of commands. What tetractl needs is that of this environment."""
     place = tmp_path_factory.mktemp("wheel")
-    build = ["-m", "pip", "wheel", "--quiet", "--no-deps", "-w", place, ROOT]
-    if find_spec("hatchling"):  # else pip fetches it
-        build.insert(3, "--no-build-isolation")
-    run(place, sys.executable, *build)
-    (wheel,) = place.glob("tetractl-*.whl")
+    wheel = built(place, ROOT, "tetractl")
     run(place, sys.executable, "-m", "venv", "--without-pip", "empty")
     python = place / "empty" / "bin" / "python"
     where = run(place, python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
     packages = place / where.strip()
-    run(place, sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel)
-    (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    install(python, wheel)
+    libraries = Path(sysconfig.get_path("purelib"))
+    for each in libraries.iterdir():  # all but ours, whose commands would be found as well
+        if not each.name.startswith(("tetractl", "_editable_impl_tetractl")):
+            (packages / each.name).symlink_to(each)
     said = run(place, python, "-c", "import tetractl; print(tetractl.__file__)")
     assert said.strip().startswith(str(packages)), said
     return python.parent
@@ -53,8 +68,7 @@ def test_the_wheel_holds_the_examples_and_no_tests(installed):
     (wheel,) = installed.parents[1].glob("tetractl-*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert "tetractl/experiments/three_m3pi.yaml" in names
-    assert "tetractl/firmware/m3pi_core.c" in names
-    assert not [name for name in names if name.startswith(("tests/", "docs/"))]
+    assert not [name for name in names if name.startswith(("tests/", "docs/", "packages/"))]
 
 
 def test_it_runs_a_trial_and_a_report(installed, tmp_path):
@@ -68,9 +82,18 @@ def test_it_runs_a_trial_and_a_report(installed, tmp_path):
     assert "ok" in run(tmp_path, tetractl, "verify", "logs")
 
 
-def test_it_checks_an_emulated_lab(installed, tmp_path):
+def test_it_checks_an_emulated_lab_once_the_emulator_is_installed(installed, tmp_path):
     tetractl = installed / "tetractl"
     run(tmp_path, tetractl, "init", "--example", "three_m3pi_lab")
+    lacks = (
+        "tetractl-emulator, which is not installed\nhint: pip install ./packages/tetractl-emulator"
+    )
+    words = "experiments/three_m3pi_lab.yaml", "--plant", "emulated"
+    assert lacks in run(tmp_path, tetractl, "run", *words, code=2)
+    assert lacks in run(tmp_path, tetractl, "lab", "emulate", words[0], code=2)
+    wheel = built(installed.parents[1], EMULATOR, "tetractl_emulator")
+    assert "tetractl_emulator/cores/m3pi_core.c" in zipfile.ZipFile(wheel).namelist()
+    install(installed / "python", wheel)
     port = tmp_path / "radio"
     spec = ["experiments/three_m3pi_lab.yaml", "--set", f"lab.actuator.port={port}"]
     for setting in ("server=127.0.0.1", "interface=127.0.0.1", "transport=unicast"):

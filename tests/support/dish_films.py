@@ -7,8 +7,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from support.needs_opencv import cv2
 from support.synthetic_film import FilmScript, SyntheticFilm
+from tetractl_emulator.pictures.dish.picture import PictureLook
 
-from tetractl.emulate.dish.picture import PictureLook
 from tetractl.film.field_file import FieldRecord
 from tetractl.film.follow import follow
 

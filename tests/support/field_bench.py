@@ -1,12 +1,12 @@
 """A current driver, a section of the spec for it, in virtual time."""
 
 from support.virtual_lab import PatientClock
+from tetractl_emulator.loop import Timeline
+from tetractl_emulator.pictures.driver_core import DriverLimits
+from tetractl_emulator.pictures.field import CurrentDriver
+from tetractl_emulator.virtual_wires import memory_wires
 
 from tetractl.core.clock import SECOND
-from tetractl.emulate.field import CurrentDriver
-from tetractl.emulate.firmware import DriverLimits
-from tetractl.emulate.loop import Timeline
-from tetractl.emulate.virtual_wires import memory_wires
 from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.driver import FieldCommand
 from tetractl.lab.actuators.field.section import FieldSection

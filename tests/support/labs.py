@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from tetractl_emulator.virtual_wires import LabClock
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
@@ -11,7 +12,6 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.emulate.virtual_wires import LabClock
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact

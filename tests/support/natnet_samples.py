@@ -3,8 +3,8 @@
 import struct
 
 import pytest
+from tetractl_emulator.optitrack.natnet_server import pack_modeldef, packed_body, section, suffix
 
-from tetractl.emulate.optitrack.natnet_server import pack_modeldef, packed_body, section, suffix
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import layout_of
 from tetractl.lab.cameras.optitrack.wire import datagram, packed, packed_name

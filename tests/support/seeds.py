@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from support.device_replies import packed_reply
 from support.paths import ROOT
+from tetractl_emulator.optitrack.natnet_server import pack_answer
 
-from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.experiment.plants import Calibration
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.lab.actuators.m3pi import broadcast

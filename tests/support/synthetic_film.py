@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
 from tetractl.core.poses import Bools, Floats, Grey
-from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 from tetractl.model.swimmers import DRIFT_UM_S, Bodies, Swimmers, bodies
 
 STEP_S = 1 / 240

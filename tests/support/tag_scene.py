@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 from support.needs_opencv import cv2, video
+from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 
 from tetractl.core.poses import Poses
-from tetractl.emulate.apriltag.side import Optics, Renderer
 from tetractl.lab.cameras.apriltag.camera import Tracker
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from support import seeds
 from support.seeds import MS, ROOT, VERSIONS
+from tetractl_emulator.script import parse_script
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
 from tetractl.core.poses import CameraFrame
-from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import calibrated, on_plant
@@ -227,7 +227,8 @@ TARGETS = {
     "serial": Target(serial, seeds.serial_bytes),
 }
 if find_spec("cv2"):
-    from tetractl.emulate.stream_side import BOUNDARY, coded, part
+    from tetractl_emulator.pictures.stream_side import BOUNDARY, coded, part
+
     from tetractl.lab.cameras.pictures.feed import Picture
     from tetractl.lab.cameras.pictures.multipart import Multipart
     from tetractl.lab.cameras.pictures.source import decoded

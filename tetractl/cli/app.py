@@ -19,7 +19,6 @@ from tetractl.cli import (
     identify,
     kinds,
     lab,
-    lab_emulate,
     lab_survey,
     logs,
     outputs,
@@ -147,7 +146,7 @@ COMMANDS = (
 )
 GROUP, LAB_GROUP = "tetractl.commands", "tetractl.lab_commands"
 """Groups of entry points, with which other packages add commands."""
-LAB_COMMANDS = (lab_emulate.emulate, lab.check, lab.stop, lab.calibrate, lab_survey.survey)
+LAB_COMMANDS = (lab.check, lab.stop, lab.calibrate, lab_survey.survey)
 lab_app = typer.Typer(name="lab", no_args_is_help=True, help=lab.HELP, cls=_Group)
 app.add_typer(lab_app)
 

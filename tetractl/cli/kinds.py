@@ -43,6 +43,7 @@ def kinds(
 def _list(as_json: bool) -> int:
     from tetractl.core.registries import REGISTRIES
     from tetractl.core.registry import Kind, PluginError
+    from tetractl.experiment.packages import missing
 
     problems: dict[Kind, str] = {}
     broken: list[str] = []
@@ -76,6 +77,9 @@ def _list(as_json: bool) -> int:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
             line = f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}"
             print(f"{line}  [{problems[kind]}]" if kind in problems else line)
+        for registry in REGISTRIES:
+            for name, package in sorted(missing(registry.group, registry.names())):
+                print(f"{registry.what:<17} {name:<19} {package:<22} [not installed]")
         ui.tell(*(f"error: {problem}" for problem in broken))
     return Exit.USAGE if broken else Exit.DONE
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import ui
-from tetractl.cli.lab_survey import rig_of
+from tetractl.cli.rigs import rig_of
 from tetractl.cli.streams import hung_up_unread
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.rigs import rig_of
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 from tetractl.core.table.table_files import json_text
@@ -13,8 +14,6 @@ from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
     from tetractl.experiment.choice import FoundCell
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.lab.rig import Rig
 
 
 def survey(
@@ -107,18 +106,6 @@ def survey(
         save_whole(out, dump(data).encode())
         ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
     return Exit.DONE
-
-
-def rig_of(experiment: "Experiment") -> "Rig":
-    """Return the rig of an experiment's lab, real or emulated, before its first trial."""
-    from numpy.random import SeedSequence
-
-    from tetractl.plant.lab_plant import RigSection
-
-    lab = experiment.plant
-    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
-    seed = SeedSequence(experiment.trials.seed)
-    return lab.rig(experiment.setup, lab.clock(), seed, chosen=experiment.open)
 
 
 def _print_cells(

@@ -51,7 +51,6 @@ PLANTS = Registry(
     {
         "sim": "tetractl.plant.simulation:SimSection",
         "lab": "tetractl.plant.lab_plant:LabPlantSection",
-        "emulated": "tetractl.emulate.virtual_plant:EmulatedPlantSection",
     },
     "tetractl.experiment.plant:PlantSection",
 )
@@ -165,18 +164,11 @@ CELL_FIGURES = Registry(
 )
 EMULATED_CAMERAS = Registry(
     "tetractl.emulated_cameras",
-    {
-        "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
-        "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
-        "cells": "tetractl.emulate.dish.side:EmulatedMicroscope",
-    },
+    {},  # tetractl-emulator and others provide them
 )
 EMULATED_ACTUATORS = Registry(
     "tetractl.emulated_actuators",
-    {
-        "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
-        "field": "tetractl.emulate.field:EmulatedField",
-    },
+    {},
 )
 ORGANISMS = Registry(
     "tetractl.organisms",

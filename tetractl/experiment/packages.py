@@ -2,6 +2,8 @@
 installed is answered by the command that installs it.
 """
 
+from collections.abc import Sequence
+
 MICROSCOPE, EMULATOR = "tetractl-microscope", "tetractl-emulator"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
@@ -13,6 +15,12 @@ BRINGS = {
     ("tetractl.actuators", "field"): MICROSCOPE,
 }
 """For a group of entry points and a name in it, the package that provides it."""
+
+
+def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the names of a group that are not present, each with the package that brings it."""
+    brought = ((name, package) for (of, name), package in BRINGS.items() if of == group)
+    return [(name, package) for name, package in brought if name not in present]
 
 
 def not_installed(group: str, name: str) -> tuple[str, str] | None:

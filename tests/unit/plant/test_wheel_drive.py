@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from support.plants import DIRECTIONS, driven, sim, truths
 from support.trials import experiment
+from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import TetractlError
-from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plant import Wheels
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command

@@ -1,9 +1,9 @@
 """Whatever pydantic may find wrong is said in tetractl's words, not in pydantic's."""
 
 import pytest
+from tetractl_emulator.script import Script
 
 from tetractl.core.registries import SPEC_REGISTRIES
-from tetractl.emulate.script import Script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.explain import MESSAGES

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.field_bench import LIMITS, Bench, Wire, section
+from tetractl_emulator import firmware
+from tetractl_emulator.pictures.driver_core import DriverLimits
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.emulate import firmware
-from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.cobs import Flag
 

@@ -4,10 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.device_replies import packed_reply
+from tetractl_emulator import firmware
+from tetractl_emulator.firmware import CoreEvent
+from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 
 from tetractl.core.errors import WireError
-from tetractl.emulate import firmware
-from tetractl.emulate.firmware import CoreEvent, DriverCore, DriverLimits
 from tetractl.lab import cobs
 from tetractl.lab.actuators.field.driver import (
     VERSION,

@@ -5,10 +5,10 @@ import pty
 import tty
 
 import pytest
+from tetractl_emulator.virtual_wires import LabClock, memory_wires
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.emulate.virtual_wires import LabClock, memory_wires
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command
 from tetractl.lab.actuators.xbee.frames import (
     AT_COMMAND,

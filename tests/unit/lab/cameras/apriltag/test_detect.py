@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from support.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
+from tetractl_emulator.pictures.apriltag.side import CARD
 
-from tetractl.emulate.apriltag.side import CARD
 from tetractl.lab.cameras.apriltag.detect import MODULES, Detector, tag_picture
 
 # Codes of the family 36h11 and the places of their bits, most significant first, as defined by the

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
+from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 
-from tetractl.emulate.apriltag.side import Optics, Renderer
 from tetractl.lab.cameras.apriltag.floor import SQUARE, Plane
 
 OPTICS = Optics.facing(FLOOR, MM, *LARGE)

@@ -6,10 +6,10 @@ from contextlib import contextmanager
 import pytest
 from support.lab_specs import SPEC
 from support.virtual_lab import Joined, virtual_lab
+from tetractl_emulator.optitrack.natnet_server import pack_answer
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
-from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.lab.cameras.optitrack import natnet
 
 V41 = natnet.Version(4, 1)

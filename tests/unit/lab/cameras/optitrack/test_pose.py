@@ -3,8 +3,8 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tetractl_emulator.optitrack.tracked_body import View
 
-from tetractl.emulate.optitrack.tracked_body import View
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis, planar_pose
 

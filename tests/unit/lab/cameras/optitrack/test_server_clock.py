@@ -6,9 +6,9 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tetractl_emulator.optitrack.natnet_server import pack_answer
 
 from tetractl.core.clock import SECOND
-from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot

@@ -1,8 +1,8 @@
 import struct
 
 import pytest
+from tetractl_emulator.optitrack.natnet_server import pack_answer
 
-from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.natnet_samples import VERSIONS, every_version, full_frame, full_modeldef
+from tetractl_emulator.optitrack.natnet_server import pack_answer, pack_modeldef, parse_request
 
 from tetractl.core.errors import WireError
-from tetractl.emulate.optitrack.natnet_server import pack_answer, pack_modeldef, parse_request
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.wire import datagram, number_in, pack, parse
 

@@ -1,0 +1,165 @@
+"""Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from support.cli import tetractl
+from support.virtual_lab import DISH, virtual_dish
+from tetractl_emulator import firmware
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError
+from tetractl.core.plan import Outcome
+from tetractl.experiment.load import load_spec
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.verify import verify
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import run_trial
+
+pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+
+SMALL = (  # a smaller dish, and few cells
+    "arena.width=2100",
+    "arena.height=2100",
+    "robots={choose: 2, targets: [[800, 800], [1300, 1300], [800, 1300]], a: 4, speed: 420, "
+    "seconds: 4}",
+    "controller.steps_max=60",
+    "controller.accept_error=120",
+)
+FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
+EVERY_DAY = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
+
+
+def play(folder, script="", sets=(), seed=1):
+    """Run a trial; return its log and the cells as they truly are then."""
+    with virtual_dish(folder, seed, (*SMALL, *sets), FEW + script) as dish:
+        run_trial(dish.spec, folder, 0, [], Interrupt(lambda number: None))
+        running = dish.emulation.actuator.driver.running
+        return read_trial(folder / "trial-000.mcap"), dish.cells, running
+
+
+def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
+    """While it steers, there is what a dish does every day."""
+    lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in EVERY_DAY)
+    log, cells, running = play(tmp_path, f"faults: [{lines}]")
+    setup, result = log.experiment.setup, log.result
+    assert result.outcome.complete, result.reason
+    assert not log.experiment.open
+    assert log.experiment.chosen.found
+    final = result.verdict.final.array()
+    assert setup.distances(final[:, :2]).sum() < 200
+    gaps = np.hypot(final[:, :1] - cells.x, final[:, 1:2] - cells.y)
+    who = gaps.argmin(axis=1)
+    assert len(set(who.tolist())) == 2
+    assert gaps.min(axis=1).max() < 100  # um: they swim on while the end is decided
+    assert setup.a == pytest.approx(cells.a[who], rel=0.15)  # before any plan
+    assert setup.speed == pytest.approx(cells.speed[who], rel=0.05)
+    assert not running
+    tetractl(tmp_path, "verify", tmp_path / "trial-000.mcap").ok()
+
+
+@pytest.mark.parametrize(
+    ("fault", "at", "says"),
+    [
+        ("light, share: 0.02", 2, "0 of 0 cells respond to the field"),
+        ("off", 2, "the current driver does not answer"),
+        ("light, share: 0.02", 6, "not tracked"),
+    ],
+)
+def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
+    """Wrong pictures never steer: there is no trial, or it is aborted, and the field is off."""
+    script = f"faults: [{{fault: {fault}, at: {at}}}]"
+    sets = (*SMALL, "controller.accept_error=0.1")
+    with virtual_dish(tmp_path, 7, sets, FEW + script) as dish:
+        if at == 2:  # before the choice
+            with pytest.raises(AbortError, match=says):
+                run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+        else:
+            result = run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+            assert result.outcome is Outcome.ABORTED
+            assert says in result.reason
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert not dish.emulation.actuator.driver.running
+
+
+@pytest.mark.parametrize(
+    ("on_lost", "notes", "lost"),
+    [
+        ("stop", [], ()),
+        ("drop", ["the run goes on without this robot"], (0, 1)),
+        ("replace", ["the run goes on without this robot", "cell 2 is another cell now"], (0, 1)),
+    ],
+)
+def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):
+    script = "faults: [{fault: divides, cell: cell 1, at: 4.5}]"  # which is robot "cell 2" here
+    log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", f"on_lost={on_lost}"))
+    result = log.result
+    assert len(cells) == 5
+    assert result.lost == lost
+    assert result.outcome.complete == (on_lost != "stop")
+    if on_lost == "stop":
+        assert result.reason == "cell 2 has divided, or has parted from an unknown cell"
+        return
+    text = " ".join(note.text for note in log.notes)
+    assert "cell 2 has divided" in text
+    assert all(note in text for note in notes)
+    assert verify(tmp_path / "trial-000.mcap").problems == ()
+    left = [0] if on_lost == "drop" else [0, 1]
+    assert max(np.array(result.robot_errors)[left]) < 60
+
+
+def test_a_cell_that_rests_is_still_that_cell(tmp_path):
+    script = "faults: [{fault: rests, cell: cell 1, at: 6.5, for: 1}]"
+    log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"), 7)
+    assert log.result.outcome.complete, log.result.reason
+    assert log.result.lost == ()
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_check_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(told, tmp_path):
+    script = "emulation: {camera: {mirrored: true}}\n"
+    with virtual_dish(tmp_path, 3, (f"lab.camera.mirrored={told}".lower(),), script) as dish:
+        words = [word for setting in dish.settings for word in ("--set", setting)]
+        done = tetractl(tmp_path, "lab", "check", DISH, "--turn", "--yes", *words)
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert not dish.emulation.actuator.driver.running
+    assert done.returncode == (0 if told else 1)
+    assert ("problem: cells turn right where the field turns left" in done.stdout) is not told
+
+
+def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
+    with virtual_dish(tmp_path, 2, SMALL, FEW) as dish:
+        words = [word for setting in dish.settings for word in ("--set", setting)]
+        survey = ("lab", "survey", DISH, "--yes", "--plans", "4", *words)
+        done = tetractl(tmp_path, *survey, "-o", "found.yaml").ok()
+        magnets = np.sort(dish.cells.a[dish.cells.a > 0])
+        again = tetractl(
+            tmp_path, "lab", "survey", DISH, "--yes", "--json", "--plans", "1", *words
+        ).ok()
+    items = json.loads(again.stdout)
+    assert items["unit"] == "um"
+    assert sum(cell["magnetised"] for cell in items["cells"]) >= len(items["choices"][0]["cells"])
+    errors = [choice["error"] for choice in items["choices"] if choice["error"] is not None]
+    assert errors == sorted(errors)
+    listed = re.findall(r"cell \d+ at \(\d+, \d+\) um: "
+                        r"a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s"
+                        r"(?:, was near .*)?$", done.stdout, re.MULTILINE)  # fmt: skip
+    assert len(listed) >= 2
+    gaps = np.abs(np.array(listed, float)[:, None] / magnets - 1).min(axis=1)
+    assert gaps.max() < 0.1
+    errors = re.findall(r"predicted mean total error ([\d.]+) um", done.stdout)
+    assert [float(error) for error in errors] == sorted(map(float, errors))
+    chosen = load_spec(tmp_path / "found.yaml").experiment.chosen
+    assert chosen.choose == len(chosen.wanted) == 2
+    assert all(np.abs(cell.a / magnets - 1).min() < 0.1 for cell in chosen.wanted)
+
+
+def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
+    few = "emulation: {actuator: {cells: 1, strangers: 2}, camera: {specks: 0}}\n"
+    with virtual_dish(tmp_path, 3, SMALL, few) as dish:
+        with pytest.raises(AbortError, match=r"1 of \d cells respond to the field, 2 are needed"):
+            run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert not dish.emulation.actuator.driver.running

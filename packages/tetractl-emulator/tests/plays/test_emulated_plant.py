@@ -1,0 +1,101 @@
+"""`--plant emulated`: the emulated lab in virtual time, as a user runs it."""
+
+import json
+from unittest import mock
+
+import pytest
+from support.cli import tetractl
+from support.lab_processes import SMALL as FEW_STEPS
+from support.lab_processes import SPEC, flags
+from support.paths import ROOT
+from tetractl_emulator import firmware
+
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+
+needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+SMALL = flags((*(one for one in FEW_STEPS if not one.startswith("lab")), "controller.deadline=60"))
+
+
+def run(folder, out, *words, spec=SPEC):
+    return tetractl(folder, "run", spec, "--plant", "emulated", "-q", "--out", out, *words)
+
+
+def digests(folder):
+    return [content_digest(path) for path in sorted(folder.glob("*.mcap"))]
+
+
+@needs_compiler
+def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path):
+    for out, jobs in (("one", "1"), ("two", "2")):
+        done = run(tmp_path, out, "--trials", "2", "--jobs", jobs, *SMALL).ok()
+    first, second = digests(tmp_path / "one"), digests(tmp_path / "two")
+    assert first == second
+    assert len(set(first)) == 2  # each trial has noise of its own
+    log = read_trial(tmp_path / "one" / "trial-000.mcap")
+    assert (log.start.plant.kind, log.origin.value) == ("emulated", "emulated lab")
+    assert log.result is not None
+    assert all(0.0 < error < 1.0 for error in log.result.verdict.turn_std)
+    assert len(log.result.verdict.turn) == 3  # rates that are known, of wheels as in the spec
+    again = ("rerun", "one/trial-001.mcap", "--plant", "emulated", "--out", "again")
+    done = tetractl(tmp_path, *again).ok()
+    assert f"the content digests agree: {first[1]}" in done.stderr
+    done = tetractl(tmp_path, "verify", "one").ok()
+
+
+@needs_compiler
+def test_a_lab_of_multicast_cameras_is_checked_without_a_port_or_an_address(tmp_path):
+    done = tetractl(tmp_path, "lab", "check", SPEC, "--plant", "emulated", "--json").ok()
+    found = json.loads(done.stdout)
+    assert found["ready"]
+    assert all(robot["answers"] for robot in found["robots"])
+
+
+@needs_compiler
+def test_a_spec_of_the_emulated_plant_drives_the_lab_only_where_that_is_asked_for(tmp_path):
+    spec = tmp_path / "spec.yaml"
+    text = SPEC.read_text().replace("\nlab:\n", "\nlab:\n  type: emulated\n")
+    spec.write_text(text)
+    done = tetractl(tmp_path, "run", spec, "--plant", "lab", "--yes")
+    assert (done.returncode, "there is no such port" in done.stderr) == (1, True)
+
+
+def test_what_cannot_be_emulated_is_one_line(tmp_path):
+    done = run(tmp_path, "out", spec=ROOT / "experiments" / "three_m3pi.yaml")
+    assert done.returncode == 2
+    assert "three_m3pi.yaml: has no lab" in done.stderr
+    with mock.patch.object(firmware, "compiler", lambda: None):
+        firmware.load.cache_clear()
+        with mock.patch.object(firmware, "cache_folder", lambda: tmp_path):
+            done = run(tmp_path, "out", *SMALL)
+    assert done.returncode == 1
+    assert "error: no C compiler found; emulated devices run the compiled firmware" in done.stderr
+    lacking = mock.Mock(side_effect=ModuleNotFoundError("No module named 'cv2'", name="cv2"))
+    with mock.patch("tetractl_emulator.script.EMULATED_CAMERAS.load", lacking):
+        done = run(tmp_path, "out", spec=DISH)
+    assert done.returncode == 1
+    assert "error: the emulated cells camera needs OpenCV, which is not installed" in done.stderr
+    assert "hint: pip install 'tetractl[vision]'" in done.stderr
+
+
+@needs_compiler
+def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
+    pytest.importorskip("cv2")
+    small = flags(
+        (
+            "robots={choose: 2, targets: [[1200, 1200], [1800, 1800]], a: 4, speed: 420, "
+            "seconds: 4}",
+            "controller.steps_max=8",
+            "trials.seed=3",
+            "controller.deadline=60",
+        )
+    )
+    words = ("lab", "survey", DISH, "--plant", "emulated", "--plans", "1", "-o", "found.yaml")
+    done = tetractl(tmp_path, *words, *small).ok()
+    run(tmp_path, "one", "--trials", "1", spec="found.yaml").ok()
+    wanted = read_trial(tmp_path / "one" / "trial-000.mcap").experiment
+    for robot, cell in zip(wanted.robots, wanted.chosen.wanted, strict=True):
+        assert robot.a == pytest.approx(cell.a, rel=0.15)
+    assert read_result(tmp_path / "one" / "trial-000.mcap").origin.value == "emulated lab"
+    done = tetractl(tmp_path, "rerun", "one/trial-000.mcap", "--plant", "emulated", "-o", "again")
+    assert "the content digests agree" in done.stderr, done.stderr

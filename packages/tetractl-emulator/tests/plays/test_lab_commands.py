@@ -1,0 +1,202 @@
+"""`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, in virtual
+time over the lab's whole wires."""
+
+import contextlib
+import json
+
+import pytest
+from support.cli import tetractl
+from support.lab_processes import SMALL, SPEC, flags
+from support.virtual_lab import virtual_lab
+from tetractl_emulator.script import parse_script
+
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import calibrated, on_plant
+from tetractl.log.read.reader import read_trial
+
+UNEVEN = """
+about: robots that differ from their spec
+emulation:
+  camera: {robots: [{name: green, heading_offset: 0.3}]}
+  actuator:
+    robots:
+      - name: green
+        swap: true
+        left: {gain_mm: 7.1, dead_zone: 9, invert: true}
+        right: {gain_mm: 8.2, dead_zone: 12}
+        radius_mm: 43
+"""
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Return what makes an emulated lab of a script."""
+    with contextlib.ExitStack() as stack:
+
+        def start(script="about: nothing goes wrong", replace_after=None):
+            play = parse_script(script, "script.yaml")
+            how = {"script": play, "replace_after": replace_after, "ahead_s": 0.5}
+            return stack.enter_context(virtual_lab(tmp_path, *SMALL, spec=SPEC, **how))
+
+        yield start
+
+
+def test_check_says_ready_and_moves_nothing(lab, tmp_path):
+    emulated = lab()
+    settings = emulated.settings
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), "--json", *flags(settings)).ok()
+    found = json.loads(done.stdout)
+    assert found["ready"]
+    assert [robot["name"] for robot in found["robots"]] == ["green", "blue", "red"]
+    for robot in found["robots"]:
+        assert robot["tracked"]
+        assert robot["answers"]
+        assert robot["off_mm"] < 1
+        assert 4 < robot["battery_v"] < 6
+    assert 100 < found["camera_rate_hz"] < 140
+    assert 0 < found["latency_ms"]["p50"] <= found["latency_ms"]["max"]
+    assert emulated.events("run") == []
+
+
+def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
+    emulated = lab("about: an odd radio\nemulation: {actuator: {hardware: 0x7F44}}")
+    command = ("lab", "check", str(SPEC), *flags(emulated.settings))
+    done = tetractl(tmp_path, *command)
+    assert done.returncode == 1
+    says = "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run"
+    assert says in done.stdout
+    assert "questions not answered: add --yes if there is no terminal" in done.stderr
+    done = tetractl(tmp_path, *command, "--yes").ok()
+    assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
+
+
+def test_check_says_who_is_off_and_how_far(lab, tmp_path):
+    settings = lab().settings
+    moved = ("robots.0.start=[955, 800]", "robots.1.start=[945, 1200]", "robots.2.heading=0.4")
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags((*settings, *moved)))
+    assert done.returncode == 1
+    assert "problem: green is 55 mm from its start" in done.stdout
+    assert "problem: red is turned by -0.40 rad from its start heading" in done.stdout
+    assert "blue is" not in done.stdout
+    assert done.stdout.rstrip().endswith("not ready")
+
+
+def test_check_prints_the_names_that_the_cameras_have_beside_the_one_wanted(lab, tmp_path):
+    settings = lab().settings
+    sets = flags((*settings, "lab.camera.robots.green.body=Gren"))
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *sets)
+    assert done.returncode == 1
+    assert (
+        "problem: the cameras know no rigid body 'Gren', wanted for green; did you mean 'green'?; "
+        "they have 'green' (id 1); 'blue' (id 2); 'red' (id 3)"
+    ) in done.stdout
+
+
+def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
+    emulated = lab()
+    settings = emulated.settings
+    sets = flags((*settings, "robots.1.start=[900, 1300]"))
+    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets)
+    assert done.returncode == 1
+    assert "error: blue is 100 mm from its start" in done.stderr
+    assert emulated.events("run") == []
+    assert list((tmp_path / "logs").iterdir()) == []
+
+
+def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
+    settings = lab().settings
+    done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio")).ok()
+    assert done.stdout.startswith("sent 10 stops on ")
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(settings))
+    assert done.returncode == 1
+    for name in ("green", "blue", "red"):
+        assert f"problem: {name} is emergency-stopped" in done.stdout
+
+
+def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):
+    def compiled(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("tetractl.control.build.warm_up", compiled)
+    done = tetractl(
+        tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--set", "lab.actuator.port=nowhere"
+    )
+    assert done.returncode == 1
+    assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
+
+
+def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
+    """Regression: `rerun LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
+    emulated = lab(replace_after=0.5)
+    sets = flags((*emulated.settings, "controller.steps_max=2", "lab.limits.placing=30"))
+
+    def run(*words):
+        done = tetractl(tmp_path, *words)
+        assert len(emulated.events("run")) == started
+        return done
+
+    started = 0
+    refused = run("run", SPEC, "--plant", "lab", "--out", "first", *sets)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "error: robots would move" in refused.stderr
+    assert not (tmp_path / "first").exists()
+    started = 1
+    assert run("run", SPEC, "--plant", "lab", "--yes", "--out", "first", *sets).returncode == 0
+
+    log = ("rerun", "first/trial-000.mcap", "--out")
+    again = run(*log, "simulated").ok()
+    assert "the log is of the lab, the new one simulated" in again.stderr
+    assert read_trial(tmp_path / "simulated" / "trial-000.mcap").start.plant.simulated
+    refused = run(*log, "lab", "--plant", "lab")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    started = 2
+    again = run(*log, "lab", "--plant", "lab", "--yes").ok()
+    assert "the log is of the lab, the new one of the lab" in again.stderr
+
+
+def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
+    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
+    emulated = lab()
+    words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
+    done = tetractl(tmp_path, *words, stdin="n\n")
+    assert done.returncode != 0
+    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stdout + done.stderr
+    assert emulated.events("run") == []
+
+
+def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
+    settings = lab(UNEVEN, replace_after=4).settings
+    tetractl(
+        tmp_path, "lab", "calibrate", str(SPEC), "--robot", "green", "--yes", *flags(settings)
+    ).ok()
+    text = (tmp_path / "calibration.yaml").read_text()
+    lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml").plant
+    green = lab.actuator.robot("green")
+    assert green.swap
+    assert (green.left.invert, green.right.invert) == (True, False)
+    assert green.left.gain_mm == pytest.approx(7.1, rel=0.06)
+    assert green.right.gain_mm == pytest.approx(8.2, rel=0.06)
+    assert abs(green.left.dead_zone - 9) <= 1
+    assert abs(green.right.dead_zone - 12) <= 1
+    assert green.radius_mm == pytest.approx(43, rel=0.05)
+    assert lab.camera.heading_offset("green") == pytest.approx(0.3, abs=0.03)
+    sets = flags(
+        (
+            *settings,
+            f"lab.calibration={tmp_path / 'calibration.yaml'}",
+            "lab.limits.placing=60",
+            "controller.steps_max=3",
+        )
+    )
+    tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets).ok()
+    trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
+    assert trial.experiment.plant.actuator.robots[0].radius_mm == green.radius_mm
+    assert attachment(tmp_path / "logs" / "trial-000.mcap", "calibration.yaml") == text
+
+
+def attachment(path, name):
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        (found,) = [a for a in make_reader(file).iter_attachments() if a.name == name]
+        return found.data.decode()

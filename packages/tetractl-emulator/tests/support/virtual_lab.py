@@ -1,0 +1,215 @@
+"""The emulated lab and our side of it in this process: in virtual time, on wires in memory.
+
+Command line, plant, guard, inner loop, camera, actuator, frames, module, radio, firmware, cells and
+pictures are the real ones; wires, threads and the clock are not, so that a loaded host changes
+nothing.
+"""
+
+import contextlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import ClassVar
+from unittest import mock
+
+import numpy as np
+import pytest
+from support.lab_processes import Played, flags
+from support.lab_specs import SPEC
+from support.paths import ROOT
+from tetractl_emulator.emulated_lab import EmulatedLab
+from tetractl_emulator.script import NOTHING, parse_script
+from tetractl_emulator.sides import Options
+from tetractl_emulator.virtual_wires import LabClock, started
+
+from tetractl.core.clock import SECOND, wait_for
+from tetractl.core.protocols import LabSupervision
+from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec
+from tetractl.experiment.plants import lab_of, on_plant
+from tetractl.lab.cameras.cells.section import CellsSection
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.inner_loop import InnerLoop
+from tetractl.run.checked_controller import build_controller
+
+DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+PATIENCE_S = 10.0
+AFTER_NS = SECOND  # a lab is watched for that long after a play
+HOST_CLOCKS = (
+    "tetractl.core.clock",
+    "tetractl.experiment.lab_section",
+    "tetractl.lab.actuators.m3pi.calibrate",
+    "tetractl.lab.actuators.m3pi.broadcast",
+    "tetractl.plant.lab_plant",
+)
+
+
+class PatientClock(LabClock):
+    """A clock on which a test waits for what happens."""
+
+    def wait(self, condition, patience_s=PATIENCE_S):
+        """Let time pass until a condition holds; return whether it does."""
+        return wait_for(self, condition, patience_s)
+
+
+class TrialClock:
+    """A clock that starts at 0 when it is made, as a trial's does; `base` goes on below it."""
+
+    def __init__(self, base):
+        self._base, self._start = base, base.now()
+
+    def now(self):
+        return self._base.now() - self._start
+
+    def sleep_until(self, when):
+        self._base.sleep_until(self._start + when)
+
+
+class Joined:
+    """Our camera on the wires of the present emulation: the `device` of its section."""
+
+    lab: EmulatedLab
+    devices: ClassVar = {kind: kind.device for kind in (OptitrackSection, CellsSection)}
+
+    def __new__(cls, section, setup, clock, wake):
+        return resolve_name(cls.devices[type(section)])(
+            section, setup, clock, wake, cls.lab.camera.join
+        )
+
+
+@contextlib.contextmanager
+def joined(lab, clock):
+    """Let the lab's code in this process find an emulation's wires and clock, not the host's."""
+    Joined.lab = lab
+
+    def close(loop):
+        if loop.turn in clock.steps:
+            clock.steps.remove(loop.turn)
+
+    with contextlib.ExitStack() as stack:
+        for name, value in (
+            *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
+            ("tetractl.lab.actuators.xbee.link.SerialPort", lab.wires.ports),
+            ("tetractl.lab.actuators.field.driver.SerialPort", lab.wires.ports),
+            ("tetractl.lab.serial_port.require_port", lambda name, device: None),
+        ):
+            stack.enter_context(mock.patch(name, value))
+        start = mock.patch.object(InnerLoop, "start", lambda loop: clock.steps.append(loop.turn))
+        stack.enter_context(start)
+        stack.enter_context(mock.patch.object(InnerLoop, "close", close))
+        for kind in Joined.devices:
+            device = f"{__name__}:{Joined.__name__}"
+            stack.enter_context(mock.patch.object(kind, "device", device))
+        yield
+
+
+@dataclass
+class VirtualLab:
+    """An emulated lab; `spec` leads to it, and `settings` lead commands of this process to it."""
+
+    emulation: EmulatedLab
+    clock: PatientClock
+    spec: LoadedSpec
+    settings: tuple
+    record: Path
+
+    @property
+    def robots(self):
+        """The robots or cells as they truly are."""
+        return self.emulation.actuator.bodies
+
+    @property
+    def cells(self):
+        """The cells of a dish as they truly are."""
+        return self.robots[0].dish.cells
+
+    @cached_property
+    def plant(self):
+        """Our plant of it."""
+        section, setup = self.spec.experiment.plant, self.spec.experiment.setup
+        return section.build(setup, self.clock, np.random.SeedSequence(1), LabSupervision())
+
+    def events(self, name=None):
+        """Return what truly happened so far, of one kind or of all."""
+        self.emulation._record.flush()
+        found = [json.loads(line) for line in self.record.read_text().splitlines()]
+        return [event for event in found if name in (None, event["event"])]
+
+
+@contextlib.contextmanager
+def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, **options):
+    """Enter an emulated lab that is up `ahead_s` before anything connects.
+
+    A `spec` is a path or YAML, or loaded, a `script` may be YAML, and `options` are the
+    emulation's. Without a `folder` nothing is recorded, and the addresses are the spec's.
+    """
+    if folder is None:
+        options["address"] = None
+    else:
+        sets = (f"lab.actuator.port={Path(folder) / 'radio'}", *sets)
+    loaded = spec
+    if isinstance(spec, Path):
+        loaded = load_spec(spec, sets)
+    elif isinstance(spec, str):
+        loaded = parse_spec(spec, "lab.yaml", sets)
+    lab, clock = lab_of(loaded.experiment, loaded.name), PatientClock()
+    if isinstance(script, str):
+        types = lab.camera.type, lab.actuator.type
+        script = parse_script("about: a test\n" + script, "script.yaml", *types)
+    record = None if folder is None else Path(folder) / "record.jsonl"
+    chosen = Options(seed=seed, chosen=loaded.experiment.open, record=record, **options)
+    emulation = started(lab, loaded.experiment.setup, clock, chosen, script)
+    with contextlib.closing(emulation), joined(emulation, clock):
+        clock.sleep_until(round(ahead_s * SECOND))
+        yield VirtualLab(emulation, clock, on_plant(loaded, "lab"), sets, record)
+
+
+def virtual_dish(folder, seed=1, sets=(), script=""):
+    """An emulated dish with a microscope, as `virtual_lab`; `script` is YAML."""
+    pytest.importorskip("cv2").setNumThreads(1)
+    how = {"spec": DISH, "script": script, "seed": seed, "ahead_s": 0.5}
+    return virtual_lab(folder, f"trials.seed={seed}", *sets, **how)
+
+
+class Busy:
+    """A controller that takes virtual time: uniform from `least` to `least + spread` [s]."""
+
+    def __init__(self, controller, clock, rng, least, spread):
+        self._controller, self._clock, self._rng = controller, clock, rng
+        self._least, self._spread, self._planned = least, spread, False
+
+    def plan(self, observation, last_command=None, earlier=()):
+        decided = self._controller.plan(observation, last_command, earlier)
+        if self._planned:  # the first plan is computed while the robots stand
+            seconds = self._least + self._spread * self._rng.random()
+            self._clock.sleep_until(self._clock.now() + round(seconds * SECOND))
+        self._planned = True
+        return decided
+
+
+def play(path, script, folder, *, replace_after=None, plan_s=0.0, sets=()):
+    """Play a script; return what became of it, as `support.lab_processes.play` does.
+
+    Each plan after the first takes `plan_s` of virtual time.
+    """
+    from support.cli import tetractl
+    from support.lab_processes import SMALL
+    from support.lab_processes import SPEC as THREE
+
+    def controller(experiment, key):
+        rng = np.random.default_rng(1)
+        return Busy(build_controller(experiment, key), lab.clock, rng, plan_s, 0.0)
+
+    sets, logs = (*SMALL, *script.runner.sets, *sets), folder / "first"
+    how = {"spec": THREE, "script": script, "replace_after": replace_after, "ahead_s": 0.5}
+    with (
+        virtual_lab(folder, *sets, **how) as lab,
+        mock.patch("tetractl.run.task.build_controller", controller),
+    ):
+        words = ["run", THREE, "--plant", "lab", "--yes", "--quiet", "--out", logs]
+        done = tetractl(folder, *words, *flags(lab.settings))
+        lab.clock.sleep_until(lab.clock.now() + AFTER_NS)
+        said, events = done.stdout + done.stderr, lab.events()
+    link = folder / "radio"
+    return Played([done.returncode], [said], 0, events, sorted(logs.glob("*.mcap*")), link)

@@ -1,0 +1,135 @@
+"""What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
+
+import json
+from pathlib import Path
+
+import pytest
+from support.lab_processes import emulated, turn_until
+from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
+from support.paths import SCRIPTS
+from support.virtual_lab import virtual_lab
+
+from tetractl.core.clock import SECOND
+from tetractl.experiment.yaml.document import parse_document
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
+from tetractl.lab.cobs import Flag
+
+RUN = ((60, 60), (60, 60))
+FIELD = ("off", "low_supply, millivolts: 9000", "hot, celsius: 85", "mute")
+ON_A_PORT = ("unplug", "stuck_port", "mark")  # what an open port alone can have, and nothing
+
+
+def shipped():
+    """The faults of all shipped scripts, one of each kind, and those of a field's driver."""
+    found = {}
+    for path in sorted(SCRIPTS.glob("*.yaml")):
+        for fault in parse_document(path.read_text(), "script").data.get("faults", ()):
+            if fault["fault"] not in ON_A_PORT:
+                found[fault["fault"]] = json.dumps(fault).replace("red", "blue")
+    rows = [pytest.param(SPEC, text, id=kind) for kind, text in found.items()]
+    rows.append(pytest.param(APRILTAG_SPEC, "{fault: untracked, robot: green}", id="hidden tag"))
+    return [*rows, *(pytest.param(FIELD_SPEC, f"{{fault: {text}}}", id=text) for text in FIELD)]
+
+
+def state(lab):
+    """All that a fault may change: of the camera's side, of the radio or the driver, of robots."""
+    camera, actuator = lab.camera, lab.actuator
+    parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else [camera.swapped]
+    if hasattr(camera, "trouble"):
+        parts += [camera.trouble, camera.clock]
+        parts += [
+            {k: v for k, v in fields(body).items() if k != "robot"} for body in camera.tracked
+        ]
+    if hasattr(actuator, "radio"):
+        parts += [
+            actuator.radio.loss,
+            *({**vars(r), "core": 0, "robots": 0} for r in actuator.robots),
+        ]
+    else:
+        driver = actuator.driver
+        parts += [driver.powered, driver.mute, driver.supply_mv, driver.temperature_dc]
+    return repr(parts)
+
+
+def fields(thing):
+    return {name: getattr(thing, name) for name in type(thing).__dataclass_fields__}
+
+
+def begun(folder, fault, spec=SPEC):
+    """A lab that is not open, its script's one fault, and the device that has it."""
+    lab = emulated(folder, script=f"faults: [{fault}]", spec=spec)
+    (found,) = lab.injector.faults
+    return lab, found, lab._device_of(found)
+
+
+@pytest.mark.parametrize(("spec", "fault"), shipped())
+def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault):
+    if spec == APRILTAG_SPEC:
+        pytest.importorskip("cv2")
+    lab, found, device = begun(tmp_path, fault, spec)
+    before = state(lab)
+    undo = found.begin(device)
+    assert state(lab) != before
+    undo()
+    assert state(lab) == before
+
+
+@pytest.mark.parametrize(
+    ("fault", "gained"),
+    [("{fault: clock_jump, by: -0.5}", -0.5), ("{fault: clock_rate, rate: 3}", 2.0)],
+)
+def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained):
+    lab, found, device = begun(tmp_path, fault)
+    then = lab.timeline.now_ns + SECOND
+    before = lab.camera.clock.ticks(then)
+    found.begin(device)
+    assert (lab.camera.clock.ticks(then) - before) / 1e7 == pytest.approx(gained)
+
+
+def test_a_robot_with_another_number_obeys_that_one(tmp_path):
+    lab, found, device = begun(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
+    found.begin(device)
+    robot = lab.actuator.robot("green")
+    robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, ((10, 10), (20, 20)))))
+    assert robot.counts() == (20, 20)
+
+
+@pytest.mark.slow
+def test_robots_are_put_back_and_restarted(tmp_path):
+    told = []
+    lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: told.append(event))
+    with lab:
+        robot = lab.actuator.robot("green")
+        robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
+        turn_until(lab, lambda: robot.x > 510)
+        robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
+        turn_until(lab, lambda: not lab.camera.tracked[0].tracked)
+        assert not robot.powered
+        turn_until(lab, lambda: "placed" in told)
+        assert (robot.x, robot.y, robot.heading) == (500, 500, 0.5)
+        robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
+        assert robot.counts() == (60, 60)
+
+
+def open_files():
+    return {path.name for path in Path("/proc/self/fd").iterdir()}
+
+
+def test_a_fault_is_over_after_its_time(tmp_path):
+    script = "faults: [{fault: untracked, robot: green, since: start, at: 0.1, for: 0.2}]"
+    with virtual_lab(tmp_path, script=script) as lab:
+        body, tracked = lab.emulation.camera.tracked_body("green"), []
+        for tenth in range(5):
+            lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
+            tracked.append(body.tracked)
+    assert tracked == [True, False, False, True, True]
+
+
+def test_nothing_is_left_open(tmp_path):
+    before = open_files()
+    for _ in range(3):
+        with emulated(tmp_path) as lab:
+            lab.actuator.plugged(False)
+            lab.actuator.plugged(True)
+    assert open_files() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]

@@ -1,0 +1,43 @@
+"""The timeline: events in the order of their times, and the world moved on before each."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+from tetractl_emulator.loop import Loop, Timeline
+
+
+@given(st.lists(st.integers(0, 100), max_size=30), st.integers(0, 120))
+def test_events_happen_in_order_at_their_times(times, until):
+    moved, happened = [], []
+    timeline = Timeline(moved.append)
+    for number, when in enumerate(times):
+        timeline.at(when, lambda n=number: happened.append((timeline.now_ns, n)))
+    timeline.run_to(until)
+    due = [(when, number) for number, when in enumerate(times) if when <= until]
+    assert happened == sorted(due)  # those of one time in the order they were planned
+    assert timeline.now_ns == until
+    assert moved == sorted(set(moved))
+    assert (moved or [0])[-1] == until
+
+
+def test_an_event_may_plan_others_and_none_is_in_the_past():
+    timeline = Timeline(lambda t: None)
+    seen = []
+
+    def again():
+        seen.append(timeline.now_ns)
+        if len(seen) < 4:
+            timeline.at(timeline.now_ns - 5 if len(seen) == 2 else timeline.now_ns + 10, again)
+
+    timeline.at(3, again)
+    timeline.run_to(100)
+    assert seen == [3, 13, 13, 23]
+
+
+def test_lateness_is_noted():
+    late = []
+    timeline = Timeline(lambda t: None)
+    loop = Loop(timeline, late.append)
+    timeline.at(1, loop.end)  # long ago on the host's clock
+    loop.run()
+    assert late == [loop.worst_lag_ns]
+    assert late[0] > 0

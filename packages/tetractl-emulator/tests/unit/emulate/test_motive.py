@@ -1,0 +1,97 @@
+"""The emulated Motive: whom it serves, when its frames leave, and garbage; in virtual time."""
+
+import statistics
+from contextlib import suppress
+from itertools import pairwise
+
+import pytest
+from support.lab_specs import SPEC
+from support.virtual_lab import virtual_lab
+from tetractl_emulator.loop import Loop, Timeline
+from tetractl_emulator.optitrack.scripted import OptitrackSettings, ServerClock
+from tetractl_emulator.optitrack.side import EmulatedOptitrack
+from tetractl_emulator.sides import Options, Stage
+
+from tetractl.core.clock import SECOND
+from tetractl.experiment.load import parse_spec
+from tetractl.lab.cameras.optitrack import natnet
+from tetractl.lab.cameras.optitrack.wire import pack, parse
+
+
+class Client:
+    """A bare NatNet client on one socket."""
+
+    def __init__(self, lab):
+        self.motive, self.clock = lab.emulation.camera, lab.clock
+        self.socket = lab.emulation.wires.bound("127.0.0.1", 0)
+
+    def send(self, data):
+        data = data if isinstance(data, bytes) else pack(data)
+        self.socket.sendto(data, (self.motive.address, self.motive.command_port))
+
+    def got(self):
+        """Return the messages that came since the last call."""
+        found = []
+        with suppress(BlockingIOError):
+            while True:
+                found.append(parse(self.socket.recvfrom(65_535)[0], self.motive.own_version))
+        return found
+
+    def comes(self, kind):
+        """Let time pass until a message of a kind comes; return whether it does."""
+        return self.clock.wait(lambda: any(isinstance(each, kind) for each in self.got()))
+
+
+@pytest.fixture
+def client(tmp_path):
+    with virtual_lab(tmp_path) as lab:
+        yield Client(lab)
+
+
+def test_unicast_clients_time_out_and_are_kept_alive(client):
+    motive, clock = client.motive, client.clock
+    for _ in range(2):
+        client.send(natnet.Connect())
+        assert client.comes(natnet.ServerInfo)
+        clock.sleep_until(clock.now() + 4 * SECOND)
+        client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))
+        clock.sleep_until(clock.now() + 4 * SECOND)
+        client.got()
+        assert client.comes(natnet.NatNetFrame)
+        assert clock.wait(lambda: not motive.clients)
+        client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))  # too late: it has to connect again
+        client.send(natnet.NatNetRequest("UpAxis"))
+        assert client.comes(natnet.Response)
+        assert not motive.clients
+    assert motive.timed_out == 2
+
+
+def test_latency_and_jitter_are_those_of_the_real_capture():
+    timeline = Timeline(lambda when: None)  # virtual time: the same minute every time
+    spec = parse_spec(SPEC, "spec.yaml").experiment
+    nothing = [lambda *_, **__: None] * 4
+    stage = Stage(spec.lab, spec.setup, timeline, Options(command_port=0, data_port=0), *nothing)
+    motive = EmulatedOptitrack(stage, OptitrackSettings(), [])
+    sent = []
+    motive._stream = lambda frame, now: sent.append((frame, now))
+    motive.open(Loop(timeline, lambda lag: None))
+    try:
+        timeline.run_to(60_000_000_000)
+    finally:
+        motive.close()
+    delays = [(ServerClock().ticks(now) - frame.exposure) / 10_000 for frame, now in sent]  # ms
+    gaps = [(b - a) / 1e6 for (_, a), (_, b) in pairwise(sent)]
+    assert len(sent) == pytest.approx(7200, abs=2)
+    assert statistics.mean(delays) == pytest.approx(5.4, abs=0.1)
+    assert statistics.mean(gaps) == pytest.approx(1000 / 120, abs=0.01)
+    assert 0.3 < statistics.stdev(gaps) < 0.6
+    assert min(gaps) > 3.8
+    assert max(gaps) < 12.8
+
+
+def test_garbage_is_counted_and_survived(client):
+    for noise in (b"", b"\0", b"\xff" * 300, pack(natnet.Connect())[:-1]):
+        client.send(noise)
+    assert client.clock.wait(lambda: client.motive.refused == 4)
+    client.send(natnet.Connect())
+    assert client.comes(natnet.ServerInfo)

@@ -1,0 +1,60 @@
+"""Fault scripts: a small, strict schema; every shipped one is valid."""
+
+import pytest
+from support.lab_processes import camera_of, emulated
+from support.paths import SCRIPTS
+from support.scripts import load_script
+from tetractl_emulator.script import Sides, parse_script
+
+from tetractl.core.errors import SpecError
+
+FOLDER = SCRIPTS
+SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
+    script = load_script(path, camera_of(path))
+    assert script.expect is not None
+    assert script.row
+    named = {name for fault in script.faults for name in fault.names()}
+    assert named <= {"green", "blue", "red"}
+    marks = {fault.name for fault in script.faults if fault.fault == "mark"}
+    assert set(script.runner.on_mark) <= marks
+
+
+def test_every_fault_has_a_script():
+    used = {fault.fault for path in FOLDER.glob("*.yaml") for fault in load_script(path).faults}
+    assert used == set(Sides.of("optitrack", "m3pi-xbee").faults)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("faults: [{fault: nan, robot: green, speed: 3}]", "speed: unknown key"),
+        ("faults: [{fault: nam, robot: green}]", "fault must be one of no_server"),
+        ("faults: [{fault: nan}]", "faults.0.robot: is missing"),
+        ("faults: [{fault: unplug, robot: green}]", "robot: unknown key"),
+        ("faults: [{fault: unplug, at: -1}]", "must be at least 0"),
+        ("faults: [{fault: unplug, at: .inf}]", "finite"),
+        ("faults: [{fault: unplug, since: tomorrow}]", "'start', 'client' or 'run'"),
+        ("faults: [{fault: jump, robot: green, by: [1]}]", "is missing"),
+        ("faults: 3", "must be a list"),
+        ("expect: 3", "must be a mapping"),
+        ("emulation: {camera: {version: 2.10}}", "if 2.10 is meant, put it in quotes"),
+        ("emulation: {camera: {version: '2.4'}}", "must match"),
+        ("emulation: {version: '4.1'}", "version: unknown key"),
+        ("emulation: {actuator: {version: '4.1'}}", "version: unknown key"),
+        ("faults: [{fault: unplug, at: 1, at: 2}]", "given twice"),
+        ("emulation: !!python/object:os.system {}", "line|tag"),
+    ],
+)
+def test_a_wrong_script_is_refused_with_its_place(text, message):
+    with pytest.raises(SpecError, match=message) as caught:
+        parse_script("about: x\n" + text, "script.yaml")
+    assert str(caught.value).startswith("script.yaml:2:")
+
+
+def test_a_script_for_another_spec_is_refused(tmp_path):
+    with pytest.raises(SpecError, match="pink is not a robot"):
+        emulated(tmp_path, script="faults: [{fault: off, robot: pink}]")

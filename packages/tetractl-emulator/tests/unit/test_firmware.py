@@ -1,0 +1,168 @@
+"""The robot's C core against the Python codec, byte by byte, and its own C tests."""
+
+import contextlib
+import random
+import shutil
+import subprocess
+
+import pytest
+from support.device_replies import packed_reply
+from support.paths import EMULATOR
+from tetractl_emulator import firmware
+from tetractl_emulator.firmware import CoreEvent, RobotCore
+
+from tetractl.core.errors import TetractlError, WireError
+from tetractl.lab.actuators.m3pi.broadcast import (
+    REPLY_SLOT_MS,
+    ROBOTS_MAX,
+    BroadcastCommand,
+    Reply,
+    Status,
+    decode_command,
+    decode_reply,
+    encode_command,
+)
+from tetractl.lab.cobs import Flag, encode, frame_with_crc
+
+needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+FOLDER = EMULATOR / "firmware"
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return firmware.load("m3pi", tmp_path_factory.mktemp("firmware"))
+
+
+def run(sequence, *wheels, flags=Flag.RUN):
+    return encode_command(BroadcastCommand(sequence, flags, wheels))
+
+
+@needs_compiler
+def test_every_robot_obeys_its_own_wheels(library):
+    rng = random.Random(1)
+    for robots in range(ROBOTS_MAX + 1):
+        wheels = [(rng.randint(-127, 127), rng.randint(-127, 127)) for _ in range(robots)]
+        for index in {0, max(0, robots - 1), robots, 255}:
+            core = RobotCore(index, library)
+            assert core.push(run(robots, *wheels), 0) == [CoreEvent.ACCEPTED]
+            assert core.wheels(0) == (wheels[index] if index < robots else (0, 0))
+
+
+@needs_compiler
+def test_core_and_codec_agree_on_what_a_frame_is(library):
+    rng = random.Random(2)
+    core = RobotCore(0, library)
+    seen = dict.fromkeys(CoreEvent, 0)
+    for _ in range(30_000):
+        frame = damaged(rng)
+        expected = None
+        with contextlib.suppress(WireError):
+            expected = decode_command(frame)
+        before = core.wheels(0)
+        events = core.push(frame + b"\0", 0)
+        for event in events:
+            seen[event] += 1
+        if expected is None:
+            assert events in ([], [CoreEvent.REJECTED], [CoreEvent.FOREIGN])
+            assert core.wheels(0) == before
+        else:
+            assert events in ([CoreEvent.ACCEPTED], [CoreEvent.STALE])
+            runs = expected.flags & (Flag.RUN | Flag.EMERGENCY_STOP) == Flag.RUN
+            if not runs:
+                assert core.wheels(0) == (0, 0)
+            elif events == [CoreEvent.ACCEPTED]:
+                assert core.wheels(0) == (expected.wheels or ((0, 0),))[0]
+            else:
+                assert core.wheels(0) == before
+            if Flag.EMERGENCY_STOP in expected.flags or rng.random() < 0.05:
+                core = RobotCore(0, library)
+    assert min(count for event, count in seen.items() if event is not CoreEvent.NOTHING) > 200
+
+
+def damaged(rng):
+    """Return a frame without its 00: good, damaged, or well sealed but wrong inside."""
+    wheels = tuple((rng.randint(-127, 127), rng.choice([0, 5])) for _ in range(rng.randrange(4)))
+    flags = rng.choice([Flag.RUN, Flag.RUN, Flag.RUN | Flag.POLL, Flag(0), Flag.EMERGENCY_STOP])
+    frame = bytearray(encode_command(BroadcastCommand(rng.randrange(256), flags, wheels))[:-1])
+    match rng.randrange(6):
+        case 0:
+            frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
+        case 1:
+            del frame[rng.randrange(len(frame)) :]
+        case 2:
+            frame[rng.randrange(len(frame) + 1) :] = rng.randbytes(rng.randint(1, 90))
+        case 3:
+            body = bytes([rng.choice([0x51, 0x51, 0x52]), 0, rng.randrange(16), rng.randrange(4)])
+            frame = bytearray(frame_with_crc(body + rng.randbytes(rng.randrange(8)))[:-1])
+        case 4:
+            frame = bytearray(encode(rng.randbytes(rng.randrange(254)))[:-1])
+    return bytes(frame.replace(b"\0", b"\x01"))
+
+
+@needs_compiler
+def test_polled_robots_answer_once_each_in_its_slot(library):
+    cores = [RobotCore(index, library) for index in range(3)]
+    poll = run(0, flags=Flag.POLL)
+    for index, core in enumerate(cores):
+        core.set_battery(4900 + index)
+        assert core.push(b"\x05rubbish\0" + poll, 10) == [CoreEvent.REJECTED, CoreEvent.ACCEPTED]
+    answers = {}
+    for now in range(10, 100):
+        for index, core in enumerate(cores):
+            if reply := core.take_reply(now):
+                answers[now] = (index, reply)
+    assert [now - 10 for now in answers] == [0, REPLY_SLOT_MS, 2 * REPLY_SLOT_MS]
+    for index, raw in answers.values():
+        reply = decode_reply(raw[:-1])
+        assert reply == Reply(index, 0, Status(0), 4900 + index, 1, 1)
+        assert packed_reply(reply) == raw
+        assert cores[0].push(raw, 200) == [CoreEvent.FOREIGN]
+    assert cores[0].take_reply(200) == b""
+
+
+@needs_compiler
+def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch):
+    for name in ("m3pi_core.c", "m3pi_core.h", "framing.c", "framing.h"):
+        (tmp_path / name).write_text("this is not C\n")
+    monkeypatch.setattr(firmware, "source_folder", lambda: tmp_path)
+    with pytest.raises(TetractlError, match=r"could not build the firmware's core: .*error") as got:
+        firmware.load("m3pi", tmp_path / "out")
+    assert "\n" not in got.value.message
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_without_a_compiler_the_error_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(TetractlError, match="no C compiler") as got:
+        firmware.load("m3pi", tmp_path / "out")
+    assert got.value.hint
+
+
+@needs_compiler
+def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(firmware, "cache_folder", lambda: tmp_path)
+    load = firmware.load.__wrapped__  # a process loads it once
+    load("m3pi")
+    (built,) = tmp_path.iterdir()
+    monkeypatch.setattr(firmware, "compiler", lambda: None)
+    assert load("m3pi")["size"]() > 0
+    assert list(tmp_path.iterdir()) == [built]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("make") is None or shutil.which("gcc") is None, reason="no make or gcc found"
+)
+@pytest.mark.parametrize("target", ["test", "sanitize"])
+def test_the_firmwares_own_tests_pass(tmp_path, target):
+    done = subprocess.run(
+        ["make", "--no-print-directory", f"BUILD={tmp_path}", target],
+        cwd=FOLDER,
+        capture_output=True,
+        text=True,
+    )
+    if target == "sanitize" and "cannot find -l" in done.stderr:
+        pytest.skip("the compiler has no sanitizer libraries")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith("\npassed\n")

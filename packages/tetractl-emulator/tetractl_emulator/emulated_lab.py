@@ -1,0 +1,232 @@
+"""The emulated lab: camera, actuator, faults, a record of events, and a helper who moves robots."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError, TetractlError
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import LabSection
+from tetractl_emulator.faults import Fault, Injector
+from tetractl_emulator.loop import Loop, Timeline
+from tetractl_emulator.script import Script, Sides
+from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
+from tetractl_emulator.wires import Wires
+
+Report = Callable[[str, Facts], None]
+
+
+class Record:
+    """Writes events to a file, if a path is given; their times are those of `time.monotonic_ns`."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._file: TextIO | None = None
+        if path is not None:
+            try:
+                self._file = path.open("w", encoding="utf-8")
+            except OSError as error:
+                raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
+
+    def add(self, t_ns: int, event: str, **facts: Any) -> None:
+        """Append an event with its time `t_ns` and its facts."""
+        if self._file is not None:
+            line = {"t_ns": t_ns, "event": event, **facts}
+            self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
+
+    def flush(self) -> None:
+        """Write buffered events to the file."""
+        if self._file is not None:
+            self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+class EmulatedLab:
+    """An emulated lab at the ends of `wires`, by default real sockets and ports. `report(event,
+    facts)` is called with events for display.
+
+    A context manager: leaving it always releases ports and names.
+    """
+
+    def __init__(
+        self,
+        lab: LabSection,
+        setup: Setup,
+        script: Script,
+        options: Options,
+        report: Report = lambda event, facts: None,
+        make_loop: type[Loop] = Loop,
+        wires: Wires | None = None,
+    ) -> None:
+        _check_names(script, setup)
+        self._setup, self._script, self._options = setup, script, options
+        self._record, self._report = Record(None), report
+        start_ns = make_loop.now()
+        self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
+        self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
+        self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
+        reports = self._note, self._exposed, self.injector.sent, self._client
+        self.wires = wires or Wires()
+        stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
+        sides = Sides.of(lab.camera.type, lab.actuator.type)
+        emulated = script.emulation
+        self.actuator: EmulatedActuator = sides.actuator(
+            stage, emulated.actuator or sides.actuator.Settings()
+        )
+        self.camera: EmulatedCamera = sides.camera(
+            stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
+        )
+        self._moving = [False] * len(self.actuator.bodies)
+        self._ran = False  # whether robots moved since they were last put on their starts
+        self._still_since: int | None = start_ns  # time [ns]; None while any robot moves
+        self._put_on_starts()
+
+    def __enter__(self) -> "EmulatedLab":
+        self.loop.catch_up()
+        try:
+            self._record = Record(self._options.record)
+            facts = {
+                "emulation": True,
+                **self.actuator.open(self.loop),
+                **self.camera.open(self.loop),
+                "robots": list(self._setup.names),
+            }
+        except BaseException:
+            self.close()
+            raise
+        self._tick()
+        self._flush()
+        self._note("ready", **facts)
+        self._record.flush()
+        self._report("ready", facts)
+        self.injector.happened("start")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def run(self) -> None:
+        """Run in real time until `loop.end()`."""
+        self.loop.run()
+
+    def close(self) -> None:
+        """Release ports and names, and close the record; may be called twice."""
+        counts = self.actuator.close() | self.camera.close()
+        self._note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
+        self._record.close()
+
+    def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator:
+        return self.camera if type(fault) in self.camera.faults else self.actuator
+
+    def _note(self, event: str, **facts: Any) -> None:
+        self._record.add(self.timeline.now_ns, event, **facts)
+
+    def _exposed(self, exposure: int, frame: int) -> None:
+        self.injector.exposed(exposure)
+        bodies = self.actuator.bodies
+        self._note(
+            "truth",
+            exposure=exposure,
+            frame=frame,
+            poses=[[round(b.x, 3), round(b.y, 3), round(b.heading, 5)] for b in bodies],
+            **self.actuator.truth,
+        )
+
+    def _client(self, address: str) -> None:
+        self._note("client", address=address)
+        self._report("client", {"address": address})
+        self.injector.happened("client")
+
+    def _fault(self, phase: str, fault: Fault) -> None:
+        own = dict(fault)
+        robot, mark = own.get("robot"), own.get("name")
+        facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
+        self._note("fault", **facts)
+        self._record.flush()
+        self._report("fault", facts)
+
+    def _tick(self) -> None:
+        """Advance the actuator, and record which robots start or stop moving."""
+        now = self.timeline.now_ns
+        self.actuator.tick()
+        if self.actuator.driven and not self._ran:
+            self._ran = True
+            if self._still_since is not None:  # a run begins: rest before it does not count
+                self._still_since = now
+            self._note("run")
+            self._report("run", {})
+            self.injector.happened("run")
+        for i, body in enumerate(self.actuator.bodies):
+            if self._moving[i] == body.standing:
+                self._moving[i] = not body.standing
+                self._note("robot", name=body.name, moving=self._moving[i])
+        if any(self._moving):
+            if self._still_since is not None:
+                self._report("moving", {})
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = now
+            self._report("rest", {})
+        self._help(now)
+        self.timeline.at(now + 2_000_000, self._tick)
+
+    def _help(self, now: int) -> None:
+        """Carry the robots back to their starts once they have stood still for `replace_after`."""
+        wait = self._options.replace_after
+        if wait is None or not self._ran or self._still_since is None:
+            return
+        if now - self._still_since < round(wait * SECOND):
+            return
+        self._ran = False
+        self.camera.hide(True)
+        self.actuator.switch(False)
+        # a robot is carried for half a second
+        self.timeline.at(now + 500_000_000, self._put_down)
+
+    def _put_down(self) -> None:
+        self._put_on_starts()
+        self.actuator.switch(True)
+        self.camera.hide(False)
+        self._note("placed")
+        self._report("placed", {})
+
+    def _put_on_starts(self) -> None:
+        """Put every robot on the start that the script or, by default, the spec gives.
+
+        If trials choose their cells, no cell is moved.
+        """
+        if self._options.chosen:
+            return
+        mm, starts = self._setup.metres * 1000, self._setup.starts
+        placed = {robot.name: robot for robot in self._script.emulation.robots}
+        for i, body in enumerate(self.actuator.bodies):
+            x, y, heading = starts.x[i], starts.y[i], starts.heading[i]
+            if (other := placed.get(body.name)) is not None:
+                x, y = other.start or (x, y)
+                heading = heading if other.heading is None else other.heading
+            body.place(float(x * mm), float(y * mm), float(heading))
+
+    def _flush(self) -> None:
+        self._record.flush()
+        self.timeline.at(self.timeline.now_ns + 200_000_000, self._flush)
+
+
+def _check_names(script: Script, setup: Setup) -> None:
+    """Raise SpecError if a script names a robot that is not in the spec."""
+    own = script.emulation
+    sides = [dict(side) for side in (own.camera, own.actuator) if side is not None]
+    lists = [own.robots, *(side.get("robots", ()) for side in sides)]
+    names = [robot.name for robots in lists for robot in robots]
+    names += [name for fault in script.faults for name in fault.names()]
+    for name in names:
+        if name not in setup.names:
+            raise SpecError(
+                f"the script's {name} is not a robot of the spec",
+                f"the spec's robots are {', '.join(setup.names)}",
+            )

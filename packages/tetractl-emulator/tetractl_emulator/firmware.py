@@ -1,0 +1,169 @@
+"""The firmware's cores, compiled for this computer: emulated devices run the real devices' code.
+
+`<name>_core.c` and `framing.c` of `firmware/` are compiled once into the user's cache folder, by
+the compiler in $CC or, without $CC, by the first that is found of cc, gcc and clang.
+"""
+
+import ctypes
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+from tetractl.core.cache import cache_folder, digest
+from tetractl.core.errors import TetractlError
+from tetractl.lab.actuators.m3pi.broadcast import Counts, Status
+
+_P, _U8, _I16 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_int16
+_U16, _U32, _SIZE = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_size_t
+_BOTH = {
+    "size": (_SIZE,),
+    "push": (ctypes.c_int, _P, _U8, _U32),
+    "status": (_U8, _P, _U32),
+    "take_reply": (_SIZE, _P, _U32, _P),
+}
+FUNCTIONS = {  # functions of each core: type of the result, types of the arguments
+    "m3pi": _BOTH
+    | {
+        "init": (None, _P, _U8),
+        "wheels": (None, _P, _U32, _P, _P),
+        "set_battery": (None, _P, _U16),
+    },
+    "field": _BOTH
+    | {
+        "init": (None, _P, _P, _U32),
+        "currents": (None, _P, _U32, _P, _P),
+        "measured": (None, _P, _I16, _I16, _U16, _I16),
+    },
+}
+Library = Mapping[str, Callable[..., Any]]  # the functions of a core by name
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
+
+
+def compiler() -> str | None:
+    """Return the path of a C compiler, None if there is none."""
+    names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+    return next(filter(None, (shutil.which(name) for name in names if name)), None)
+
+
+def source_folder() -> Path:
+    """Return the folder of the C sources: in the source tree, or in the package."""
+    here = Path(__file__).resolve()
+    for folder in (here.parents[1] / "firmware", here.parent / "cores"):
+        if (folder / "framing.c").is_file():
+            return folder
+    raise TetractlError("the firmware's C sources are missing from this installation")
+
+
+@cache
+def load(name: str, folder: Path | None = None) -> Library:
+    """Load the functions of the core `name`, by their names; compile it first if `folder` (default:
+    the cache) does not contain it.
+
+    TetractlError if there is no compiler, no source, or the source does not compile.
+    """
+    sources = source_folder()
+    codes = [sources / f"{name}_core.c", sources / "framing.c"]
+    parts = [part for code in codes for part in (code, code.with_suffix(".h"))]
+    state = digest(parts, " ".join(FLAGS))
+    path = (folder or cache_folder()) / f"{name}_core-{platform.machine()}-{state}.so"
+    if not path.is_file():
+        _build(codes, path)
+    library = ctypes.CDLL(str(path))
+    functions = {function: library[f"{name}_{function}"] for function in FUNCTIONS[name]}
+    for function, (result, *arguments) in FUNCTIONS[name].items():
+        functions[function].restype, functions[function].argtypes = result, arguments
+    return functions
+
+
+def _build(codes: list[Path], path: Path) -> None:
+    name = compiler()
+    if name is None:
+        raise TetractlError(
+            "no C compiler found; emulated devices run the compiled firmware",
+            hint="install gcc or clang, or set CC",
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
+        built = Path(scratch) / path.name
+        done = subprocess.run(
+            [name, *FLAGS, *map(str, codes), "-o", str(built)], capture_output=True, text=True
+        )
+        if done.returncode:
+            line = (done.stderr.strip() or "no message").splitlines()[0]
+            raise TetractlError(f"{name} could not build the firmware's core: {line}")
+        built.replace(path)  # atomic: other processes see the complete file or none
+
+
+class CoreEvent(IntEnum):
+    """The result of reading a byte: the kind of frame that the byte completed, if any."""
+
+    NOTHING = 0
+    ACCEPTED = 1
+    STALE = 2  # a good frame, but old or a duplicate
+    REJECTED = 3  # wrong stuffing, length, CRC, flags or counts
+    FOREIGN = 4  # a good frame that is not a command
+
+
+class Core:
+    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32."""
+
+    name: ClassVar[str]
+    reply_size: ClassVar[int]
+    number: ClassVar[type[Any]]  # type of the two numbers that `_pair` returns
+
+    def __init__(self, library: Library | None) -> None:
+        self._library = library or load(self.name)
+        self._core = ctypes.create_string_buffer(self._library["size"]())
+        self._reply = ctypes.create_string_buffer(self.reply_size)
+        self._one, self._two = self.number(), self.number()
+        self._both = ctypes.byref(self._one), ctypes.byref(self._two)
+
+    def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
+        """Read bytes from the radio or the serial line; return an event for each completed
+        frame.
+        """
+        push = self._library["push"]
+        events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
+        return [event for event in events if event is not CoreEvent.NOTHING]
+
+    def take_reply(self, now_ms: int) -> bytes:
+        """Return the reply that is due now, b"" if none is; each reply is returned once."""
+        size = self._call("take_reply", now_ms, self._reply)
+        return self._reply.raw[:size] if size else b""
+
+    def _call(self, function: str, *arguments: Any) -> Any:
+        return self._library[function](self._core, *arguments)
+
+    def _pair(self, function: str, now_ms: int) -> tuple[int, int]:
+        """Return the two numbers that a function of the core writes."""
+        self._library[function](self._core, now_ms, *self._both)
+        return self._one.value, self._two.value
+
+
+class RobotCore(Core):
+    """The firmware core of robot `index`."""
+
+    name, reply_size, number = "m3pi", 14, ctypes.c_int8
+
+    def __init__(self, index: int, library: Library | None = None) -> None:
+        super().__init__(library)
+        self._call("init", index)
+
+    def wheels(self, now_ms: int) -> Counts:
+        """Return the present counts of both wheels, which the watchdog may have set to 0."""
+        return self._pair("wheels", now_ms)
+
+    def status(self, now_ms: int) -> Status:
+        """Return the status flags that a reply would have now."""
+        return Status(self._call("status", now_ms))
+
+    def set_battery(self, battery_mv: int) -> None:
+        """Set the battery voltage that the core reports [mV]; 0 for unknown."""
+        self._call("set_battery", battery_mv)

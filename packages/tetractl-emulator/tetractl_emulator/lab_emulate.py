@@ -1,0 +1,97 @@
+"""`tetractl lab emulate`: runs an emulated lab, to which another process connects."""
+
+from json import dumps
+from pathlib import Path
+from typing import Annotated, Any
+
+from tetractl.cli import ui
+from tetractl.core.errors import Exit
+from tetractl.run.interrupt import STOP_SIGNALS
+
+ROBOTS = {
+    "run": "first command of a run",
+    "moving": "moving",
+    "rest": "standing still",
+    "placed": "put back on their starts",
+}
+"""For each event of the robots, what is printed."""
+
+
+def emulate(
+    spec: ui.Spec,
+    sets: ui.Sets = None,
+    script: Path | None = None,
+    address: str = "127.0.0.1",
+    command_port: Annotated[int | None, ui.ValueRange(0, 65535)] = None,
+    data_port: Annotated[int | None, ui.ValueRange(0, 65535)] = None,
+    port_link: Path | None = None,
+    record: Path | None = None,
+    replace_after: Annotated[float | None, ui.ValueRange(0.1)] = None,
+    seed: int = 1,
+    json: bool = False,
+) -> int:
+    """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
+
+    NO HARDWARE is involved. The emulation runs in real time until Ctrl-C, and prints `ready` when
+    programs can connect.
+
+    Example: tetractl lab emulate experiments/three_m3pi_lab.yaml --port-link /tmp/radio
+
+    Options:
+      script FILE: YAML file of scripted faults and of the devices' true properties.
+      address IP: Address at which the camera serves.
+      command_port N: The camera server's UDP port for commands; 0 for any free port.  [spec]
+      data_port N: UDP port to send frames to; 0 for any free port.  [spec]
+      port_link PATH: Path to create for the actuator's serial port.  [spec: lab.actuator.port]
+      record FILE: File for the true poses and events, as JSON lines.
+      replace_after S: Put robots back on their starts once they have stood still for S seconds.
+      seed N: Seed of the emulation's random numbers.
+      json: Print events as JSON lines.
+    """
+    import gc
+    import signal
+
+    from tetractl.experiment.plants import lab_of
+    from tetractl_emulator.emulated_lab import EmulatedLab
+    from tetractl_emulator.script import NOTHING, load_script
+    from tetractl_emulator.sides import Options
+
+    loaded = ui.load(spec, sets)
+    lab = lab_of(loaded.experiment, loaded.name)
+    play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
+    chosen = loaded.experiment.open
+    options = Options(
+        address, command_port, data_port, port_link, record, replace_after, seed, chosen
+    )
+
+    def report_json(event: str, facts: dict[str, Any]) -> None:
+        print(dumps({"event": event, **facts}), flush=True)
+
+    report = report_json if json else _report
+    emulation = EmulatedLab(lab, loaded.experiment.setup, play, options, report)
+
+    def end(number: int, frame: object) -> None:
+        emulation.loop.end()
+
+    for number in STOP_SIGNALS:
+        signal.signal(number, end)
+    with emulation:
+        gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
+        emulation.run()
+    ui.tell("the emulation has ended")
+    return Exit.DONE
+
+
+def _report(event: str, facts: dict[str, Any]) -> None:
+    match event:
+        case "ready":
+            where = f"cameras at {facts['camera']}, {facts['actuator']}"
+            line = f"ready: {where}; EMULATION, no hardware"
+        case "client":
+            line = f"emulated cameras: {facts['address']} connected"
+        case "run" | "moving" | "rest" | "placed":
+            line = f"emulated robots: {ROBOTS[event]}"
+        case _:
+            what = " ".join(filter(None, (facts["name"], facts["robot"], facts["mark"])))
+            line = f"emulated fault: {what}, {facts['phase']}"
+    print(line, flush=True)

@@ -1,0 +1,119 @@
+"""The emulated radio: the XBee at the PC, UARTs, transmission, loss and acknowledgements; no I/O.
+
+A frame takes time on the PC's UART, then, after a short random wait, 32 us per byte on the air,
+then time on the robot's UART. Broadcasts are not acknowledged; a robot's answer is sent up to four
+times, until it is acknowledged. The module answers AT commands that request a parameter.
+"""
+
+import random
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from tetractl.lab.actuators.m3pi.broadcast import decode_command
+from tetractl.lab.actuators.xbee.frames import (
+    AT_COMMAND,
+    BROADCAST,
+    Decoder,
+    at_response,
+    encode,
+)
+from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
+from tetractl_emulator.loop import Timeline
+from tetractl_emulator.m3pi.robot import EmulatedRobot
+from tetractl_emulator.port import PseudoPort, SerialDevice, uart_ns
+
+RECEIVED = bytes.fromhex("81 00 01 28 00")  # data from address 1 at -40 dBm
+AIR_NS_A_BYTE = 32_000
+AIR_OVERHEAD = 17  # bytes: preamble, header, checksum
+BACKOFF_NS = 320_000  # longest random wait before a transmission
+ACK_NS = 860_000  # time a sender waits for an acknowledgement
+ROBOT_BAUD = 57600
+
+
+class EmulatedRadio(SerialDevice):
+    """The PC's module on its port, and one module per robot.
+
+    `versions` are the hardware version (HV) and firmware version (VR) of the PC's module.
+    `loss` is the probability that a robot does not receive a transmission. `note(event, **facts)`
+    records each command when it is read from the port, with `sequence`, `flags` and the `wheels` of
+    all robots, and what each robot hears.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        port: PseudoPort,
+        baud: int,
+        versions: tuple[int, int],
+        robots: Sequence[EmulatedRobot],
+        loss: float,
+        seed: int,
+        note: Callable[..., None],
+    ) -> None:
+        super().__init__(timeline, port, baud, note)
+        self.loss, self.robots = loss, robots
+        self._random = random.Random(seed)
+        self._decoder, self._witnessed = Decoder(), Decoder()
+        self._air_ns = 0  # when the air is free again
+        self._parameters = {
+            b"HV": versions[0].to_bytes(2, "big"),
+            b"VR": versions[1].to_bytes(2, "big"),
+            b"BD": BAUDS.index(baud).to_bytes(4, "big"),
+            b"AP": bytes((ESCAPED_FRAMES,)),
+        }
+
+    def hear(self, data: bytes) -> None:
+        """Take bytes that the module's UART has received from the PC."""
+        for content in self._decoder.feed(data):
+            if content.startswith(BROADCAST):
+                self._transmit(content[len(BROADCAST) :])
+            elif content[0] == AT_COMMAND and len(content) >= 4:
+                command = content[2:4]
+                value = self._parameters.get(command) if len(content) == 4 else None
+                self._answer(encode(at_response(content[1], command, value)))
+
+    def _witness(self, data: bytes) -> None:
+        for content in self._witnessed.feed(data):
+            if not content.startswith(BROADCAST):
+                continue
+            self._note_commands(content[len(BROADCAST) :])
+
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        command = decode_command(sealed)
+        flags, wheels = int(command.flags), command.wheels
+        return {"sequence": command.sequence, "flags": flags, "wheels": wheels}
+
+    def poll_answers(self) -> None:
+        """Send the answers that robots have ready; to be called about every millisecond."""
+        for robot in self.robots:
+            if answer := robot.answer():
+                ready = self._timeline.now_ns + uart_ns(len(answer), ROBOT_BAUD)
+                self._timeline.at(ready, lambda answer=answer: self._reply(answer))
+
+    def _take_air(self, size: int) -> int:
+        """Reserve the radio channel for a transmission of `size` bytes; return the time of its end
+        [ns].
+        """
+        start = max(self._timeline.now_ns, self._air_ns)
+        wait = round(self._random.uniform(0, BACKOFF_NS))
+        self._air_ns = start + wait + (size + AIR_OVERHEAD) * AIR_NS_A_BYTE
+        return self._air_ns
+
+    def _transmit(self, payload: bytes) -> None:
+        arrives = self._take_air(len(payload)) + uart_ns(len(payload), ROBOT_BAUD)
+        for robot in self.robots:
+            if self._random.random() >= self.loss:
+                self._timeline.at(arrives, lambda robot=robot: self._deliver(robot, payload))
+
+    def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
+        if robot.powered:
+            robot.hear(payload)
+            self.note("heard", robot=robot.name, hex=payload.hex())
+
+    def _reply(self, payload: bytes) -> None:
+        for _ in range(4):
+            arrives = self._take_air(len(payload))
+            self._air_ns += ACK_NS
+            if self._random.random() >= self.loss:
+                self._timeline.at(arrives, lambda: self._answer(encode(RECEIVED + payload)))
+                return

@@ -1,0 +1,205 @@
+"""Emulated robots: the firmware's core, which reads the radio, a battery, and wheels that move by
+`model.wheels`.
+
+Lengths are millimetres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.poses import Floats, Poses
+from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
+from tetractl_emulator.firmware import RobotCore
+
+STANDING_MM_S = 1.0
+AT_REST_MM_S = 1e-9
+STEPS_MAX = 1000  # number of steps that may be integrated together
+FULL_LOAD_MM_S = 2000.0  # both wheels together
+
+
+@dataclass(slots=True)
+class EmulatedBattery:
+    """A battery of four NiMH cells, whose voltage falls with the load and with the charge drawn."""
+
+    open_mv: float = 5100.0
+    sag_mv: float = 150.0  # at full load, both wheels at 1 m/s
+    drain_mv_s: float = 0.2  # at full load; a tenth of this at rest
+
+    def draw(self, load: float, seconds: float) -> None:
+        """Draw charge for a time [s] at a load from 0 to 1."""
+        self.open_mv = max(0.0, self.open_mv - self.drain_mv_s * (0.1 + 0.9 * load) * seconds)
+
+    def voltage_mv(self, load: float) -> int:
+        """Return the voltage [mV] at a load from 0 to 1."""
+        return max(0, round(self.open_mv - self.sag_mv * load))
+
+
+class EmulatedRobot:
+    """One robot, in a row of `EmulatedRobots`, which moves it.
+
+    `index` is the number in broadcasts that was built into its firmware. Faults set `powered`,
+    `stuck` (left and right wheel) and `veer`, counts that replace any counts other than 0.
+    """
+
+    robots: "EmulatedRobots"
+    row: int
+
+    def __init__(self, name: str, index: int, battery: EmulatedBattery | None = None) -> None:
+        self.name, self.core = name, RobotCore(index)
+        self.index = index
+        self.battery = battery or EmulatedBattery()
+        self.powered, self.stuck = True, (False, False)
+        self.veer: Counts | None = None
+
+    @property
+    def x(self) -> float:
+        """Position x [mm]."""
+        return float(self.robots.poses.x[self.row])
+
+    @property
+    def y(self) -> float:
+        """Position y [mm]."""
+        return float(self.robots.poses.y[self.row])
+
+    @property
+    def heading(self) -> float:
+        """Heading [rad]."""
+        return float(self.robots.poses.heading[self.row])
+
+    @property
+    def wheels(self) -> tuple[float, float]:
+        """The speeds of the left and the right wheel [mm/s]."""
+        left, right = self.robots.wheels[:, self.row].tolist()
+        return left, right
+
+    @property
+    def load(self) -> float:
+        """The motors' load, from 0 to 1."""
+        return min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
+
+    @property
+    def standing(self) -> bool:
+        """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
+        return self.robots.standing[self.row]
+
+    @property
+    def battery_mv(self) -> int:
+        """The battery's present voltage [mV]."""
+        return self.battery.voltage_mv(self.load)
+
+    def hear(self, data: bytes) -> None:
+        """Take bytes from the robot's radio module."""
+        if self.powered:
+            self.core.set_battery(self.battery_mv)
+            self.core.push(data, self.robots.now_ms)
+
+    def answer(self) -> bytes:
+        """Return the bytes that the robot now sends to its radio module."""
+        return self.core.take_reply(self.robots.now_ms) if self.powered else b""
+
+    def counts(self) -> Counts:
+        """Return the present counts of both motors."""
+        if not self.powered:
+            return 0, 0
+        counts = self.core.wheels(self.robots.now_ms)
+        return self.veer if self.veer is not None and any(counts) else counts
+
+    def switch(self, on: bool) -> None:
+        """Switch the robot on or off; switching it on restarts its firmware."""
+        self.powered = on
+        if on:
+            self.core = RobotCore(self.index)
+
+    def place(self, x: float, y: float, heading: float) -> None:
+        """Put the robot, at rest, at a pose [mm, rad]."""
+        self.robots.place(self.row, x, y, heading)
+
+
+class EmulatedRobots:
+    """The true state of N robots [mm, rad], in the spec's axes, at rest at `start_ns`.
+
+    The motors' counts are read once a millisecond, as by the firmware; the motion since the counts
+    last changed is computed when it is asked for. `drivetrains` gives the true wheel speeds for
+    counts, `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s` (N,) [s] the wheels'
+    time constants.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[EmulatedRobot],
+        drivetrains: Drivetrains,
+        radius: Floats,
+        lag_s: Floats,
+        start_ns: int = 0,
+    ) -> None:
+        at_zero = Poses(*np.zeros((3, len(robots))))
+        self._wheeled = WheeledRobots(at_zero, radius, lag_s, AT_REST_MM_S)
+        self.robots, self._drivetrains = robots, drivetrains
+        self._now_ns = self._settled_ns = start_ns
+        self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
+        self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
+        self._held: list[tuple[Counts, tuple[bool, bool]]] = []
+        for row, robot in enumerate(robots):
+            robot.robots, robot.row = self, row
+
+    @property
+    def now_ms(self) -> int:
+        """The time of the robots' firmware [ms]."""
+        return self._now_ns // MILLISECOND
+
+    @property
+    def poses(self) -> Poses:
+        """The present poses [mm, rad]."""
+        return self._settled().poses
+
+    @property
+    def wheels(self) -> Floats:
+        """The present speeds of the wheels (2, N) [mm/s]."""
+        return self._settled().wheels.copy()
+
+    @property
+    def standing(self) -> list[bool]:
+        """Whether each robot is at rest, or moves more slowly than a camera could detect."""
+        if self._stood[0] != self._now_ns:
+            ahead_s = (self._now_ns - self._settled_ns) / SECOND
+            fastest = np.abs(self._wheeled.wheels_in(ahead_s)).max(axis=0)
+            self._stood = self._now_ns, (fastest < STANDING_MM_S).tolist()
+        return self._stood[1]
+
+    def advance(self, until_ns: int) -> None:
+        """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
+        while self._now_ns < until_ns:
+            held = [(robot.counts(), robot.stuck) for robot in self.robots]
+            if len(self._passed_ns) == STEPS_MAX:
+                self._settled()
+            if held != self._held:
+                wheeled, self._held = self._settled(), held
+                counts, stuck = (np.array(each).T for each in zip(*held, strict=True))
+                wheeled.targets[:] = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
+                wheeled.wheels[stuck] = 0.0
+            self._now_ns = min(self._now_ns + MILLISECOND, until_ns)
+            self._passed_ns.append(self._now_ns)
+
+    def place(self, row: int, x: float, y: float, heading: float) -> None:
+        """Put a robot, at rest, at a pose [mm, rad]."""
+        wheeled = self._settled()
+        wheeled.pose[:, row] = x, y, heading
+        wheeled.wheels[:, row] = 0.0
+        self._stood = -1, []
+
+    def _settled(self) -> WheeledRobots:
+        """Return the robots as they are now."""
+        wheeled = self._wheeled
+        if not self._passed_ns:
+            return wheeled
+        seconds = (self._now_ns - self._settled_ns) / SECOND
+        if wheeled.targets.any() or wheeled.wheels.any():
+            wheeled.drive(self._settled_ns, np.array(self._passed_ns))
+        self._settled_ns, self._passed_ns = self._now_ns, []
+        loads = np.minimum(np.abs(wheeled.wheels).sum(axis=0) / FULL_LOAD_MM_S, 1.0).tolist()
+        for robot, load in zip(self.robots, loads, strict=True):
+            robot.battery.draw(load, seconds)
+        return wheeled

@@ -1,0 +1,292 @@
+"""The emulated cameras of type `optitrack`: a Motive server, which sends frames of rigid bodies by
+NatNet over UDP, unicast or multicast.
+"""
+
+import random
+import socket
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import WireError
+from tetractl.experiment.base import Model
+from tetractl.experiment.lab_section import entry
+from tetractl.lab.cameras.optitrack import natnet
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl_emulator.faults import Fault
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.optitrack.natnet_server import mangle, pack_answer, parse_request
+from tetractl_emulator.optitrack.scripted import (
+    CLOCK_HZ,
+    FAULTS,
+    OptitrackSettings,
+    ServerClock,
+    Trouble,
+    TrueBody,
+)
+from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.sides import Body, Facts, Stage
+
+JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
+Address = tuple[str, int]
+
+
+@dataclass(slots=True)
+class Client:
+    """A unicast client: the protocol version in which it is served, and when it was last heard
+    [ns].
+    """
+
+    version: natnet.Version
+    heard_ns: int
+
+
+class EmulatedOptitrack:
+    """An emulated Motive server, and the rigid bodies on the robots.
+
+    Exposures are numbered from 1, without gaps. `data_port` is the UDP port from which frames are
+    sent or, in multicast, to which they are sent; `command_port` is that of messages. `frames`,
+    `refused`, `models_asked` and `timed_out` are numbers of frames sent, of requests that could not
+    be read, of requests for MODELDEF, and of clients dropped because they were silent.
+    """
+
+    Settings: ClassVar[type[Model]] = OptitrackSettings
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
+
+    def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
+        section, options = stage.lab.camera, stage.options
+        assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
+        self.swapped: set[int] = set()  # the indices of two bodies that exchange their ids
+        self.tracked = _tracked(section, settings, bodies, random.Random(options.seed))
+        self.names = tuple((body.body_name, body.id) for body in self.tracked)
+        x, y = section.origin
+        up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
+        self.view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
+        self.join = stage.wires.make_socket
+        self.section, self.settings = section, settings
+        self.address = options.address or section.server
+        self.command_port, self.data_port = section.command_port, section.data_port
+        if options.command_port is not None:
+            self.command_port = options.command_port
+        if options.data_port is not None:
+            self.data_port = options.data_port
+        self.multicast = section.transport == "multicast"
+        self.own_version = natnet.Version.of(settings.version)
+        self.trouble, self.clock = Trouble(), ServerClock()
+        self.clients: dict[Address, Client] = {}
+        self.frames = self.refused = self.models_asked = self.timed_out = 0
+        self._greeted: set[Address] = set()
+        self._stage, self.timeline = stage, stage.timeline
+        self._random = random.Random(options.seed)
+        self._last: natnet.NatNetFrame | None = None
+        self._start_ns = self._exposures = 0
+        self.command: Any = None
+        self.data: Any = None
+
+    def open(self, loop: Loop) -> Facts:
+        """Open the UDP ports and expose the first frame now; return the ports' addresses."""
+        bound = self._stage.wires.bound
+        self.command = bound(self.address, self.command_port)
+        self.command_port = _port(self.command)
+        sender = self.settings.frames_from or self.address
+        self.data = bound(sender, 0 if self.multicast else self.data_port)
+        if self.multicast:
+            interface = socket.inet_aton(self.address)
+            self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+        if not (self.multicast and self.data_port):
+            # in multicast too, since no other server uses this port
+            self.data_port = _port(self.data)
+        self._start_ns = self.timeline.now_ns
+        self._plan()
+        loop.watch(self.command.fileno(), lambda: self._readable(loop.catch_up))
+        transport = self.section.transport
+        return {
+            "camera": f"{self.address}:{self.command_port} ({transport})",
+            "address": self.address,
+            "command_port": self.command_port,
+            "data_port": self.data_port,
+            "transport": transport,
+        }
+
+    def close(self) -> Facts:
+        """Close the UDP ports; return counts to be recorded."""
+        for opened in (self.command, self.data):
+            if opened is not None:
+                opened.close()
+        return {"frames": self.frames, "refused": self.refused, "timed_out": self.timed_out}
+
+    def hide(self, hidden: bool) -> None:
+        """If `hidden`, track no body; otherwise track all bodies again."""
+        for body in self.tracked:
+            body.tracked = not hidden
+
+    def tracked_body(self, name: str) -> TrackedBody:
+        """Return the rigid body of the robot with this name."""
+        return self.tracked[self.place_of(name)]
+
+    def place_of(self, name: str) -> int:
+        """Return the index of the robot with this name."""
+        return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
+
+    def _readable(self, catch_up: Callable[[], None]) -> None:
+        """Answer the messages at the command port; `catch_up` advances the timeline before each."""
+        for _ in range(100):
+            try:
+                asked, sender = self.command.recvfrom(65_535)
+            except BlockingIOError:
+                return
+            except OSError:  # a client has gone: its host answered port unreachable
+                continue
+            if self.trouble.silent:
+                continue
+            catch_up()  # otherwise an echo could report a time before its request
+            try:
+                message = parse_request(asked)
+            except WireError:
+                self.refused += 1
+                continue
+            answer = self._answer(message, sender, self.timeline.now_ns)
+            if answer is not None:
+                known = self.clients.get(sender)
+                version = known.version if known else self.own_version
+                self._send(self.command, pack_answer(answer, version), sender)
+
+    def _answer(
+        self, message: natnet.ClientMessage, sender: Address, now_ns: int
+    ) -> natnet.ServerMessage | None:
+        """Return the answer to a message, None if the server gives no answer."""
+        if sender in self.clients:
+            self.clients[sender].heard_ns = now_ns
+        match message:
+            case natnet.Connect():
+                self._admit(message, sender, now_ns)
+                name = f"Motive ({EMULATED_NAME})"
+                return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.data_port)
+            case natnet.EchoRequest(client):
+                return natnet.EchoResponse(client, self.clock.ticks(now_ns))
+            case natnet.NatNetRequest("UnitsToMillimeters"):
+                return natnet.Response(struct.pack("<f", self.settings.unit_mm))
+            case natnet.NatNetRequest("UpAxis") if self.settings.knows_up_axis:
+                return natnet.Response(struct.pack("<i", self.view.up))
+            case natnet.NatNetRequest():
+                return natnet.Bare(natnet.MessageKind.UNRECOGNIZED)
+            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
+                self.models_asked += 1
+                return natnet.ModelDef(self.names) if self.settings.answers_models else None
+            case natnet.Bare(natnet.MessageKind.DISCONNECT):
+                self.clients.pop(sender, None)
+        return None
+
+    def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
+        """Add a client; from 4.0 on, a unicast client may choose a version."""
+        if sender not in self._greeted:
+            self._greeted.add(sender)
+            self._stage.client(f"{sender[0]}:{sender[1]}")
+        if self.multicast:
+            return
+        version, own = message.version, self.own_version
+        chosen = message.pinned and not self.settings.keeps_version
+        chosen = chosen and (4, 0) <= own >= version and version.known
+        self.clients[sender] = Client(version if chosen else own, now_ns)
+
+    def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
+        """Yield the addresses to which frames are sent, each with its protocol version; in
+        unicast, first drop the clients that have been silent for too long.
+        """
+        if self.multicast:
+            yield (self.section.group, self.data_port), self.own_version
+        for address, client in list(self.clients.items()):
+            if now_ns - client.heard_ns > 5 * SECOND:
+                del self.clients[address]
+                self.timed_out += 1
+            else:
+                yield address, client.version
+
+    def _plan(self) -> None:
+        due = self._start_ns + round(self._exposures * SECOND / self.settings.rate)
+        self._exposures += 1
+        self.timeline.at(due, self._take)
+
+    def _take(self) -> None:
+        """Expose one frame, and schedule its sending after the server's latency."""
+        exposed = now = self.timeline.now_ns
+        number = self._exposures - self.trouble.counter
+        self._stage.exposed(self._exposures, number)
+        s, jitter = self.settings, self._random
+        delay = s.latency + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
+        if jitter.random() < 1 / 250:
+            delay += jitter.uniform(0, 0.45 / s.rate)
+        if self.trouble.outdated:
+            self.trouble.outdated -= 1
+            exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
+        params = 2 * s.models_changed | 4 * self.trouble.edit_mode  # as `NatNetFrame` reads them
+        frame = natnet.NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
+        leaves = now + round(delay * SECOND)
+        self.timeline.at(leaves, partial(self._leave, self._exposures, frame))
+        self._plan()
+
+    def _leave(self, exposure: int, frame: natnet.NatNetFrame) -> None:
+        if self.trouble.frozen and self._last is not None:
+            frame = self._last
+        self._last = frame
+        if not (self.trouble.silent or self.trouble.no_frames):
+            self._stream(frame, self.timeline.now_ns)
+        self._stage.sent(exposure)
+
+    def _stream(self, frame: natnet.NatNetFrame, now: int) -> None:
+        packed: dict[natnet.Version, bytes] = {}
+        for address, version in self._receivers(now):
+            if version not in packed:
+                packed[version] = pack_answer(frame, self.trouble.version or version)
+            message = packed[version]
+            if self.trouble.damaged and self._random.random() < self.trouble.damaged:
+                message = mangle(message, self._random)
+            self._send(self.data, message, address)
+        self.frames += 1
+
+    def _send(self, sender: Any, data: bytes, to: Address) -> None:
+        with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
+            sender.sendto(data, to)
+
+    def _expose(self) -> tuple[natnet.RigidBody, ...]:
+        """Return the bodies as the cameras report them now."""
+        bodies = [each.expose(self.view) for each in self.tracked]
+        if len(self.swapped) == 2:
+            i, j = self.swapped
+            one, other = bodies[i], bodies[j]
+            bodies[i], bodies[j] = replace(other, id=one.id), replace(one, id=other.id)
+        streamed = {body.id for body in self.tracked if body.streamed}
+        return tuple(body for body in bodies if body.id in streamed)
+
+
+def _port(of: Any) -> int:
+    return of.getsockname()[1]
+
+
+def _tracked(
+    section: OptitrackSection,
+    settings: OptitrackSettings,
+    bodies: Sequence[Body],
+    chance: random.Random,
+) -> list[TrackedBody]:
+    noise = settings.noise_mm, settings.noise_rad
+    truths = {robot.name: robot for robot in settings.robots}
+    taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
+    free = iter(sorted(set(range(1, 1000)) - taken))
+    found: list[TrackedBody] = []
+    for body in bodies:
+        robot = entry(section.robots, body.name)
+        number = robot.body if isinstance(robot.body, int) else next(free)
+        truth = truths.get(body.name, TrueBody(name=body.name))
+        named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
+        offset = truth.heading_offset
+        offset = robot.heading_offset if offset is None else offset
+        streamed = truth.streamed
+        found.append(TrackedBody(body, number, named, offset, noise, chance, streamed))
+    return found

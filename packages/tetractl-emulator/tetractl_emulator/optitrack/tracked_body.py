@@ -1,0 +1,104 @@
+"""Robots as rigid bodies in the server's axes, with the faults of each body."""
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from random import Random
+
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl_emulator.sides import Body
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The cameras' axes in the spec's coordinates, as in the camera's section: vertical axis `up`,
+    `origin` [mm] and `rotation` [rad].
+    """
+
+    up: UpAxis = UpAxis.Y
+    origin: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+
+    def body(self, number: int, x: float, y: float, heading: float, height: float) -> RigidBody:
+        """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
+        at = complex(x, y) - complex(*self.origin)
+        at *= cmath.rect(1e-3, -self.rotation)
+        half = cmath.rect(1.0, (heading - self.rotation) / 2)
+        if self.up is UpAxis.Z:
+            position, quaternion = (at.real, at.imag, height / 1000), (0.0, 0.0, half.imag)
+        else:
+            position, quaternion = (at.real, height / 1000, -at.imag), (0.0, half.imag, 0.0)
+        return RigidBody(number, position, (*quaternion, half.real), True)
+
+
+@dataclass(slots=True)
+class TrackedBody:
+    """One robot's rigid body; `offset` is the spec's heading offset [rad].
+
+    `noise` are the standard deviations of a pose [mm, rad]; the noise is drawn from `random`.
+    Faults set the other fields: the body is not tracked; not streamed; frozen at its last pose
+    (`repeats`); displaced by `shift` [mm], which grows by `step` [mm] per exposure, along the
+    robot's own axes if `own`; turned by `turned` [rad], which grows by `turn` [rad] per exposure;
+    at another `height` [mm]; or its pose is changed by `change`.
+    """
+
+    robot: Body
+    id: int
+    body_name: str
+    offset: float = 0.0
+    noise: tuple[float, float] = (0.0, 0.0)
+    random: Random = field(default_factory=lambda: Random(0))
+    streamed: bool = True
+    tracked: bool = True
+    repeats: bool = False
+    shift: complex = 0j
+    step: complex = 0j
+    own: bool = False
+    turned: float = 0.0
+    turn: float = 0.0
+    height: float = 60.0
+    change: Callable[[RigidBody], RigidBody] | None = None
+    seen: RigidBody | None = None  # the body at its last tracked pose
+
+    def expose(self, view: View) -> RigidBody:
+        """Return the body as the cameras report it now; an untracked body keeps its last pose."""
+        if self.seen is None or (self.tracked and not self.repeats):
+            self._look(view)
+        assert self.seen is not None, "it was exposed"
+        if not self.tracked:
+            return replace(self.seen, tracking_valid=False)
+        return self.change(self.seen) if self.change and not self.repeats else self.seen
+
+    def _look(self, view: View) -> None:
+        robot, draw = self.robot, self.random.gauss
+        self.shift += self.step * (cmath.rect(1.0, robot.heading) if self.own else 1.0)
+        self.turned += self.turn
+        way, angle = self.noise
+        x, y = robot.x + self.shift.real + draw(0, way), robot.y + self.shift.imag + draw(0, way)
+        heading = robot.heading + self.turned - self.offset + draw(0, angle)
+        self.seen = view.body(self.id, x, y, heading, self.height)
+
+
+def nowhere(body: RigidBody) -> RigidBody:
+    """Return the body at a position that is not a number."""
+    return replace(body, position=(math.nan, math.nan, math.nan))
+
+
+def halved(body: RigidBody) -> RigidBody:
+    """Return the body with a quaternion of norm 0.5."""
+    x, y, z, w = body.quaternion
+    return replace(body, quaternion=(x / 2, y / 2, z / 2, w / 2))
+
+
+def rolled(angle: float) -> Callable[[RigidBody], RigidBody]:
+    """Return a function that turns a body about its own x axis by `angle` [rad]."""
+    sin, cos = math.sin(angle / 2), math.cos(angle / 2)
+
+    def roll(body: RigidBody) -> RigidBody:
+        x, y, z, w = body.quaternion
+        turned = x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin
+        return replace(body, quaternion=turned)
+
+    return roll

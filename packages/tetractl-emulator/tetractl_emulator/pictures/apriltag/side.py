@@ -1,0 +1,310 @@
+"""The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the robots.
+
+Every picture is synthetic. The emulated camera is a pinhole with known optics, so that results from
+its pictures can be compared with the truth.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from typing import Any, ClassVar, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tetractl_emulator.faults import Fault, Undo, Visible, fault
+from tetractl_emulator.pictures.stream_side import (
+    SPARE_PX,
+    STREAM_FAULTS,
+    StreamedCamera,
+    StreamSettings,
+)
+from tetractl_emulator.sides import Body, Stage
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Grey, Poses
+from tetractl.core.setup import MM
+from tetractl.experiment.base import Model, Name, NonNegative
+from tetractl.experiment.lab_section import entry
+from tetractl.lab.cameras.apriltag.detect import MODULES, tag_picture
+from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
+
+VIEW = 2 * math.tan(1.1 / 2)  # a picture's width over the focal length: 63 degrees
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """A pinhole camera that looks from `position` at `target` [m, z up], and its imperfections.
+
+    Up in the picture is +y on the floor. `distortion` contains OpenCV's k1, k2, p1, p2 and,
+    optionally, k3. `blur_px` is the standard deviation of the lens's Gaussian blur, `exposure_s`
+    the exposure time, `gain` multiplies the light, and `noise` is the standard deviation of each
+    pixel in grey levels at gain 1.
+    """
+
+    width: int
+    height: int
+    focal_px: float
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    distortion: tuple[float, ...] = ()
+    blur_px: float = 0.7
+    exposure_s: float = 0.004
+    noise: float = 2.0
+    gain: float = 1.0
+
+    @classmethod
+    def facing(
+        cls, floor: Sequence[FloorTag], metres: float, width: int, height: int, tilt: float = 0.35
+    ) -> Self:
+        """Return the camera nearest to the floor that sees all floor tags with some margin.
+
+        `metres` is the spec's length unit [m], `width` and `height` are those of a picture [px],
+        and `tilt` is the angle between the optical axis and the vertical [rad].
+        """
+        centres = np.array([tag.at for tag in floor]) * metres
+        # from the centre of the largest card to its corner, rounded up [m]
+        around = 0.75 * max(tag.size_mm for tag in floor) * MM
+        low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
+        corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
+        x, y = ((low + high) / 2).tolist()
+        made = cls(width, height, width / VIEW, (x, y, 0.0), (x, y, 0.0))
+        for distance in (np.geomspace(0.05, 100.0, 800) * np.hypot(*(high - low))).tolist():
+            at = (x, y - distance * math.sin(tilt), distance * math.cos(tilt))
+            made = replace(made, position=at)
+            if (np.ptp(made.project(corners), axis=0) < (0.96 * width, 0.96 * height)).all():
+                return made.centred(corners)
+        raise ValueError("the camera cannot see all floor tags in one picture")
+
+    def centred(self, corners: Floats) -> Self:
+        """Return the camera turned so that `corners` (M, 3) [m] lie around the picture's middle."""
+        made, at = self, np.array(self.position)
+        for _ in range(8):
+            pixels = made.project(corners)
+            off = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - made.matrix[:2, 2]
+            ray = np.append(off / made.focal_px, 1.0) @ made.axes
+            x, y, _ = (at - ray * at[2] / ray[2]).tolist()  # where the ray meets the floor
+            made = replace(made, target=(x, y, 0.0))
+        return made
+
+    @property
+    def matrix(self) -> Floats:
+        """The intrinsic matrix K, (3, 3); pixel centres are at whole numbers."""
+        across, down = (self.width - 1) / 2, (self.height - 1) / 2
+        return np.array([[self.focal_px, 0, across], [0, self.focal_px, down], [0, 0, 1]])
+
+    @property
+    def axes(self) -> Floats:
+        """The directions right, down and forward of the camera in the arena's axes, one per row
+        (3, 3): a rotation matrix.
+        """
+        forward = np.subtract(self.target, self.position)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (0.0, 1.0, 0.0))
+        right /= np.linalg.norm(right)
+        return np.array([right, np.cross(forward, right), forward])
+
+    def project(self, points: Floats) -> Floats:
+        """Return the pixels (M, 2) of points (M, 3) [m], before distortion."""
+        seen = (points - np.array(self.position)) @ self.axes.T
+        return (seen[:, :2] / seen[:, 2:]) * self.focal_px + self.matrix[:2, 2]
+
+
+FLOOR, WHITE, BLACK = 150.0, 225.0, 25.0  # grey levels at gain 1
+MODULE_PX = 16  # side of a tag's module in its texture [px]
+CARD = MODULES + 2  # side of a printed tag in modules, including the white margin
+FINE = 4  # sub-pixels along a pixel's side: a pixel is the mean over its area
+SUB_EXPOSURES = 6
+
+Shades = NDArray[np.float32]
+
+
+@dataclass
+class Renderer:
+    """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
+    same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
+    not drawn; the tags in `strays` are also drawn on the floor.
+    """
+
+    robots: Sequence[RobotTag]
+    floor: Sequence[FloorTag]
+    metres: float
+    optics: Optics
+    seed: int = 0
+    hidden: set[int] = field(default_factory=set)
+    strays: list[FloorTag] = field(default_factory=list)
+    _empty: tuple[frozenset[int], Shades] | None = None
+    _pictures: int = 0
+
+    def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
+        """Return the picture (height, width) whose exposure has its middle at `exposed_ns`.
+
+        `poses_at(t_ns)` returns the robots' poses, in the spec's unit.
+        """
+        canvas = self._background().copy()
+        half = self.optics.exposure_s * SECOND / 2
+        moments = half * (2 * np.arange(SUB_EXPOSURES) + 1 - SUB_EXPOSURES) / SUB_EXPOSURES
+        poses = [poses_at(exposed_ns + round(moment)) for moment in moments]
+        for i, robot in enumerate(self.robots):
+            if robot.tag in self.hidden:
+                continue
+            corners = [self.card(robot, each, i) for each in poses]
+            still = np.ptp(corners, axis=0).max() < 0.05
+            self._stamp(canvas, texture(robot.tag), corners[:1] if still else corners)
+        for stray in self.strays:
+            self._lay(canvas, stray)
+        return self._finished(canvas)
+
+    def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
+        """Return the pixels (4, 2), before distortion, of the corners of robot i's card.
+
+        The card is the tag with its white margin. Corners run clockwise from the top left corner.
+        """
+        heading = poses.heading[i] - robot.heading_offset
+        return self._card((poses.x[i], poses.y[i]), robot.height_mm, heading, robot.size_mm)
+
+    def _card(
+        self, at: tuple[float, float], height_mm: float, heading: float, side_mm: float
+    ) -> Floats:
+        half = side_mm * MM * CARD / MODULES / 2
+        square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
+        cos, sin = math.cos(heading), math.sin(heading)
+        flat = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(at)
+        return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
+
+    def _background(self) -> Shades:
+        """Return the picture of the floor and its tags; draw it again if `hidden` has changed."""
+        hidden = frozenset(self.hidden)
+        if self._empty is None or self._empty[0] != hidden:
+            light = np.linspace(0.92, 1.06, self.optics.width)  # brighter on one side
+            canvas = np.tile(FLOOR * light, (self.optics.height, 1)).astype(np.float32)
+            for tag in self.floor:
+                if tag.tag not in hidden:
+                    self._lay(canvas, tag)
+            self._empty = hidden, canvas
+        return self._empty[1]
+
+    def _lay(self, canvas: Shades, tag: FloorTag) -> None:
+        corners = self._card(tag.at, 0.0, tag.heading, tag.size_mm)
+        self._stamp(canvas, texture(tag.tag), [corners])
+
+    def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
+        """Draw a card into the canvas, averaged over its positions during the exposure."""
+        corners = np.concatenate(exposures)
+        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
+        high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, canvas.shape[::-1])
+        if (low >= high).any():
+            return
+        across, down = (high - low).tolist()
+        side = len(texture)
+        source = np.array([(0, 0), (side, 0), (side, side), (0, side)], np.float32) - 0.5
+        ink = np.zeros((down, across, 2), np.float32)
+        for each in exposures:
+            fine = (each - low + 0.5) * FINE - 0.5
+            turn = cv2.getPerspectiveTransform(source, fine.astype(np.float32))
+            drawn = cv2.warpPerspective(texture, turn, (across * FINE, down * FINE))
+            ink += cv2.resize(drawn, (across, down), interpolation=cv2.INTER_AREA)
+        ink /= len(exposures)
+        part = canvas[low[1] : high[1], low[0] : high[0]]
+        part *= 1 - ink[..., 1]
+        part += ink[..., 0]
+
+    def _finished(self, canvas: Shades) -> Grey:
+        """Return the picture with distortion, blur, gain and noise."""
+        optics = self.optics
+        if any(optics.distortion):
+            cv2.remap(canvas.copy(), *self._bent, cv2.INTER_LINEAR, canvas, borderValue=FLOOR)
+        if optics.blur_px:
+            cv2.GaussianBlur(canvas, (0, 0), optics.blur_px, canvas)
+        if optics.noise:
+            canvas += optics.noise * self._grain(*canvas.shape)
+        return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
+
+    @cached_property
+    def _noise(self) -> Shades:
+        """Standard normal noise, larger than a picture by SPARE_PX."""
+        draw = np.random.default_rng(self.seed).standard_normal
+        return draw((self.optics.height + SPARE_PX, self.optics.width + SPARE_PX), np.float32)
+
+    def _grain(self, height: int, width: int) -> Shades:
+        """Return standard normal noise (height, width), a random part of a larger array."""
+        self._pictures += 1
+        x, y = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE_PX, 2)
+        return self._noise[x : x + height, y : y + width]
+
+    @cached_property
+    def _bent(self) -> tuple[Shades, Shades]:
+        """For each pixel of the distorted picture, the column and the row of the same point in the
+        undistorted picture: two arrays (height, width).
+        """
+        optics = self.optics
+        rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
+        pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+        lens = np.array(optics.distortion)
+        ideal = cv2.undistortPoints(pixels, optics.matrix, lens, P=optics.matrix)
+        ideal = ideal.reshape(optics.height, optics.width, 2).astype(np.float32)
+        return ideal[..., 0].copy(), ideal[..., 1].copy()
+
+
+@cache
+def texture(number: int) -> Shades:
+    """Return a tag's card (side, side, 2): the grey level, and a coverage of 1."""
+    modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
+    grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
+    return np.stack([grey, np.ones_like(grey)], axis=-1).astype(np.float32)
+
+
+class AprilTagSettings(StreamSettings):
+    """Properties of the emulated camera; `latency` [s] is the spec's by default."""
+
+    blur_px: NonNegative = 0.7
+    """Gaussian blur of the lens [px]."""
+
+
+def _cover(fault: Any, device: Any) -> Undo:
+    tag = device.tag(fault.robot)
+    device.renderer.hidden.add(tag)
+    return lambda: device.renderer.hidden.discard(tag)
+
+
+class EmulatedAprilTag(StreamedCamera):
+    """A network camera above robots with tags."""
+
+    Settings: ClassVar[type[Model]] = AprilTagSettings
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        *STREAM_FAULTS,
+        fault("untracked", "A robot's tag is covered.", _cover, Visible.EXPOSED, robot=Name),
+    )
+
+    def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
+        super().__init__(stage, settings)
+        section = stage.lab.camera
+        assert isinstance(section, AprilTagSection), "the camera's section has the type apriltag"
+        self._bodies, self._section = bodies, section
+        metres = stage.setup.metres
+        optics = replace(
+            Optics.facing(section.floor, metres, settings.width, settings.height),
+            blur_px=settings.blur_px,
+            noise=settings.noise,
+            exposure_s=settings.exposure,
+        )
+        robots = [entry(section.robots, name) for name in stage.setup.names]
+        self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
+
+    def hide(self, hidden: bool) -> None:
+        """If `hidden`, leave all robots' tags out of the pictures; otherwise draw them again."""
+        self.renderer.hidden.clear()
+        if hidden:
+            self.renderer.hidden.update(robot.tag for robot in self.renderer.robots)
+
+    def tag(self, name: str) -> int:
+        """Return the number of a robot's tag."""
+        return entry(self._section.robots, name).tag
+
+    def _scene(self) -> Floats:
+        mm = self._stage.mm
+        return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
+
+    def _draw(self, exposed_ns: int) -> Grey:
+        return self.renderer.picture(lambda t: Poses.of(self._scene_at(t)), exposed_ns)

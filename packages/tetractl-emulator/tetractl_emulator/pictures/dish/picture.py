@@ -1,0 +1,256 @@
+"""Draws synthetic pictures of a dish: bodies, specks, a bubble, light, blur and noise.
+
+In a picture with the scale `um_px`, the pixel in column c and row r shows the point x = (c + 1/2)
+um_px, y = (height - 1/2 - r) um_px [um], measured from the picture's lower left corner: y points
+up.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tetractl_emulator.pictures.stream_side import SPARE_PX
+
+from tetractl.core.poses import Bools, Floats, Grey
+from tetractl.model.swimmers import Bodies, Swimmers
+
+Shades = NDArray[np.float32]
+
+TAPER = 0.2  # fraction by which the front is narrower than the middle
+SUB_EXPOSURES = 4
+LENS_PX = 0.6  # blur of a cell in focus
+SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedSpeck:
+    """Debris or a bubble: an ellipse at x, y [um], `size_um` wide and `stretch` times as long, with
+    its long axis at the angle `turn` [rad].
+
+    `shade` is its contrast as a multiple of a cell's contrast, `drift` its velocity [um/s]; `rim`
+    is whether it has a bright rim.
+    """
+
+    x: float
+    y: float
+    size_um: float
+    stretch: float
+    turn: float
+    shade: float
+    drift: tuple[float, float] = (0.0, 0.0)
+    rim: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PictureLook:
+    """The properties of an emulated microscope's pictures.
+
+    `bright` is whether cells are brighter than the medium. `light` is the medium's grey level in
+    the middle of the picture, `contrast` the difference between cell and medium [grey levels].
+    `vignetting` is the fraction of light lost in the corners. The light changes by the fraction
+    `light_drift` [1/s] and flickers at 100 Hz by the fraction `flicker`. `noise` [grey levels]
+    includes shot noise; `quality` is the JPEG quality, None for no JPEG. `focus_um` is the height
+    in focus, `corner_um` the position of the picture's lower left corner in the dish.
+    """
+
+    width: int = 1024
+    height: int = 1024
+    um_px: float = 2.3
+    exposure_s: float = 0.01
+    bright: bool = False
+    light: float = 160.0
+    contrast: float = 60.0
+    vignetting: float = 0.2
+    light_drift: float = 0.0
+    flicker: float = 0.0
+    noise: float = 3.0
+    quality: int | None = None
+    focus_um: float = 0.0
+    corner_um: tuple[float, float] = (0.0, 0.0)
+    specks: tuple[RenderedSpeck, ...] = ()
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
+        """Return a random look, with values in the ranges given in docs/explanation/cells.md."""
+        scale = float(random.uniform(2.0, 5.0)) if um_px is None else um_px
+        bright = bool(random.random() < 0.5)
+        span = side_px * scale
+        specks = [_speck(random, span) for _ in range(random.integers(5, 51))]
+        x, y = random.uniform(0, span, 2).tolist()
+        bubble = RenderedSpeck(x, y, float(random.uniform(100, 250)), 1.0, 0.0, 0.1, rim=True)
+        return cls(
+            width=side_px,
+            height=side_px,
+            um_px=scale,
+            exposure_s=float(random.uniform(0.005, 0.02)),
+            bright=bright,
+            light=float(random.uniform(35, 60) if bright else random.uniform(140, 190)),
+            contrast=float(random.uniform(40, 90)),
+            vignetting=float(random.uniform(0.1, 0.3)),
+            light_drift=float(random.uniform(-0.01, 0.01)),
+            flicker=float(random.uniform(0.0, 0.03)),
+            noise=float(random.uniform(2.0, 8.0)),
+            quality=int(random.integers(60, 96)),
+            specks=(*specks, bubble),
+        )
+
+
+def _speck(random: np.random.Generator, span: float) -> RenderedSpeck:
+    x, y = random.uniform(0, span, 2).tolist()
+    drift = random.uniform(-8, 8, 2).tolist() if random.random() < 0.3 else (0.0, 0.0)
+    return RenderedSpeck(
+        x,
+        y,
+        size_um=float(random.uniform(5, 60)),
+        stretch=float(random.uniform(1, 2.5)),
+        turn=float(random.uniform(0, math.pi)),
+        shade=float(random.uniform(0.3, 1.2)),
+        drift=(drift[0], drift[1]),
+    )
+
+
+@dataclass(slots=True)
+class DishPainter:
+    """Draws pictures with the properties `look`; the same seed gives the same pictures."""
+
+    look: PictureLook
+    seed: int = 0
+    _still: Shades | None = None
+    _noise: Shades | None = None
+    _shade: Shades | None = None
+    _random: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def change(self, **values: Any) -> None:
+        """Give the named fields of `look` new values."""
+        self.look, self._still, self._shade = replace(self.look, **values), None, None
+
+    def picture(
+        self, cells: Swimmers, moments: Sequence[Bodies], shown: Bools, seconds: float
+    ) -> Grey:
+        """Return a grey picture (height, width) of N `cells`, taken at a time [s].
+
+        `moments` are the bodies of the cells at times spread evenly over the exposure; `shown`
+        (N,) is True for the cells to be drawn.
+        """
+        look = self.look
+        ink = self._specks_at_rest().copy()
+        for speck in look.specks:
+            if speck.drift != (0.0, 0.0):
+                moved = replace(
+                    speck,
+                    x=speck.x + speck.drift[0] * seconds,
+                    y=speck.y + speck.drift[1] * seconds,
+                )
+                self._draw_speck(ink, moved)
+        for i in np.flatnonzero(shown):
+            self._draw_cell(ink, cells, moments, int(i))
+        light = 1 + look.light_drift * seconds
+        light *= 1 + look.flicker * math.sin(2 * math.pi * 100 * seconds + 0.3)
+        sign = look.contrast if look.bright else -look.contrast
+        shades = self._vignette() * ((look.light + sign * ink) * light)
+        shades += self._grain() * np.sqrt(np.maximum(shades, 1.0) / look.light)
+        grey = np.clip(shades + 0.5, 0, 255).astype(np.uint8)
+        return grey if look.quality is None else recoded(grey, look.quality)
+
+    def _vignette(self) -> Shades:
+        if self._shade is None:
+            rows, columns = np.ogrid[-1 : 1 : 1j * self.look.height, -1 : 1 : 1j * self.look.width]
+            shade = 1 - self.look.vignetting * (rows**2 + columns**2) / 2
+            self._shade = shade.astype(np.float32)
+        return self._shade
+
+    def _grain(self) -> Shades:
+        if self._noise is None:
+            size = self.look.height + SPARE_PX, self.look.width + SPARE_PX
+            self._noise = self._random.normal(0, self.look.noise, size).astype(np.float32)
+        down, across = self._random.integers(0, SPARE_PX, 2)
+        return self._noise[down : down + self.look.height, across : across + self.look.width]
+
+    def _specks_at_rest(self) -> Shades:
+        if self._still is None:
+            self._still = np.zeros((self.look.height, self.look.width), np.float32)
+            for speck in self.look.specks:
+                if speck.drift == (0.0, 0.0):
+                    self._draw_speck(self._still, speck)
+        return self._still
+
+    def _pixels(self, x: float, y: float) -> tuple[float, float]:
+        """Return the column and row of a position [um]."""
+        look = self.look
+        across, up = x - look.corner_um[0], y - look.corner_um[1]
+        return across / look.um_px - 0.5, look.height - 0.5 - up / look.um_px
+
+    def _patch(
+        self, x: float, y: float, reach_px: float
+    ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
+        """Return the slices of a picture up to `reach_px` around a position [um], and x and y
+        (upwards) of their pixels relative to the position [px]; None outside the picture.
+        """
+        column, row = self._pixels(x, y)
+        left, right = (
+            max(0, int(column - reach_px)),
+            min(self.look.width, int(column + reach_px) + 2),
+        )
+        top, bottom = max(0, int(row - reach_px)), min(self.look.height, int(row + reach_px) + 2)
+        if left >= right or top >= bottom:
+            return None
+        across = np.arange(left, right, dtype=float) - column
+        up = row - np.arange(top, bottom, dtype=float)
+        return (slice(top, bottom), slice(left, right)), across[None, :], up[:, None]
+
+    def _draw_speck(self, ink: Shades, speck: RenderedSpeck) -> None:
+        half = speck.size_um / 2 / self.look.um_px
+        patch = self._patch(speck.x, speck.y, half * speck.stretch + 4)
+        if patch is None:
+            return
+        where, across, up = patch
+        cos, sin = math.cos(speck.turn), math.sin(speck.turn)
+        along, aside = across * cos + up * sin, up * cos - across * sin
+        radius = np.hypot(along / speck.stretch, aside) - half
+        if speck.rim:  # bright, even if the cells are dark
+            sign = 0.8 if self.look.bright else -0.8
+            ink[where] += (sign * np.exp(-(radius**2) / 8)).astype(np.float32)
+        ink[where] += (speck.shade / (1 + np.exp(np.clip(radius / 0.7, -30, 30)))).astype(
+            np.float32
+        )
+
+    def _draw_cell(self, ink: Shades, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
+        scale = self.look.um_px
+        middle = moments[len(moments) // 2]
+        half_long, half_wide = cells.length[i] / 2 / scale, cells.width[i] / 2 / scale
+        defocus = SPREAD * abs(middle.height[i] - self.look.focus_um) / scale
+        soft = math.hypot(LENS_PX, defocus)
+        patch = self._patch(middle.x[i], middle.y[i], half_long + 3 * soft + 6)
+        if patch is None:
+            return
+        where, across, up = patch
+        drawn = np.zeros((up.size, across.size))
+        for body in moments:
+            cos, sin = math.cos(body.axis[i]), math.sin(body.axis[i])
+            long = math.hypot(
+                half_long * math.cos(body.tilt[i]), half_wide * math.sin(body.tilt[i])
+            )
+            x = across - (body.x[i] - middle.x[i]) / scale
+            y = up - (body.y[i] - middle.y[i]) / scale
+            # the taper moves the middle of the area back by a quarter of the taper
+            along = (x * cos + y * sin) / long - TAPER / 4
+            aside = (y * cos - x * sin) / half_wide
+            wide = np.maximum(1 - TAPER * np.clip(along, -1, 1), 0.1)
+            inside = 1 - np.hypot(along, aside / wide)
+            drawn += 1 / (1 + np.exp(-np.clip(1.7 * inside * half_wide / soft, -30, 30)))
+        cover = (drawn / len(moments)).astype(np.float32)
+        # two overlapping bodies are not twice as dark
+        ink[where] = ink[where] * (1 - 0.5 * cover) + cover
+
+
+def recoded(picture: Grey, quality: int) -> Grey:
+    """Return a picture as it is after JPEG compression with a quality from 0 to 100."""
+    coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)

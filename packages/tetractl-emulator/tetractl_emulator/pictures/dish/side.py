@@ -1,0 +1,177 @@
+"""The emulated camera of type `cells`: a microscope above the emulated dish."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import astuple
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+from tetractl_emulator.faults import Fault, Undo, Visible, fault
+from tetractl_emulator.pictures.dish.live_dish import CellBody
+from tetractl_emulator.pictures.dish.picture import (
+    SUB_EXPOSURES,
+    DishPainter,
+    PictureLook,
+    RenderedSpeck,
+)
+from tetractl_emulator.pictures.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
+from tetractl_emulator.sides import Body, Stage
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError
+from tetractl.core.poses import Floats, Grey
+from tetractl.experiment.base import Finite, Model, NonNegative, Positive
+from tetractl.lab.cameras.cells.section import CellsSection
+from tetractl.model.swimmers import Bodies, bodies
+
+
+class MicroscopeSettings(StreamSettings):
+    """Properties of the emulated microscope; scale and default `latency` come from the spec."""
+
+    width: int = Field(default=0, ge=0, le=8192)
+    """Columns of a picture [px]; with 0, the picture shows the whole width of the arena."""
+    height: int = Field(default=0, ge=0, le=8192)
+    """Rows of a picture [px]; with 0, the picture shows the whole height of the arena."""
+    noise: NonNegative = 3.0
+    """Standard deviation of each pixel [grey levels]."""
+    exposure: Positive = 0.01
+    """Exposure time of a picture [s]."""
+    bright: bool = False
+    """Whether cells are brighter than the medium."""
+    contrast: Annotated[float, Field(gt=0, le=255)] = 60.0
+    """Difference between cells and medium [grey levels]."""
+    mirrored: bool = False
+    """Whether the pictures are mirrored left to right, as behind an odd number of mirrors."""
+    specks: int = Field(default=12, ge=0, le=200)
+    """Number of debris particles."""
+
+
+def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
+    """Return a function that starts a fault by changing values of the pictures' look, and that
+    returns the function that undoes the change.
+    """
+
+    def begin(fault: Any, device: Any) -> Undo:
+        painter: DishPainter = device.painter
+        before = painter.look
+        painter.change(**{name: value(fault, before) for name, value in values.items()})
+        old = {name: getattr(before, name) for name in values}
+        return lambda: painter.change(**old)
+
+    return begin
+
+
+def _bubble(fault: Any, look: PictureLook) -> tuple[RenderedSpeck, ...]:
+    x, y = look.corner_um
+    middle = x + look.width * look.um_px / 2, y + look.height * look.um_px / 2
+    return (*look.specks, RenderedSpeck(*middle, fault.size_um, 1.0, 0.0, 0.1, rim=True))
+
+
+def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
+    return look.corner_um[0] + fault.by_um[0], look.corner_um[1] + fault.by_um[1]
+
+
+class EmulatedMicroscope(StreamedCamera):
+    """A microscope's network camera above cells; every picture is synthetic.
+
+    When a client begins to watch, the cells are scattered again, like a fresh drop.
+    """
+
+    Settings: ClassVar[type[Model]] = MicroscopeSettings
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        *STREAM_FAULTS,
+        fault(
+            "light",
+            "The light is multiplied by a factor, and flickers by a fraction of itself at 100 Hz.",
+            _changes(
+                light=lambda f, look: look.light * f.share,
+                contrast=lambda f, look: look.contrast * f.share,
+                flicker=lambda f, look: f.flicker,
+            ),
+            Visible.EXPOSED,
+            share=(Annotated[float, Field(ge=0, le=10)], 1.0),
+            flicker=(Annotated[float, Field(ge=0, le=1)], 0.0),
+        ),
+        fault(
+            "focus",
+            "The focus is off by this height [um].",
+            _changes(focus_um=lambda f, look: f.by_um),
+            Visible.EXPOSED,
+            by_um=Finite,
+        ),
+        fault(
+            "knocked",
+            "The stage was moved by this displacement [um].",
+            _changes(corner_um=_knocked),
+            Visible.EXPOSED,
+            by_um=tuple[Finite, Finite],
+        ),
+        fault(
+            "bubble",
+            "A bubble of this diameter [um] is in the middle of the picture.",
+            _changes(specks=_bubble),
+            Visible.EXPOSED,
+            size_um=(Positive, 200.0),
+        ),
+    )
+
+    def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
+        super().__init__(stage, settings)
+        section = stage.lab.camera
+        assert isinstance(section, CellsSection), "the camera's section has the type cells"
+        cells = [body for body in bodies if isinstance(body, CellBody)]
+        if section.rotation or len(cells) < len(bodies):
+            raise SpecError(
+                "the emulated microscope shows only cells, and cannot be rotated",
+                "use lab.actuator.type field and lab.camera.rotation 0",
+            )
+        self._dish = cells[0].dish
+        self._dish.held = False  # the camera would not recognise a cell that does not swim
+        um, arena = stage.setup.metres * 1e6, stage.setup.arena
+        corner = section.corner[0] * um, section.corner[1] * um
+        sides = (  # the same margin beyond the arena as at the lower left
+            (arena.right + arena.left) * um - 2 * corner[0],
+            (arena.top + arena.bottom) * um - 2 * corner[1],
+        )
+        width, height = (math.ceil(max(side / section.um_px, 64)) for side in sides)
+        drawn = PictureLook.drawn(np.random.default_rng(self.seed), 1024, section.um_px)
+        self.painter = DishPainter(
+            PictureLook(
+                width=settings.width or width,
+                height=settings.height or height,
+                um_px=section.um_px,
+                corner_um=corner,
+                exposure_s=settings.exposure,
+                bright=settings.bright,
+                light=50.0 if settings.bright else 160.0,
+                contrast=settings.contrast,
+                noise=settings.noise,
+                specks=drawn.specks[: settings.specks],
+            ),
+            self.seed,
+        )
+        self._hidden, self._mirrored = False, settings.mirrored
+
+    def hide(self, hidden: bool) -> None:
+        """If `hidden`, leave all cells out of the pictures; otherwise draw them again."""
+        self._hidden = hidden
+
+    def _joined(self) -> None:
+        self._dish.drop()
+
+    def _scene(self) -> Floats:
+        seen = bodies(self._dish.cells)
+        return np.array([seen.x, seen.y, seen.height, seen.axis, seen.tilt])
+
+    def _draw(self, exposed_ns: int) -> Grey:
+        span = self.painter.look.exposure_s * SECOND
+        spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
+        moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
+        # a cell divided during the exposure appears in the next picture
+        there = min(len(moment.x) for moment in moments)
+        moments = [Bodies(*(part[:there] for part in astuple(moment))) for moment in moments]
+        cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < there)
+        shown = np.full(there, not self._hidden)
+        picture = self.painter.picture(cells, moments, shown, exposed_ns / SECOND)
+        return picture[:, ::-1] if self._mirrored else picture

@@ -1,0 +1,49 @@
+"""The firmware core of a current driver, compiled for this computer."""
+
+import ctypes
+import struct
+from dataclasses import astuple, dataclass
+
+from tetractl_emulator.firmware import Core, Library
+
+from tetractl.lab.actuators.field.driver import UNKNOWN_TEMPERATURE, DriverStatus
+
+
+@dataclass(frozen=True, slots=True)
+class DriverLimits:
+    """The limits built into a driver: greatest current [mA] and slew rate [mA/s] of a coil pair,
+    watchdog [ms], and the temperature that stops the driver [0.1 degrees Celsius].
+    """
+
+    current_max_ma: int
+    slew_ma_s: int
+    watchdog_ms: int = 250
+    temperature_max_dc: int = 800
+
+
+class DriverCore(Core):
+    """The firmware core of a current driver, switched on at `now_ms`."""
+
+    name, reply_size, number = "field", 28, ctypes.c_int32
+
+    def __init__(
+        self, limits: DriverLimits, now_ms: int = 0, library: Library | None = None
+    ) -> None:
+        super().__init__(library)
+        self._call("init", struct.pack("@HIHh", *astuple(limits)), now_ms)  # field_limits
+
+    def currents_ua(self, now_ms: int) -> tuple[int, int]:
+        """Return the present set points of both currents [uA], as watchdog and slew limit allow."""
+        return self._pair("currents", now_ms)
+
+    def measured(
+        self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
+    ) -> None:
+        """Set the driver's measured values; a temperature at the limit stops the driver until it is
+        switched on again.
+        """
+        self._call("measured", x_ma, y_ma, supply_mv, temperature_dc)
+
+    def status(self, now_ms: int) -> DriverStatus:
+        """Return the status flags that a reply would have now."""
+        return DriverStatus(self._call("status", now_ms))

@@ -1,0 +1,242 @@
+"""The emulated actuator of type `field`: a current driver on a serial port, coils, cells in a dish.
+
+The driver runs the firmware's own core; its currents follow the core's set points with a
+first-order lag, whose time constant is L/R of the coils. Cells swim by `model.swimmers` in the
+field of these currents.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+from tetractl_emulator.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
+from tetractl_emulator.loop import Timeline
+from tetractl_emulator.pictures.dish.live_dish import CellBody, Dish, cells_of, culture
+from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
+from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
+from tetractl_emulator.sides import Stage
+
+from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.errors import UsageError
+from tetractl.experiment.base import Finite, Model, Name, NonNegative
+from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
+from tetractl.lab.actuators.field.section import FieldSection, Pair
+from tetractl.model.swimmers import walls_of
+
+
+class CurrentDriver(SerialDevice):
+    """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
+
+    `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set
+    `supply_mv`, `temperature_dc` (tenths of a degree Celsius) and `mute` (the driver receives but
+    does not reply), or call `switch`. `note(event, **facts)` records each command when it is read
+    from the port, before the driver receives it.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        port: PseudoPort,
+        limits: DriverLimits,
+        baud: int = 115_200,
+        lag_s: float = 0.004,  # 20 mH over 5 ohm
+        note: Callable[..., None] = lambda event, **facts: None,
+    ) -> None:
+        super().__init__(timeline, port, baud, note)
+        self.currents: Pair = (0.0, 0.0)
+        self.supply_mv, self.temperature_dc = 12_000, 250
+        self.powered, self.mute = True, False
+        self._limits = limits
+        self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
+        self._now_ns = timeline.now_ns
+        self._core = DriverCore(limits, self._now_ms)
+
+    @property
+    def status(self) -> DriverStatus:
+        """The driver's present status flags."""
+        return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
+
+    @property
+    def running(self) -> bool:
+        """Whether the driver makes a field."""
+        return DriverStatus.RUNNING in self.status
+
+    def hear(self, data: bytes) -> None:
+        """Take bytes received over the line, one by one, and reply to polls, as a real driver
+        does.
+        """
+        if not self.powered:
+            return
+        for byte in data:
+            self._core.push(bytes([byte]), self._now_ms)
+            reply = self._core.take_reply(self._now_ms)
+            if reply and not self.mute:
+                self._answer(reply)
+
+    def advance(self, until_ns: int) -> None:
+        """Advance in steps of 1 ms, as long as a step does not go beyond `until_ns`."""
+        while self._now_ns + MILLISECOND <= until_ns:
+            self._now_ns += MILLISECOND
+            self._step()
+
+    def switch(self, on: bool) -> None:
+        """Switch the driver on or off; switching it on clears an emergency stop or overheating."""
+        self.powered = on
+        if on:
+            self._core = DriverCore(self._limits, self._now_ms)
+
+    def _witness(self, data: bytes) -> None:
+        self._note_commands(data)
+
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        command = decode_command(sealed)
+        flags, currents = int(command.flags), [command.x_ma, command.y_ma]
+        return {"sequence": command.sequence, "flags": flags, "currents_ma": currents}
+
+    def _step(self) -> None:
+        wished = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
+        x, y = (
+            now / 1e6 + self._keep * (before - now / 1e6)
+            for now, before in zip(wished, self.currents, strict=True)
+        )
+        self.currents = x, y
+        self._core.measured(round(1000 * x), round(1000 * y), self.supply_mv, self.temperature_dc)
+
+    @property
+    def _now_ms(self) -> int:
+        return self._now_ns // MILLISECOND & 0xFFFFFFFF
+
+
+class FieldSettings(Model):
+    """Properties of the driver and the cells that differ from the spec.
+
+    `cells` and `strangers` are used if a trial chooses its cells.
+    """
+
+    heading_noise: NonNegative = 0.05
+    """Random walk of every cell's heading [rad/sqrt(s)]."""
+    cells: int = Field(default=6, ge=1, le=60)
+    """Number of cells with a magnet in the dish, each drawn at random."""
+    strangers: int = Field(default=2, ge=0, le=60)
+    """Number of cells without a magnet."""
+    supply_mv: int = Field(default=12_000, ge=0, le=60_000)
+    """The driver's supply voltage [mV]."""
+
+
+def _driver_of(device: Any, fault: Any) -> CurrentDriver:
+    return device.driver
+
+
+def _row(fault: Any, device: Any) -> int:
+    names = [body.name for body in device.bodies]
+    if fault.cell not in names:
+        raise UsageError(f"no cell is named {fault.cell}", f"the cells are {', '.join(names)}")
+    return names.index(fault.cell)
+
+
+def _divides(fault: Any, device: Any) -> Undo:
+    device.dish.divide(_row(fault, device))
+    return lambda: None
+
+
+def _dives(fault: Any, device: Any) -> Undo:
+    device.dish.cells.depth[_row(fault, device)] += fault.by_um
+    return lambda: None
+
+
+def _rests(device: Any, fault: Any) -> Callable[[bool], None]:
+    row = _row(fault, device)
+    return lambda resting: device.dish.cells.rest(row, resting)
+
+
+FAULTS = (
+    UNPLUG,
+    STUCK_PORT,
+    fault("off", "The driver is switched off.", switching(lambda d, f: d.driver.switch, False)),
+    fault(
+        "low_supply",
+        "The driver's supply has this voltage [mV].",
+        settings(_driver_of, supply_mv=attrgetter("millivolts")),
+        millivolts=Annotated[int, Field(ge=0, le=60_000)],
+    ),
+    fault(
+        "hot",
+        "The coils have this temperature [degrees Celsius].",
+        settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
+        celsius=Annotated[float, Field(ge=0, le=200)],
+    ),
+    fault("divides", "A cell divides into two.", _divides, cell=Name),
+    fault("rests", "A cell stops swimming.", switching(_rests), cell=Name),
+    fault(
+        "dives",
+        "A cell leaves the focal plane by this height [um], and returns within seconds.",
+        _dives,
+        cell=Name,
+        by_um=(Finite, 300.0),
+    ),
+    fault("mute", "The driver receives but does not reply.", settings(_driver_of, mute=True)),
+)
+
+
+class EmulatedField(PluggedDevice):
+    """A current driver on a pseudo-terminal, and the cells between its coils."""
+
+    what = "current driver"
+    Settings: ClassVar[type[Model]] = FieldSettings
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
+
+    def __init__(self, stage: Stage, settings: FieldSettings) -> None:
+        section = stage.lab.actuator
+        assert isinstance(section, FieldSection), "the actuator's section has the type field"
+        setup, start_ns = stage.setup, stage.timeline.now_ns
+        self.port = stage.wires.port(stage.options.link or Path(section.port))
+        self.driver = self.wired = CurrentDriver(
+            stage.timeline, self.port, _limits(section), section.baud, note=stage.note
+        )
+        self.driver.supply_mv = settings.supply_mv
+        seed, walk, names = stage.options.seed, settings.heading_noise, setup.names
+        walls = None
+        if stage.options.chosen:
+            walls = walls_of(setup)
+            drawn = seed if stage.options.dish is None else stage.options.dish
+            cells, names = culture(settings.cells, settings.strangers, walk, drawn)
+        else:
+            cells = cells_of(setup, walk, seed)
+        reference_mt = section.strength_mt
+        self.dish = Dish(self.driver, section.coils, reference_mt, cells, start_ns, seed, walls)
+        self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
+
+    @property
+    def bodies(self) -> Sequence[CellBody]:
+        """The cells, in the order of the setup."""
+        return self._bodies
+
+    @property
+    def driven(self) -> bool:
+        """Whether the driver makes a field."""
+        return self.driver.running
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """The true field at the cells [mT], to be recorded as {"field_mt": [x, y]}."""
+        return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
+
+    def switch(self, on: bool) -> None:
+        """Switch the driver on or off."""
+        self.driver.switch(on)
+
+    def advance(self, until_ns: int) -> None:
+        """Advance currents and cells to `until_ns`."""
+        self.dish.advance(until_ns)
+
+    def tick(self) -> None:
+        """Do nothing, since the driver replies at once."""
+
+
+def _limits(section: FieldSection) -> DriverLimits:
+    """Return the limits built into the driver, which are those of the spec."""
+    milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
+    return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

@@ -1,0 +1,71 @@
+"""A network camera in memory, in virtual time."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Self
+
+from tetractl_emulator.pictures.stream_side import BOUNDARY, EmulatedNetworkCamera, coded, part
+from tetractl_emulator.virtual_wires import LabClock
+
+from tetractl.core.clock import SECOND
+from tetractl.lab.cameras.pictures.multipart import Multipart
+
+
+class MemoryCamera(EmulatedNetworkCamera):
+    """A network camera without threads and sockets, and the `Feed` of the program that watches it.
+
+    Pictures travel as JPEG parts, as over HTTP.
+    """
+
+    live = emulated = True
+    rate_hz: float | None = None
+    _take: Callable[[bytes], None] | None = None
+    _clock: LabClock
+
+    def _open(self, port: int) -> None:
+        self._port = port  # not opened
+
+    def __enter__(self) -> Self:
+        self._start, self._sent = self._clock.now(), deque[tuple[int, bytes]]()
+        self._clock.steps.append(self._turn)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._clock.steps.remove(self._turn)
+
+    @property
+    def port(self) -> int:
+        """The port in the spec."""
+        return self._port
+
+    @property
+    def watched(self) -> bool:
+        """Whether a program watches the camera."""
+        return self._take is not None
+
+    @property
+    def damaged(self) -> int:
+        """Number of parts that could not be read."""
+        return self._parts.damaged
+
+    def join(self, take: Callable[[bytes], None]) -> Self:
+        """Pass each picture, a JPEG file, to `take` from now on; return the feed."""
+        self._take, self._parts = take, Multipart(BOUNDARY)
+        return self
+
+    def interrupt(self) -> None:
+        """Pass on no further pictures."""
+        self._take = None
+
+    def _turn(self) -> None:
+        now, exposed = self._clock.now(), self._start + round(self.exposed * SECOND / self._rate_hz)
+        if now >= exposed + self._half:
+            self.exposed += 1
+            if self.watched and not self.frozen.is_set() and self.exposed % self.every == 0:
+                jpeg = coded(self._draw(exposed), self._quality)
+                self._sent.append((exposed + self._latency, jpeg))
+        while self._sent and self._sent[0][0] <= now:
+            body = self.mangle(part(self._sent.popleft()[1]))
+            if self._take is not None:
+                for jpeg in self._parts.feed(body):
+                    self._take(jpeg)

@@ -1,0 +1,348 @@
+"""Emulated network cameras: serve drawn pictures as a multipart MJPEG stream on this computer; and
+the settings and faults that all these cameras share.
+"""
+
+import queue
+import random
+import threading
+from abc import ABC, abstractmethod
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, ClassVar, Literal, Self
+from urllib.parse import urlsplit
+
+import cv2
+from pydantic import Field
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.sides import Facts, Stage
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import SpecError, TetractlError
+from tetractl.core.poses import Floats, Grey
+from tetractl.core.worker import IDLE_S
+from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
+
+BOUNDARY = "emulated-by-tetractl"
+SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
+
+
+class EmulatedNetworkCamera:
+    """Serves pictures at http://127.0.0.1:`port`/; a context manager.
+
+    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. The
+    middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera was
+    entered. The picture is sent `latency_s` after the middle of the exposure, or as soon as it is
+    drawn; a busy host skips some exposures. `mangle` changes the bytes of a part before they are
+    sent; `frozen` stops exposures while it is set; only every `every`-th picture is sent. A camera
+    that `drips` sends an endless header byte by byte. Raises TetractlError if the port is in use.
+    """
+
+    def __init__(
+        self,
+        draw: Callable[[int], Grey],
+        clock: Clock,
+        rate_hz: float = 30.0,
+        exposure_s: float = 0.0,
+        latency_s: float = 0.0,
+        quality: int = 90,
+        port: int = 0,
+        mangle: Callable[[bytes], bytes] = lambda part: part,
+        drips: bool = False,
+    ) -> None:
+        self.mangle, self._drips = mangle, drips
+        self.frozen = threading.Event()
+        self.every = 1
+        self.exposed = 0  # number of the last picture
+        self._draw, self._clock = draw, clock
+        self._rate_hz, self._quality = rate_hz, quality
+        self._half = round(exposure_s * SECOND / 2)
+        self._latency = round(latency_s * SECOND)
+        self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
+        self._closing = threading.Event()
+        self._open(port)
+
+    def _open(self, port: int) -> None:
+        camera = self
+
+        class Answer(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                camera._serve(self)
+
+            def log_message(self, format: str, *args: object) -> None:
+                """Do nothing, so that requests are not printed."""
+
+        try:
+            self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)
+        except OSError as error:
+            raise TetractlError(f"port {port} cannot be opened: {error.strerror}") from error
+        self._server.daemon_threads = True
+        self._threads = [
+            threading.Thread(
+                target=self._server.serve_forever, args=(IDLE_S,), name="emulated-http", daemon=True
+            ),
+            threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
+        ]
+
+    @property
+    def port(self) -> int:
+        """The port that was really opened."""
+        return self._server.server_address[1]
+
+    @property
+    def watched(self) -> bool:
+        """Whether a client reads the stream."""
+        return bool(self._clients)
+
+    @property
+    def url(self) -> str:
+        """The stream's URL."""
+        return f"http://127.0.0.1:{self.port}/"
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop taking pictures, and close every connection."""
+        self._closing.set()
+        self._server.shutdown()
+        self._server.server_close()
+        for thread in self._threads:
+            thread.join()
+
+    def _expose(self) -> None:
+        start, half = self._clock.now(), self._half
+        while not self._closing.is_set():
+            due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
+            self.exposed = max(self.exposed + 1, due)  # a busy host skips some exposures
+            exposed = start + round(self.exposed * SECOND / self._rate_hz)
+            self._clock.sleep_until(exposed + half)
+            if self.frozen.is_set() or not self._clients or self.exposed % self.every:
+                continue
+            jpeg = coded(self._draw(exposed), self._quality)
+            for client in list(self._clients):
+                with suppress(queue.Full):
+                    client.put_nowait((exposed + self._latency, jpeg))
+
+    def _serve(self, answer: BaseHTTPRequestHandler) -> None:
+        # further pictures are dropped, for a client that reads slowly
+        mine: queue.Queue[tuple[int, bytes]] = queue.Queue(32)
+        self._clients.add(mine)
+        try:
+            answer.send_response(200)
+            answer.send_header("Server", f"camera ({EMULATED_NAME})")
+            answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+            if self._drips:
+                answer.flush_headers()
+            while self._drips and not self._closing.wait(IDLE_S):
+                answer.wfile.write(b"X")
+            answer.end_headers()
+            while not self._closing.is_set():
+                with suppress(queue.Empty):
+                    due, jpeg = mine.get(timeout=IDLE_S)
+                    self._clock.sleep_until(due)
+                    answer.wfile.write(self.mangle(part(jpeg)))
+        except OSError:
+            pass  # the client has gone
+        finally:
+            self._clients.discard(mine)
+
+
+def coded(picture: Grey, quality: int) -> bytes:
+    """Return a picture as a JPEG file."""
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def cut_short(whole: bytes) -> bytes:
+    """Return the first half of a part, as if the connection had lost the rest."""
+    return whole[: len(whole) // 2]
+
+
+def cut_before_its_end(whole: bytes) -> bytes:
+    """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
+    jpeg = whole.partition(b"\r\n\r\n")[2]
+    return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
+
+
+def oversized(whole: bytes) -> bytes:
+    """Return a part whose JPEG claims to have 32767 x 32767 pixels."""
+    at = whole.index(b"\xff\xc0") + 5
+    return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
+
+
+def part(jpeg: bytes) -> bytes:
+    """Return one part of the stream for a JPEG file, beginning with the boundary."""
+    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"
+
+
+class StreamSettings(Model):
+    """Properties of an emulated camera; `latency` [s] is the spec's by default."""
+
+    width: int = Field(default=640, ge=64, le=8192)
+    """Columns of a picture [px]."""
+    height: int = Field(default=480, ge=64, le=8192)
+    """Rows of a picture [px]."""
+    rate: float = Field(default=30.0, ge=1, le=500)
+    """Rate of pictures [Hz]."""
+    noise: NonNegative = 2.0
+    """Standard deviation of each pixel [grey levels]."""
+    exposure: Positive = 0.004
+    """Exposure time of a picture [s]."""
+    drips: bool = False
+    """Whether the camera sends an endless answer byte by byte."""
+
+
+def _freeze(fault: Any, device: Any) -> Undo:
+    device.camera.frozen.set()
+    return device.camera.frozen.clear
+
+
+def _first_again(fault: Any) -> Callable[[bytes], bytes]:
+    sent: dict[str, bytes] = {}
+    return lambda part: sent.setdefault("first", part)
+
+
+def _spoil(fault: Any, device: Any) -> Undo:
+    chance = random.Random(device.seed)
+    ways = {"cut": cut_short, "cut_ended": cut_before_its_end, "oversized": oversized}
+
+    def spoiled(part: bytes) -> bytes:
+        return ways[fault.how](part) if chance.random() < fault.share else part
+
+    return setting(device.camera, mangle=spoiled)
+
+
+STREAM_FAULTS = (
+    fault("no_frames", "No pictures are exposed.", _freeze, Visible.SENT),
+    fault(
+        "repeat",
+        "The same picture is sent repeatedly, at the camera's rate.",
+        settings(lambda d, f: d.camera, mangle=_first_again),
+        Visible.SENT,
+    ),
+    fault(
+        "half_rate",
+        "Every second picture is left out.",
+        settings(lambda d, f: d.camera, every=2),
+        Visible.SENT,
+    ),
+    fault(
+        "bad_pictures",
+        "A fraction of the pictures is cut short, with or without an end marker, or has a header "
+        "that states 32767 x 32767 pixels.",
+        _spoil,
+        Visible.SENT,
+        share=Share,
+        how=(Literal["cut", "cut_ended", "oversized"], "cut"),
+    ),
+)
+
+
+class StreamedCamera(ABC):
+    """Base class of emulated cameras that serve pictures as MJPEG; a thread draws the pictures.
+
+    A subclass returns the present scene as numbers, and draws the scene at an exposure.
+    """
+
+    Settings: ClassVar[type[Model]]
+    faults: ClassVar[Sequence[type[Fault]]]
+
+    def __init__(self, stage: Stage, settings: StreamSettings) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, PictureSection), "the camera searches pictures"
+        if not isinstance(section.source, MjpegSource):
+            raise SpecError(
+                f"a source of type {section.source.type} cannot be emulated",
+                "use {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
+            )
+        self.seed = stage.options.seed
+        self._stage, self._settings, self._latency = stage, settings, section.latency
+        port = stage.options.command_port
+        self._port = urlsplit(section.source.url).port or 80 if port is None else port
+        self._past: deque[tuple[int, Floats]] = deque(maxlen=200)
+        self._watched = self._opened = False
+        self._exposures = 0
+
+    @abstractmethod
+    def _scene(self) -> Floats:
+        """Return the present scene as numbers that can be interpolated in time."""
+
+    @abstractmethod
+    def _draw(self, exposed_ns: int) -> Grey:
+        """Return the picture of an exposure, from `_scene_at`; called in the camera's thread."""
+
+    def open(self, loop: Loop) -> Facts:
+        """Start to serve the stream; return its address."""
+        wires, settings = self._stage.wires, self._settings
+        clock = wires.clock()
+        self._start_ns = loop.now() - clock.now()
+        self._remember()
+        self.camera = wires.network_camera(
+            self._draw,
+            clock,
+            settings.rate,
+            settings.exposure,
+            self._latency,
+            port=self._port,
+            drips=settings.drips,
+        )
+        self.camera.__enter__()
+        self._opened = True
+        self._expose()
+        return {"camera": self.camera.url, "url": self.camera.url}
+
+    def close(self) -> Facts:
+        """End the stream; return the number of pictures, to be recorded."""
+        if self._opened:
+            self.camera.__exit__()
+            self._opened = False
+        return {"pictures": self._exposures}
+
+    @property
+    def join(self) -> Any:
+        """The function that gives our camera the pictures of this one, in memory."""
+        return self.camera.join
+
+    def _joined(self) -> None:
+        """Do nothing, unless overridden; called when a client begins to watch."""
+        return
+
+    def _scene_at(self, t_ns: int) -> Floats:
+        """Return the scene at a time [ns] on the camera's clock, interpolated between the stored
+        scenes before and after that time.
+        """
+        past, when = list(self._past), self._start_ns + t_ns
+        i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
+        if i == 0:
+            return past[0][1]
+        (t0, before), (t1, after) = past[i - 1], past[i]
+        part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
+        # a cell may have divided between the two scenes
+        return before + part * (after[..., : before.shape[-1]] - before)
+
+    def _remember(self) -> None:
+        """Store the present scene for exposures that are drawn later."""
+        now = self._stage.timeline.now_ns
+        self._past.append((now, self._scene()))
+        # exposures are drawn between two of these scenes
+        self._stage.timeline.at(now + 5_000_000, self._remember)
+
+    def _expose(self) -> None:
+        """Report an exposure, and a client that begins to watch; schedule the next exposure."""
+        now = self._stage.timeline.now_ns
+        self._exposures += 1
+        self._stage.exposed(self._exposures, self._exposures)
+        self._stage.sent(self._exposures)
+        if self.camera.watched and not self._watched:
+            self._joined()
+            self._stage.client(self.camera.url)
+        self._watched = self.camera.watched
+        self._stage.timeline.at(now + round(SECOND / self._settings.rate), self._expose)

@@ -1,0 +1,189 @@
+"""An emulated device's serial port: a pseudo-terminal with a chosen name."""
+
+import errno
+import os
+import termios
+import tty
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, ClassVar
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import UsageError, WireError
+from tetractl.lab.actuators.xbee.hardware import BAUDS
+from tetractl.lab.cobs import Splitter
+from tetractl_emulator.loop import Loop, Timeline
+
+_BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
+
+
+def uart_ns(size: int, baud: int) -> int:
+    """Return the time [ns] that `size` bytes take on a serial line, at ten bits per byte."""
+    return size * 10 * SECOND // baud
+
+
+class SerialDevice(ABC):
+    """A device that receives and answers through `port`, with the delays of a serial line."""
+
+    def __init__(
+        self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None]
+    ) -> None:
+        self.port, self.note = port, note
+        self.garbled = 0  # number of chunks sent at another baud rate than the device's
+        self._timeline, self._baud = timeline, baud
+        self._in_ns = self._out_ns = 0  # when the line is free again, in and out
+        self._splitter = Splitter()
+
+    @abstractmethod
+    def hear(self, data: bytes) -> None:
+        """Take bytes received over the line."""
+
+    @abstractmethod
+    def _witness(self, data: bytes) -> None:
+        """Record bytes read from the port, even if the device does not receive them."""
+
+    def readable(self) -> None:
+        """Read the bytes that a program wrote to the port; the device receives them after the time
+        that they take on the line.
+        """
+        data = self.port.read()
+        if not data:
+            return
+        self._witness(data)
+        if self.port.baud() != self._baud:
+            self.garbled += 1
+            return
+        self._in_ns = max(self._timeline.now_ns, self._in_ns) + uart_ns(len(data), self._baud)
+        self._timeline.at(self._in_ns, lambda: self.hear(data))
+
+    def _note_commands(self, data: bytes) -> None:
+        """Record the commands, or the garbage, in frames read from the port."""
+        for sealed in self._splitter.feed(data):
+            try:
+                self.note("command", **self._command(sealed))
+            except WireError:
+                self.note("garbage", hex=sealed.hex())
+
+    @abstractmethod
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Return the facts of a frame's command, to be recorded; WireError if there is none."""
+
+    def _answer(self, data: bytes) -> None:
+        self._out_ns = max(self._timeline.now_ns, self._out_ns) + uart_ns(len(data), self._baud)
+        self._timeline.at(self._out_ns, lambda: self.port.write(data))
+
+
+class PluggedDevice:
+    """A device on a port that can be unplugged; `what` is the device's description, and `wired` is
+    the part that receives and answers.
+    """
+
+    what: ClassVar[str]
+    port: "PseudoPort"
+    wired: SerialDevice
+    _loop: Loop | None = None
+
+    def open(self, loop: Loop) -> dict[str, Any]:
+        """Plug the device in; return its description and the port's name."""
+        self._loop = loop
+        self.plugged(True)
+        return {"actuator": f"{self.what} at {self.port.link}", "port": str(self.port.link)}
+
+    def close(self) -> dict[str, Any]:
+        """Unplug the device; return how many chunks of bytes came at a wrong baud rate."""
+        self.plugged(False)
+        return {"garbled": self.wired.garbled}
+
+    def plugged(self, on: bool) -> None:
+        """Plug the device in, after `open`, or unplug it; it may be unplugged twice."""
+        if on:
+            assert self._loop is not None, "open() sets the loop"
+            self.port.plug()
+            self._loop.watch(self.port.fd, self.wired.readable)
+        else:
+            if self._loop is not None:
+                self._loop.forget(self.port.fd)
+            self.port.unplug()
+
+
+class PseudoPort:
+    """A serial port that programs open by the name `link`; `fd` is the file descriptor of the
+    emulation's end.
+
+    A program can open the port exclusively, like any port; a second program is then refused.
+    """
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.fd = -1
+        # kept open, so that `fd` stays valid while no program has the port open
+        self._far = -1
+
+    def plug(self) -> None:
+        """Create the port and its name; UsageError if the name cannot be created."""
+        self.fd, self._far = os.openpty()
+        try:
+            tty.setraw(self._far)
+            os.set_blocking(self.fd, False)
+            self._make_link(os.ttyname(self._far))
+        except BaseException:
+            self._close()
+            raise
+
+    def unplug(self) -> None:
+        """Remove port and name; a program that uses the port gets errors. May be called twice."""
+        if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
+            self.link.unlink()
+        self._close()
+
+    def stall(self, stalled: bool) -> None:
+        """If `stalled`, block writes to the port, as if no device took the bytes; otherwise allow
+        them again.
+        """
+        if self.fd >= 0:
+            termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
+
+    def baud(self) -> int:
+        """Return the speed that the program has set [bits per second]; 0 for an unknown speed."""
+        return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
+
+    def read(self) -> bytes:
+        """Return the bytes that the program has written to the port, b"" if none."""
+        try:
+            return os.read(self.fd, 4096) if self.fd >= 0 else b""
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno == errno.EIO:
+                return b""
+            raise
+
+    def write(self, data: bytes) -> None:
+        """Pass bytes to the program; bytes that it does not read are lost, as on a wire."""
+        if self.fd >= 0:
+            with suppress(BlockingIOError):
+                os.write(self.fd, data)
+
+    def _make_link(self, target: str) -> None:
+        if self.link.is_symlink() and not self.link.exists():
+            self.link.unlink()  # left by an emulation that was killed
+        try:
+            self.link.symlink_to(target)
+        except OSError as error:
+            why = f"cannot make the port {self.link}: {error.strerror}"
+            if error.errno == errno.EEXIST:
+                why = f"{self.link} exists already, perhaps as a real device"
+            raise UsageError(
+                why,
+                hint="choose another name with --port-link, and give it to the runner by "
+                "--set lab.actuator.port=NAME",
+            ) from None
+        self._target = target
+
+    def _close(self) -> None:
+        for fd in (self.fd, self._far):
+            if fd >= 0:
+                os.close(fd)
+        self.fd = self._far = -1

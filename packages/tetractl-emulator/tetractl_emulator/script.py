@@ -1,0 +1,148 @@
+"""A script for the emulated lab: differences from the spec, and faults with their times."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self, get_args
+
+from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from tetractl.core.errors import AbortError, SpecError
+from tetractl.core.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
+from tetractl.experiment.base import Finite, Model, Name, Point
+from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
+from tetractl.experiment.yaml.explain import words
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
+from tetractl_emulator.faults import MARK, Fault
+
+
+def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
+    """Return the fault that a mapping describes; the mapping's key `fault` names the kind."""
+    if isinstance(value, Fault):
+        return value
+    kinds = _sides(info).faults
+    name = str(value.get("fault")) if isinstance(value, dict) else ""
+    if name not in kinds:
+        text = f"fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
+        raise PydanticCustomError("fault", "{text}", {"text": text})
+    return kinds[name].model_validate(value, strict=True)
+
+
+def _settings(value: Any, info: ValidationInfo) -> Model:
+    """Return the settings of the device that the field is named after: camera or actuator."""
+    sides = _sides(info)
+    side = sides.camera if info.field_name == "camera" else sides.actuator
+    return side.Settings.model_validate(value, strict=True)
+
+
+class Placed(Model):
+    """The true start of a robot, if it differs from the spec's."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    start: Point | None = None
+    """True start position of the robot [length unit]."""
+    heading: Finite | None = None
+    """True start heading of the robot [rad]."""
+
+
+class Emulation(Model):
+    """Properties of the emulated lab that differ from the spec."""
+
+    camera: Annotated[Model, PlainValidator(_settings)] | None = None
+    """Settings of the emulated camera; the fields depend on the camera's type."""
+    actuator: Annotated[Model, PlainValidator(_settings)] | None = None
+    """Settings of the emulated actuator; the fields depend on the actuator's type."""
+    robots: tuple[Placed, ...] = ()
+    """The robots whose true start differs from the spec's."""
+
+
+class Script(Model):
+    """A script, as read from YAML."""
+
+    about: str = Field(min_length=1, max_length=500)
+    """Purpose of the script, in one or two sentences."""
+    row: str = Field(default="", max_length=200)
+    """Kind of fault that the script tests."""
+    emulation: Emulation = Emulation()
+    """Properties of the emulated lab that differ from the spec."""
+    faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
+        default=(), max_length=100
+    )
+    """The faults and their times."""
+    runner: dict[str, Any] = Field(default={})
+    """How a test starts and disturbs the run; not used by the emulation."""
+    expect: dict[str, Any] = Field(default={})
+    """The result that a test expects of the run; not used by the emulation."""
+
+
+NOTHING = Script(about="nothing goes wrong")
+
+
+@dataclass(frozen=True, slots=True)
+class Sides:
+    """The classes that emulate a lab's camera and actuator."""
+
+    camera: Any
+    actuator: Any
+
+    @classmethod
+    def of(cls, camera: str, actuator: str) -> Self:
+        """Return the classes for a lab's types; SpecError if one cannot be emulated, AbortError
+        without the software that it needs.
+        """
+        for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
+            if name not in registry:
+                known = ", ".join(registry.names())
+                raise SpecError(
+                    f"{name} cannot be emulated", f"types that can be emulated: {known}"
+                )
+        try:
+            return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
+        except ModuleNotFoundError as error:
+            if error.name != "cv2":
+                raise
+            raise AbortError(
+                f"the emulated {camera} camera needs OpenCV, which is not installed",
+                "pip install 'tetractl[vision]'",
+            ) from error
+
+    @property
+    def faults(self) -> dict[str, type[Fault]]:
+        """Every kind of fault that the lab can have, by its name."""
+        kinds = (*self.camera.faults, *self.actuator.faults, MARK)
+        return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
+
+
+def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbee") -> Script:
+    """Read a script for a lab of these types; InvalidSpecError with a line for each problem."""
+    return parse_script(read_text(path), str(path), camera, actuator)
+
+
+def parse_script(
+    text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
+) -> Script:
+    """Read the text of a script for a lab of these types; InvalidSpecError with a line for each
+    problem. `origin` is the script's name in error messages.
+    """
+    document = parse_document(text, origin)
+    sides = Sides.of(camera, actuator)
+    try:
+        script = Script.model_validate(frozen(document.data), strict=True, context={"sides": sides})
+    except ValidationError as error:
+        problems = [_problem(details, document) for details in error.errors(include_url=False)]
+        raise InvalidSpecError([*document.found, *problems]) from None
+    if document.found:
+        raise InvalidSpecError(document.found)
+    return script
+
+
+def _sides(info: ValidationInfo) -> Sides:
+    assert info.context is not None, "parse_script passes the sides"
+    return info.context["sides"]
+
+
+def _problem(details: ErrorDetails, document: Document) -> SpecProblem:
+    loc = tuple(details["loc"])
+    place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
+    return (place or document.place(loc)).problem(loc, words(details, details["input"]))

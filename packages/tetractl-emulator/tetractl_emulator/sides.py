@@ -1,0 +1,150 @@
+"""The interfaces of emulated devices: an actuator moves bodies, and a camera shows them.
+
+To emulate another camera or actuator, implement the interface and add a line to `core.registries`.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model
+from tetractl.experiment.lab_section import LabSection
+from tetractl_emulator.faults import Fault
+from tetractl_emulator.loop import Loop, Timeline
+from tetractl_emulator.wires import Wires
+
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of the emulation. A port of 0 means any free port, None the spec's port.
+
+    `link` is the name of the serial port, None for the spec's. `record` is a file for the true
+    events, None for no file. `replace_after` [s]: robots that have stood still for this time after
+    a run are switched off, put back on their starts and switched on; None leaves them where they
+    are.
+    `chosen`: trials choose their cells, so the emulation's settings give the cells in the dish,
+    drawn by the seed `dish`, by default `seed`. An `address` of None is that of the spec.
+    """
+
+    address: str | None = "127.0.0.1"
+    command_port: int | None = None
+    data_port: int | None = None
+    link: Path | None = None
+    record: Path | None = None
+    replace_after: float | None = None
+    seed: int = 1
+    chosen: bool = False
+    dish: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """The data and functions shared by both devices; `setup` and `lab` come from the spec.
+
+    `note(event, **facts)` adds an event to the record. A camera calls `exposed(exposure, frame)`,
+    with the numbers of exposure and frame, at each exposure; `sent(exposure)` when the exposure's
+    frame is sent or would be sent without a fault; and `client(address)` for each new client.
+    `wires` makes the ends of the connections.
+    """
+
+    lab: LabSection
+    setup: Setup
+    timeline: Timeline
+    options: Options
+    note: Callable[..., None]
+    exposed: Callable[[int, int], None]
+    sent: Callable[[int], None]
+    client: Callable[[str], None]
+    wires: Wires = field(default_factory=Wires)
+
+    @property
+    def mm(self) -> float:
+        """Millimetres per length unit of the spec."""
+        return self.setup.metres * 1000
+
+
+class Body(Protocol):
+    """The true state of a robot: x, y [mm] and heading [rad] in the spec's axes."""
+
+    name: str
+    x: float
+    y: float
+    heading: float
+
+    @property
+    def standing(self) -> bool:
+        """Whether the robot is at rest, or moves more slowly than a camera could detect."""
+        ...
+
+    def place(self, x: float, y: float, heading: float) -> None:
+        """Put the robot, at rest, at a pose [mm, rad]."""
+        ...
+
+
+class EmulatedSide(Protocol):
+    """One device of an emulated lab.
+
+    `Settings` is the model of the device's section in a script's `emulation`; `faults` are the
+    faults that the device can have.
+    """
+
+    Settings: ClassVar[type[Model]]
+    faults: ClassVar[Sequence[type[Fault]]]
+
+    def open(self, loop: Loop) -> Facts:
+        """Open ports and names; return facts for the clients, such as the device's address."""
+        ...
+
+    def close(self) -> Facts:
+        """Release ports and names; return counts to be recorded. May be called twice."""
+        ...
+
+
+class EmulatedCamera(EmulatedSide, Protocol):
+    """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
+
+    @property
+    def join(self) -> Any:
+        """What our camera is given to reach this one over wires in memory."""
+        ...
+
+    def hide(self, hidden: bool) -> None:
+        """If `hidden`, track no body, as while robots are carried; otherwise track all again."""
+        ...
+
+
+class EmulatedActuator(EmulatedSide, Protocol):
+    """Moves its `bodies`, in the setup's order; constructed with (stage, settings)."""
+
+    @property
+    def bodies(self) -> Sequence[Body]:
+        """The robots at their true poses."""
+        ...
+
+    @property
+    def driven(self) -> bool:
+        """Whether any robot is being driven."""
+        ...
+
+    @property
+    def truth(self) -> Mapping[str, Any]:
+        """Facts of the present true state, to be recorded at each exposure."""
+        ...
+
+    def switch(self, on: bool) -> None:
+        """Switch the robots off, as while they are carried, or on, which restarts their
+        programs.
+        """
+        ...
+
+    def advance(self, until_ns: int) -> None:
+        """Advance the robots to `until_ns`."""
+        ...
+
+    def tick(self) -> None:
+        """Do periodic work, such as sending answers; called every few milliseconds."""
+        ...

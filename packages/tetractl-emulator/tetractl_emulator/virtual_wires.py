@@ -1,0 +1,220 @@
+"""Wires in memory, in virtual time: UDP, serial ports, the clock of both ends, and an emulated lab.
+
+What travels is what travels on real wires, byte for byte; nothing is lost or late.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tetractl.core.clock import MILLISECOND, VirtualClock
+from tetractl.core.errors import AbortError
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
+from tetractl_emulator.emulated_lab import EmulatedLab
+from tetractl_emulator.loop import Loop, Timeline
+from tetractl_emulator.port import PseudoPort
+from tetractl_emulator.script import NOTHING, Script
+from tetractl_emulator.sides import Options
+from tetractl_emulator.wires import Wires
+
+
+class LabClock(VirtualClock):
+    """Virtual time in steps of `step_ns`: in each step the `timeline` runs first, then each
+    function of `steps`.
+    """
+
+    def __init__(self, step_ns: int = MILLISECOND) -> None:
+        super().__init__()
+        self._step_ns = step_ns
+        self.timeline: Timeline | None = None
+        self.steps: list[Callable[[], None]] = []
+
+    def sleep_until(self, when: int) -> None:
+        """Let time pass until `when` [ns]."""
+        while self._now < when:
+            self._now = min(when, self._now + self._step_ns)
+            if self.timeline is not None:
+                self.timeline.run_to(self._now)
+            for step in tuple(self.steps):
+                step()
+
+
+class VirtualLoop(Loop):
+    """The emulation's loop in virtual time; a LabClock calls `poll` in each step."""
+
+    now = staticmethod(lambda: 0)
+
+    def catch_up(self) -> None:
+        """Do nothing, since the clock runs the timeline."""
+
+    def poll(self) -> None:
+        """Read what has come on the emulation's wires."""
+        for act in tuple(self._readers.values()):
+            act()
+
+
+def started(
+    lab: LabSection, setup: Setup, clock: LabClock, options: Options, script: Script = NOTHING
+) -> EmulatedLab:
+    """Return an emulated lab that runs on a clock; nothing in it has to be released."""
+    loop, wires = VirtualLoop, memory_wires(clock)
+    emulation = EmulatedLab(lab, setup, script, options, make_loop=loop, wires=wires).__enter__()
+    assert isinstance(emulation.loop, VirtualLoop)
+    clock.timeline = emulation.timeline
+    clock.steps.insert(0, emulation.loop.poll)
+    return emulation
+
+
+def memory_wires(clock: LabClock) -> Wires:
+    """Return wires in memory between an emulated lab and our side, both on a clock."""
+    network: Network = {}
+    plugged: Plugged = {}
+
+    def network_camera(*arguments: Any, **settings: Any) -> Any:
+        from tetractl_emulator.pictures.memory_camera import MemoryCamera  # imports OpenCV
+
+        return MemoryCamera(*arguments, **settings)
+
+    def make_socket(turn: Callable[[], None]) -> MemorySocket:
+        if turn not in clock.steps:
+            clock.steps.insert(1, turn)  # after the emulation, before the guard
+        return MemorySocket(network)
+
+    def bound(host: str, port: int) -> MemorySocket:
+        opened = MemorySocket(network)
+        opened.bind((host, port))
+        return opened
+
+    return Wires(
+        lambda: clock,
+        partial(MemoryPort, plugged),
+        bound,
+        network_camera,
+        partial(MemorySerial, plugged),
+        make_socket,
+    )
+
+
+class MemorySocket:
+    """A UDP socket of a network in memory; its methods are those of `socket.socket`."""
+
+    def __init__(self, network: "Network") -> None:
+        self._network, self._name = network, ("", 0)
+        self._queue = deque[tuple[bytes, tuple[str, int]]]()
+        self.setsockopt = self.setblocking = lambda *_: None
+        self.getsockname, self.fileno = lambda: self._name, lambda: self._name[1]
+
+    def bind(self, address: tuple[str, int]) -> None:
+        """Listen at an address; port 0 is any free port."""
+        free = max((port for _, port in self._network), default=0) + 1
+        self._name = (address[0], address[1] or max(free, 40_000))
+        self._network[self._name] = self
+
+    def sendto(self, data: bytes, to: Sequence[Any]) -> None:
+        """Send a datagram to an address, or to a socket that is bound to all addresses."""
+        receiver = self._network.get((to[0], to[1])) or self._network.get(("", to[1]))
+        if receiver is not None:
+            receiver._queue.append((bytes(data), self._name))
+
+    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
+        """Return the oldest datagram and its sender's address; BlockingIOError if there is none."""
+        if not self._queue:
+            raise BlockingIOError
+        data, sender = self._queue.popleft()
+        return data[:size], sender
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._network.pop(self._name, None)
+
+
+class MemoryPort(PseudoPort):
+    """A device's end of a serial port in memory; `written` is called after a write of ours."""
+
+    def __init__(self, plugged: "Plugged", link: Path) -> None:
+        super().__init__(link)
+        self.near: MemorySerial | None = None
+        self.written: Callable[[], None] = lambda: None
+        self.stalled, self.taken, self._plugged = False, b"", plugged
+
+    def plug(self) -> None:
+        """Make the port known by its name."""
+        self.fd = 3
+        self._plugged[str(self.link)] = self
+
+    def unplug(self) -> None:
+        """Remove the port; our end fails. May be called twice."""
+        self.fd = -1
+        self._plugged.pop(str(self.link), None)
+        if self.near is not None:
+            self.near.hear(b"")
+
+    def stall(self, stalled: bool) -> None:
+        """Refuse bytes, or accept them again."""
+        self.stalled = stalled
+
+    def baud(self) -> int:
+        """Return the speed that our end has set [bits per second]; 0 if it is closed."""
+        return self.near.bits_a_second if self.near else 0
+
+    def read(self) -> bytes:
+        """Return the bytes that our end has written."""
+        data, self.taken = self.taken, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Pass bytes to our end, if it is open."""
+        if self.fd >= 0 and self.near is not None:
+            self.near.hear(data)
+
+
+class MemorySerial(SerialPort):
+    """Our end of a serial port in memory, without a thread."""
+
+    def __init__(self, plugged: "Plugged", name: str, baud: int, *rest: Any) -> None:
+        super().__init__(name, baud, *rest)
+        self._plugged, self.bits_a_second = plugged, baud
+        self._far: MemoryPort | None = None
+
+    def open(self, alone: bool = True) -> None:
+        """Open the port as SerialPort does."""
+        far = self._plugged.get(str(self._name))
+        if far is None:
+            raise missing_port(self._name, self._device)
+        if far.near is not None and alone:
+            raise PortHeldError(str(self._name))
+        self._far, far.near = far, self
+
+    def write(self, data: bytes) -> int:
+        """Send bytes as SerialPort does; return the time [ns]."""
+        if self.failure or self._far is None:
+            raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
+        if self._far.stalled:
+            raise self._fail(f"takes no more bytes: {self._device} is stuck")
+        self._far.taken += data
+        self._far.written()
+        return self._clock.now()
+
+    def set_baud(self, baud: int) -> None:
+        """Change the speed [bits per second]."""
+        self.bits_a_second = baud
+
+    def close(self) -> None:
+        """Close the port; may be called twice."""
+        if self._far is not None:
+            self._far.near = None
+        self._far = None
+
+    def hear(self, data: bytes) -> None:
+        """Receive bytes from the device; fail if there are none, since it was unplugged."""
+        if not data:
+            self._fail("is gone: Input/output error")
+        self._heard(data, self._clock.now())
+
+
+Network = dict[tuple[str, int], MemorySocket]
+Plugged = dict[str, MemoryPort]

@@ -1,0 +1,89 @@
+"""The packages of this repository: what each needs, and what the core does without them."""
+
+import re
+import subprocess
+import sys
+import tomllib
+
+import pytest
+from support.paths import ROOT
+
+from tetractl.core.version import __version__
+from tetractl.experiment.packages import BRINGS
+
+PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))
+HIDDEN = """
+import sys
+from importlib.metadata import EntryPoint, distribution
+import importlib.metadata
+
+PACKAGES = {"tetractl_emulator", "tetractl_microscope"}
+
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"cv2", "tifffile", *PACKAGES}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Hidden())
+found = importlib.metadata.entry_points
+importlib.metadata.entry_points = lambda **by: [
+    one for one in found(**by) if one.dist is None or not one.dist.name.startswith("tetractl-")
+]
+"""
+
+
+def python(program):
+    done = subprocess.run(
+        [sys.executable, "-c", HIDDEN + program], capture_output=True, text=True, cwd=ROOT
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("project", PROJECTS, ids=lambda path: path.parent.name)
+def test_versions_move_together(project):
+    text = project.read_text()
+    assert tomllib.loads(text)["project"]["version"] == __version__
+    assert text.count(f"=={__version__}") == text.count("==")
+
+
+@pytest.mark.parametrize("project", PROJECTS, ids=lambda path: path.parent.name)
+def test_what_a_package_brings_is_named_where_it_is_missing(project):
+    found = tomllib.loads(project.read_text())["project"]
+    for group in {group for group, _ in BRINGS}:
+        brought = {
+            name
+            for (of, name), package in BRINGS.items()
+            if (of, package) == (group, found["name"])
+        }
+        assert brought <= set(found["entry-points"].get(group, {})), group
+
+
+ALL = """
+import pkgutil, tetractl
+for one in pkgutil.walk_packages(tetractl.__path__, "tetractl."):
+    if not one.name.endswith("__main__"):
+        __import__(one.name)
+"""
+
+
+@pytest.mark.slow
+def test_a_command_of_a_missing_package_is_answered_by_the_command_that_installs_it():
+    program = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(run_app())"
+    for words in (
+        ["lab", "emulate", "x.yaml"],
+        ["run", "experiments/three_m3pi_lab.yaml", "--plant", "emulated"],
+    ):
+        code, said = python(program.format(words))
+        assert code == 2, said
+        assert "needs tetractl-emulator, which is not installed" in said
+        assert "hint: pip install ./packages/tetractl-emulator" in said
+
+
+@pytest.mark.slow
+def test_kinds_lists_what_it_can_without_the_packages():
+    code, said = python(
+        "from tetractl.cli.app import run_app\nsys.argv[1:] = ['kinds']\nsys.exit(run_app())"
+    )
+    assert code == 0, said
+    assert "pso-mpc" in said
+    assert re.search(r"^plant +emulated +tetractl-emulator +\[not installed\]$", said, re.M)

@@ -19,7 +19,7 @@ from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Task
 from tetractl.study.load_study import load_study
-from tetractl.study.options import Logs, Shard, lacking
+from tetractl.study.options import Logs, lacking
 from tetractl.study.row_store import Store
 
 ROOT = Path(__file__).parents[1]
@@ -67,7 +67,7 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
         loaded, clocked = load_study(file), Clocked()
         store = Store(Path(name) / "out", loaded.arms)
         with store.opened():
-            tasks, _ = lacking(loaded, store, Logs.parse(logs), Shard(), False)
+            tasks, _ = lacking(loaded, store, Logs.parse(logs), False)
             executor = on_this_machine(jobs, len(tasks), Interrupt())
             before_s = time.process_time()
             run_batch(tasks, store, executor, clocked)

@@ -138,7 +138,7 @@ def run_study(
     loaded = load_study(Path(path))
     store = Store(Path("logs", loaded.study.name) if folder is None else Path(folder), loaded.arms)
     with store.opened(), _interruptible() as interrupt:
-        tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), options.Shard(), False)
+        tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), False)
         options.warm_up_arms(loaded, logging.getLogger("tetractl").info)
         executor = on_this_machine(jobs, len(tasks), interrupt)
         watcher = _Watcher(lambda trial, result: None)

@@ -128,14 +128,6 @@ def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
         assert done.returncode == 1
 
 
-def test_a_job_script_has_no_line_of_a_files_name(tmp_path):
-    write(tmp_path, SMALL)
-    (tmp_path / "study.yaml").rename(tmp_path / "s\nrm -rf ~ .yaml")
-    refused(tetractl(tmp_path, "study", "s\nrm -rf ~ .yaml", "--slurm", 2), r"s\nrm -rf ~ .yaml")
-    write(tmp_path, SMALL)
-    refused(tetractl(tmp_path, "study", "study.yaml", "--slurm", 2, "--out", "a\rb"), r"a\rb")
-
-
 @pytest.mark.parametrize("fact", ["{", "[1]", '["x", 1, 2]', "1" * 400, "[[]]", "[1e300, 1, 1]"])
 def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
     made = random_trials.write(random_trials.trial(steps=3), tmp_path / "made.mcap")

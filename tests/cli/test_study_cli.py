@@ -1,14 +1,10 @@
 """`tetractl study` from the outside: however it is run, the same table."""
 
 import csv
-import os
-import re
-import shlex
 import signal
-import subprocess
 
 import pytest
-from support.studies import FAILING, SMALL, Running, results, rows, tetractl, write
+from support.studies import FAILING, Running, results, rows, tetractl, write
 
 from tetractl.api import run_study
 from tetractl.log.read.reader import content_digest, read_result
@@ -106,20 +102,6 @@ def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
     assert results(out) == results(whole[0] / "out")
 
 
-def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path):
-    write(tmp_path)
-    for i in (1, 2, 3):
-        done = study("study.yaml", "--shard", f"{i}/3", "--jobs", 1, "-q", cwd=tmp_path).ok()
-    shares = sorted((tmp_path / "logs").iterdir())
-    assert [path.name for path in shares] == [f"quick-shard-{i}-of-3" for i in (1, 2, 3)]
-    assert [rows(path) for path in shares] == [14, 13, 13]
-    done = study("study.yaml", "--merge", *shares, "--out", "out", cwd=tmp_path).ok()
-    assert "40 trials added" in done.stderr
-    assert results(tmp_path / "out") == results(whole[0] / "out")
-    for row in table(tmp_path / "out")[::11]:
-        assert content_digest(tmp_path / "out" / row["path"]) == row["content_digest"]
-
-
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     write(tmp_path, FAILING)
     args = ("--out", "out", "--logs", "failed", "--jobs", 1)
@@ -132,41 +114,3 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert [bool(row["path"]) for row in found] == [True] * 4 + [False] * 4
     for row in found[:4]:
         assert content_digest(tmp_path / "out" / row["path"]) == row["content_digest"]
-
-
-def test_shares_of_one_arm_are_one_batch(tmp_path):
-    write(tmp_path, "name: one\nbase: spec.yaml\ntrials: {count: 5, seed: 7}\n")
-    for share in ("1/2", "2/2"):
-        to = ("--out", f"parts/{share[0]}", "--shard", share, "--logs", "none", "--jobs", 1)
-        assert study("study.yaml", *to, cwd=tmp_path).returncode == 0
-    assert "5 of 5 trials valid" in tetractl("stats", "parts", cwd=tmp_path).stdout
-
-
-def test_the_job_script_runs_every_share_and_says_how_to_merge(tmp_path):
-    """Its commands, as bash runs them for the jobs of an array, taken down and run here."""
-    write(tmp_path, SMALL)
-    script = study(
-        "study.yaml", "--slurm", 2, "--logs", "none", "--out", "my out", cwd=tmp_path
-    ).ok()
-    (tmp_path / "job.sh").write_text(script.stdout)
-    shim = 'tetractl() { for word; do printf "%s\\n" "$word"; done > ran; cat ran >> all; }\n'
-    (tmp_path / "env.sh").write_text(shim)
-    ran = []
-    for task in ("1", "2"):
-        environment = {
-            "SLURM_ARRAY_TASK_ID": task,
-            "BASH_ENV": "env.sh",
-            "PATH": os.environ["PATH"],
-        }
-        bash = subprocess.run(["bash", "job.sh"], cwd=tmp_path, env=environment, check=True)
-        assert bash.returncode == 0
-        ran.append((tmp_path / "ran").read_text().splitlines())
-    assert (tmp_path / "all").read_text().startswith("warm\nstudy.yaml\nstudy\n")
-    for words in ran:
-        assert tetractl(*words, cwd=tmp_path).returncode == 0
-    (merge,) = re.findall(r"#   tetractl (study .* --merge .*)", script.stdout)
-    shares = sorted(path.name for path in tmp_path.glob("my out-shard-*-of-2"))
-    words = shlex.split(merge)
-    assert words[-1] == "my out-shard-*-of-2"
-    assert tetractl(*words[:-1], *shares, cwd=tmp_path).returncode == 0
-    assert len(table(tmp_path / "my out")) == 6

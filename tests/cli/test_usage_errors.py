@@ -47,14 +47,9 @@ run lab.yaml --plant lab --jobs 2 | one trial at a time
 serve spec.yaml --paused | only a LOG can be played back
 serve LOG --rate 0 | --rate must be above 0
 rerun LOG --seed 3 | No such option
-study study.yaml --shard 3/2 | --shard 3/2: must be i/n
 study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
-study study.yaml nowhere | --merge needs the folders of the shares
-study study.yaml --merge nowhere -o out | nowhere: holds no trial of this study
 study study.yaml --trial many -o out | --trial many: must be ARM/N
 study study.yaml --trial dead_time=0.1/9 -o out | it has no row in
-study study.yaml --shard 1/2 --trial a/0 | exclude each other: give one
-study study.yaml --slurm 0 | --slurm: must be at least 1
 stats nowhere | nowhere: no such file or folder
 stats empty | empty: no logs
 stats '' | an argument is empty | is a variable of the shell not set?

@@ -43,22 +43,22 @@ COSTLY = ("info", "info --json", "replay", "plot", "stats", "stats --csv", "veri
 READERS = ("info", "replay", "stats", "verify", "recover")
 """One command for each way to read a log."""
 LOGS = tuple(COMMANDS)
-STUDIES = ("study stats", "study stats --json", "study report", "study --merge")
+STUDIES = ("study stats", "study stats --json", "study report", "study --dry-run")
 SPECS = ("validate", "run --dry-run")
-STUDY_FILES = ("validate", "study --slurm")
+STUDY_FILES = ("validate", "study --dry-run of a file")
 COMMANDS |= {
     "validate": "validate {log}",
     "run --dry-run": "run {log} --dry-run",
-    "study --slurm": "study {log} --slurm 2 --out {out}/study",
+    "study --dry-run of a file": "study {log} --dry-run --out {out}/study",
     "identify tables": "identify {log}/poses.csv {log}/steps.csv",
     "study stats": "stats {log}/out",
     "study stats --json": "stats {log}/out --format json",
     "study report": "report {log}/out -o {out}/report.html",
-    "study --merge": "study {log}/study.yaml --out {out}/merged --merge {log}/out",
+    "study --dry-run": "study {log}/study.yaml --dry-run --out {log}/out",
 }
 TELL_ON_STDOUT = ("verify", "info", "info --json", "recover", "validate")
 SLOW = {name for name in COMMANDS if name.partition(" ")[0] in ("plot", "report")}
-SLOW |= {"study report", "study --merge"}
+SLOW |= {"study report"}
 
 _parser = cache(typer.main.get_command)  # made for each call it takes longer than most commands
 

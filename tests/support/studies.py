@@ -10,7 +10,7 @@ from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.arm_table import counted_rows, write_tables
 from tetractl.study.load_study import load_study
-from tetractl.study.options import Logs, Shard, lacking
+from tetractl.study.options import Logs, lacking
 from tetractl.study.row_store import Store
 
 STUDY = """\
@@ -74,11 +74,11 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     """Run a study in this process; return the study, its store and what became of the trials."""
     loaded = load_study(write(folder, study, spec))
     store = Store(folder / out, loaded.arms)
-    logs, shard = options.get("logs", Logs(0, False)), options.get("shard", Shard())
+    logs = options.get("logs", Logs(0, False))
     watcher = Watcher()
     with store.opened():
         rerun_outdated = options.get("rerun_outdated", False)
-        tasks, outdated = lacking(loaded, store, logs, shard, rerun_outdated)
+        tasks, outdated = lacking(loaded, store, logs, rerun_outdated)
         executor = options.get("executor") or on_this_machine(
             options.get("jobs", 1), len(tasks), Interrupt()
         )

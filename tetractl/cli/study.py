@@ -1,4 +1,4 @@
-"""`tetractl study`: runs arms of trials with the same seeds: at once, in shares or on a cluster."""
+"""`tetractl study`: runs arms of trials with the same seeds, on this machine or a cluster."""
 
 import os
 from contextlib import nullcontext
@@ -14,7 +14,6 @@ from tetractl.run.interrupt import Interrupt, leave_on_signals
 
 if TYPE_CHECKING:
     from tetractl.study.load_study import LoadedStudy
-    from tetractl.study.options import Shard
     from tetractl.study.row_store import Store
 
 STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
@@ -22,17 +21,13 @@ STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\
 
 def study(
     file: Path,
-    folders: list[Path] | None = None,
     out: Path | None = None,
     jobs: Annotated[int | None, ui.ValueRange(1)] = None,
     logs: str = "all",
     fail_fast: bool = False,
     rerun_outdated: bool = False,
-    shard: str | None = None,
-    merge: bool = False,
     cluster: str | None = None,
     trial: str | None = None,
-    slurm: Annotated[int | None, ui.ValueRange(1)] = None,
     dry_run: bool = False,
     quiet: Annotated[bool, "--quiet", "-q"] = False,
 ) -> int:
@@ -45,17 +40,13 @@ def study(
 
     Options:
       file STUDY: The study, a YAML file.
-      folders [DIR]...: With --merge: folders of the study's shares.
       out DIR: Folder of the study.  [logs/<study name>]
       jobs N: Number of trials run at a time, each in its own process.  [processors]
       logs all|failed|sample:N|none: Trials whose logs are kept.
       fail_fast: Stop at the first trial that fails.
       rerun_outdated: Run again the trials whose rows were written by another version of the code.
-      shard I/N: Run only the I-th of N shares of the trials, in that share's own folder.
-      merge: Run nothing: merge the rows of the shares in the folders DIR.
       cluster ADDRESS: Run on the Dask cluster with the scheduler at this address.
       trial ARM/N: Run one trial again, write its log, and compare the log with the trial's row.
-      slurm N: Run nothing: print a Slurm job script that runs N shares.
       dry_run: Run nothing: print the arms and how many of their trials would be run.
       quiet: Print only failures.
     """
@@ -71,32 +62,20 @@ def study(
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
-    if merge != bool(folders):
-        raise UsageError("--merge needs the folders of the shares, and folders need --merge")
-    if sum([shard is not None, merge, trial is not None, slurm is not None]) > 1:
-        raise UsageError("--shard, --merge, --trial and --slurm exclude each other: give one")
     rule = options.Logs.parse(logs)
-    share = options.Shard.parse(shard) if shard else options.Shard()
     loaded = load_study(file)
-    ending = f"-shard-{share.index}-of-{share.of}" if shard else ""
-    folder = out or Path("logs") / f"{loaded.study.name}{ending}"
-    if slurm is not None:
-        print(options.job_script(file, loaded.study.name, slurm, folder, logs), end="")
-        return Exit.DONE
+    folder = out or Path("logs") / loaded.study.name
     store = Store(folder, loaded.arms)
     if dry_run:
         store.read()
-        tasks, _ = options.lacking(loaded, store, rule, share, rerun_outdated)
+        tasks, _ = options.lacking(loaded, store, rule, rerun_outdated)
         print_tables([options.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
         if trial is not None:
             print(options.repeat(loaded, store, trial))
             return Exit.DONE
-        if merge:
-            ui.tell(f"{store.merge(folders or [])} trials added to {folder}")
-            return _conclude(loaded, store, share, "the same command without --merge")
-        tasks, outdated = options.lacking(loaded, store, rule, share, rerun_outdated)
+        tasks, outdated = options.lacking(loaded, store, rule, rerun_outdated)
         if outdated:
             named = [f"{name} ({n})" for name, n in outdated.items()]
             more = f" and {len(named[4:])} more arms" if named[4:] else ""
@@ -120,18 +99,12 @@ def study(
             shown = StudyProgress(Console(stderr=True), len(tasks), quiet)
             with interrupt.watch(), shown as progress:
                 run_batch(tasks, store, executor, progress, fail_fast)
-        return _conclude(loaded, store, share, "the same command", interrupt.requested)
+        return _conclude(loaded, store, interrupt.requested)
 
 
-def _conclude(
-    loaded: "LoadedStudy",
-    store: "Store",
-    share: "Shard",
-    how: str,
-    stopped: bool = False,
-) -> int:
-    """Write tables and figures; print the errors, the number of missing trials, and `how` to run
-    them; return the exit code.
+def _conclude(loaded: "LoadedStudy", store: "Store", stopped: bool) -> int:
+    """Write tables and figures; print the errors and the number of missing trials; return the exit
+    code.
     """
     from tetractl.study.arm_table import arms_table, counted_rows, write_tables
     from tetractl.study.figure import write_figures
@@ -141,13 +114,12 @@ def _conclude(
         paths = [*write_tables(loaded, store), *write_figures(loaded, store)]
         print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
-    count = loaded.study.trials.count
-    wanted = sum(map(share.has, range(len(loaded.arms) * count)))
+    wanted = len(loaded.arms) * loaded.study.trials.count
     lacking, aborted = wanted - len(rows), sum(not row.complete for row in rows)
     if aborted:
         ui.tell(f"{aborted} trials aborted")
     if lacking > 0:
-        ui.tell(f"{lacking} of {wanted} trials are missing; continue with {how}")
+        ui.tell(f"{lacking} of {wanted} trials are missing; continue with the same command")
     if stopped:
         ui.tell("interrupted")
         return Exit.INTERRUPTED

@@ -1,22 +1,19 @@
 """Selects the trials of a study that are run and the logs that are kept.
 
-It also writes the Slurm job script for the shares of a study, and repeats a trial to compare it
-with its row in the table.
+It also repeats a trial to compare it with its row in the table.
 """
 
 import pickle
 import re
-import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
 from tetractl.control.build import warm_up
-from tetractl.core.errors import LogError, TetractlError, UsageError, printable
+from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.core.table.table import Table
 from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.log.format.run_records import encode_result
@@ -50,28 +47,8 @@ class Logs:
         raise UsageError(f"--logs {text}: must be all, failed, sample:N or none")
 
 
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """One of `of` shares into which a study's trials are divided evenly; `index` counts from 1."""
-
-    index: int = 1
-    of: int = 1
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the share for `i/n`; UsageError for another text."""
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-        if not found or not 1 <= int(found[1]) <= int(found[2]):
-            raise UsageError(f"--shard {text}: must be i/n with i from 1 to n, such as 2/8")
-        return cls(int(found[1]), int(found[2]))
-
-    def has(self, number: int) -> bool:
-        """Whether trial `number`, counted over all arms from 0, is in this share."""
-        return number % self.of == self.index - 1
-
-
 def lacking(
-    loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, rerun_outdated: bool
+    loaded: LoadedStudy, store: Store, logs: Logs, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
     """Return the tasks of trials without a row and, by arm, the number of outdated rows kept.
 
@@ -82,11 +59,9 @@ def lacking(
     count = loaded.study.trials.count
     tasks: list[Task] = []
     kept: dict[str, int] = {}
-    for i, arm in enumerate(loaded.arms):
+    for arm in loaded.arms:
         spec = pickle.dumps(arm.spec)
         for trial in range(count):
-            if not shard.has(i * count + trial):
-                continue
             row = store.rows[arm.name].get(trial)
             outdated = row is not None and row.code != arm.code
             if row is None or (outdated and rerun_outdated):
@@ -111,26 +86,6 @@ def dry_run(loaded: LoadedStudy, folder: Path, tasks: Sequence[Task]) -> Table:
     count = len(loaded.arms) * loaded.study.trials.count
     title = f"{loaded.study.name} as it would be run, {len(tasks)} of {count} trials into {folder}"
     return Table.of_texts(title, ("arm", "differs from the base in", "trials to run"), rows)
-
-
-def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
-    """Return the script of a Slurm job array that runs the shares of a study; each share has its
-    own folder next to `folder`."""
-    for path in (study, folder):
-        if not str(path).isprintable():  # in a comment, a line break would begin a command
-            raise UsageError(f"{printable(str(path))}: has control characters", "rename it")
-    part = shlex.quote(f"{folder}-shard")
-    file, out = shlex.quote(str(study)), shlex.quote(str(folder))
-    task = "$SLURM_ARRAY_TASK_ID"
-    run = f'tetractl study {file} --shard "{task}/{shares}" --jobs 1 --quiet --logs {logs}'
-    script = (files("tetractl.study") / "job.sh").read_text()
-    return script.format(
-        name=name,
-        shares=shares,
-        study=file,
-        merge=f"tetractl study {file} --out {out} --merge {part}-*-of-{shares}",
-        run=f'{run} \\\n    --out {part}-"{task}-of-{shares}"',
-    )
 
 
 def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:

@@ -91,48 +91,6 @@ class Store(TrialFolder):
         except OSError as error:
             raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def merge(self, folders: Sequence[Path]) -> int:
-        """Add rows and logs of other folders of the same study; return the number of rows added.
-
-        If both folders have a row of a trial, this folder's row is kept, unless only the other row
-        has a log and their digests are equal. Logs are hard-linked if possible, else copied. Raises
-        UsageError for a folder without a row of the study, and if two rows of a trial differ though
-        the same code has computed them.
-        """
-        added = 0
-        for folder in folders:
-            found = [(arm, rows_of(folder, arm)) for arm in self._arms.values()]
-            if not any(rows for _, rows in found):
-                raise UsageError(f"{folder}: holds no trial of this study")
-            for arm, rows in found:
-                added += sum(self._take(arm, folder, row) for row in rows.values())
-        return added
-
-    def _take(self, arm: Arm, folder: Path, row: Row) -> bool:
-        """Add a row of another folder with its log, unless this folder has an equivalent row.
-
-        Return whether the row was added.
-        """
-        twin = self.rows[arm.name].get(row.trial)
-        if twin is not None:
-            if deciding(twin) == deciding(row) and twin.content_digest != row.content_digest:
-                raise UsageError(
-                    f"{folder}: trial {row.trial} of {arm.name} differs from that in {self.folder},"
-                    " though code and type of processor are the same"
-                )
-            if twin.logged or not row.logged or twin.content_digest != row.content_digest:
-                return False
-        if row.logged:
-            source = log_path(folder / arm.name, row.trial)
-            keep_log(log_path(self.place(arm.name, row.trial), row.trial), source)
-        self.add_row(arm, row)
-        return True
-
-
-def deciding(row: Row) -> tuple[str, str, int]:
-    """Return what decides a row: two rows of a trial with the same must have the same digest."""
-    return row.code, row.processor, row.count
-
 
 def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
     """Return the rows of an arm by trial; damaged rows are left out, so that their trials are run
@@ -166,15 +124,3 @@ def _cut_to_lines(path: Path) -> None:
                 file.truncate(whole)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-
-
-def keep_log(path: Path, source: Path) -> None:
-    """Hard-link a log to a second path, or copy it; LogError if neither is possible."""
-    try:
-        path.hardlink_to(source)
-    except OSError:
-        try:
-            data = source.read_bytes()
-        except OSError as error:
-            raise LogError(f"{source}: cannot be copied: {error.strerror}") from error
-        save_whole(path, data)

@@ -9,7 +9,7 @@ from tetractl.results.estimate import distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.load_study import arm_name
-from tetractl.study.options import Logs, Shard
+from tetractl.study.options import Logs
 
 
 @pytest.fixture(scope="module")
@@ -164,5 +164,3 @@ def test_options_are_parsed():
     assert Logs.parse("sample:3") == Logs(3, False)
     assert Logs.parse("all").each == float("inf")
     assert (Logs.parse("failed"), Logs.parse("none")) == (Logs(0, True), Logs(0, False))
-    shares = [Shard.parse(f"{i}/3") for i in (1, 2, 3)]
-    assert [[share.has(n) for share in shares].count(True) for n in range(9)] == [1] * 9

@@ -13,7 +13,7 @@ from tetractl.run import task
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import OtherCodeError, log_path, run_trial
-from tetractl.study.options import Logs, Shard, repeat
+from tetractl.study.options import Logs, repeat
 from tetractl.study.row_store import rows_of
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
@@ -159,25 +159,6 @@ def test_an_interrupted_trial_leaves_neither_row_nor_log(tmp_path):
     assert not list(tmp_path.rglob("*.mcap*"))
 
 
-def test_shares_that_contradict_each_other_are_refused(done):
-    other = done / "other"
-    shutil.copytree(done / "out", other)
-    mine = run(done, SMALL)
-    edit(other, content_digest="0" * 64)
-    with (
-        mine.store.opened(),
-        pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*out"),
-    ):
-        mine.store.merge([other])
-    for may_differ in ({"code": "older"}, {"processor": "another-123456"}):
-        shutil.copytree(done / "out" / ARM, other / ARM, dirs_exist_ok=True)
-        edit(other, content_digest="0" * 64, **may_differ)
-        with mine.store.opened():
-            assert mine.store.merge([other]) == 0
-    with pytest.raises(UsageError, match="holds no trial of this study"):
-        mine.store.merge([done / "nowhere"])
-
-
 def test_a_trial_is_repeated_to_its_log(done):
     without_logs(done / "out")
     ran = run(done, SMALL)
@@ -234,9 +215,7 @@ def test_a_worker_with_other_code_ends_the_study(tmp_path, monkeypatch):
 
 
 def test_the_specs_of_tasks_are_those_of_the_arms(tmp_path):
-    ran = run(tmp_path, SMALL, shard=Shard(2, 2))
-    arms = {arm.name: (i, arm) for i, arm in enumerate(ran.loaded.arms)}
+    ran = run(tmp_path, SMALL)
+    arms = {arm.name: arm for arm in ran.loaded.arms}
     for each in ran.tasks:
-        i, arm = arms[each.arm]
-        assert pickle.loads(each.spec).experiment == arm.spec.experiment
-        assert (i * 3 + each.trial) % 2 == 1
+        assert pickle.loads(each.spec).experiment == arms[each.arm].spec.experiment

@@ -26,7 +26,7 @@ def plot(
     swarm: particles of the first search, the paper's Figure 2.
     error: distances to the targets over time.
     errors: errors of several trials over time, with their median, by folder.
-    arms: the median error of each of several folders over time.
+    arms: the final errors of each of several folders, their mean and its 95 % interval.
     ecdf: fraction of each folder's trials that ended with an error up to a value.
     scatter: where the robots of several trials ended, by folder.
     estimate: the controller's estimates of turning rate a, speed and so on over time.

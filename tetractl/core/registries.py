@@ -142,7 +142,7 @@ FIGURES = Registry(
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
         "error": "tetractl.view.figures.curves:error_figure",
         "errors": "tetractl.view.figures.curves:errors_figure",
-        "arms": "tetractl.view.figures.curves:arms_figure",
+        "arms": "tetractl.view.figures.arms:arms_figure",
         "ecdf": "tetractl.view.figures.ecdf:ecdf_figure",
         "scatter": "tetractl.view.figures.scatter:scatter_figure",
         "swarm": "tetractl.view.figures.swarm:swarm_figure",

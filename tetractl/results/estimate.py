@@ -5,7 +5,7 @@ interval. An estimate from too few values is NaN, with a reason.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -127,6 +127,32 @@ class Distribution:
             **self.ci95.as_dict(),
             "tail": self.tail.as_dict(),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class ArmErrors:
+    """The total errors of trials with the same `value`: a value of a swept field, or an arm's name;
+    `label` is the value as text, `arms` the number of arms that the trials belong to.
+    """
+
+    value: Any
+    label: str
+    arms: int
+    errors: Floats  # (n,) of each trial
+    error: Distribution
+
+    @classmethod
+    def of(
+        cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
+    ) -> Self:
+        """Describe errors (n,), with their tail above `bound` as in `distributions`."""
+        return cls(value, label, arms, errors, distributions(errors[None], bound)[0])
+
+
+def numeric(found: Iterable[ArmErrors]) -> bool:
+    """Return whether all values are numbers."""
+    values = [arm.value for arm in found]
+    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
 def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:

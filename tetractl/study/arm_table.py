@@ -2,23 +2,22 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.core.table.table_files import table_files
 from tetractl.log.read.rows import SIMULATED, Row
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.estimate import Distribution, distributions
+from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import error_table, processors_note
 from tetractl.results.trial_tables import trials_table
-from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml
+from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
 from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
@@ -84,17 +83,7 @@ def _times(row: Row) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class FieldValue:
-    """The arms with the same value of a swept field, and their total error over the seeds."""
-
-    value: Any
-    arms: int
-    errors: Floats  # (n,) of each trial
-    error: Distribution
-
-
-def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm]) -> FieldValue:
+def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
     """Describe the total error over the trials that have a result in all `arms`.
 
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
@@ -111,12 +100,12 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     trials = sorted(set.intersection(*(set(found) for found in errors)))
     means = np.array([np.mean([found[trial] for found in errors]) for trial in trials], dtype=float)
     bound = arms[0].spec.experiment.error_bound
-    return FieldValue(value, len(arms), means, distributions(means[None], bound)[0])
+    return ArmErrors.of(value, shown(value), len(arms), means, bound)
 
 
 def field_values(
     loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
-) -> list[FieldValue]:
+) -> list[ArmErrors]:
     """Return the arms that set field `path`, grouped by its value, numbers in rising order."""
     found: dict[str, list[Arm]] = {}
     for arm in arms:
@@ -124,12 +113,6 @@ def field_values(
             found.setdefault(as_yaml(arm.values[path]), []).append(arm)
     made = [group_of(loaded, store, several[0].values[path], several) for several in found.values()]
     return sorted(made, key=lambda group: group.value) if numeric(made) else made
-
-
-def numeric(found: Iterable[FieldValue]) -> bool:
-    """Return whether all values of a field are numbers."""
-    values = [group.value for group in found]
-    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:

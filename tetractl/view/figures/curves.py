@@ -1,4 +1,4 @@
-"""Figures of errors over time: of one trial, of a batch, or of several folders."""
+"""Figures of errors over time: of one trial, or of the trials of several folders."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tetractl.core.clock import SECOND
-from tetractl.core.colors import BLUE, PALETTE, RED, robot_colors
+from tetractl.core.colors import BLUE, RED, robot_colors
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
@@ -20,7 +20,6 @@ from tetractl.replay.player import tracked
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
-    by_folder,
     final_poses,
     one_trial,
     panels_of,
@@ -220,33 +219,6 @@ def _arm_errors(
         label = "published mean at the end"
         signs.append(total.axhline(reference.mean, color=RED, lw=0.8, ls="--", label=label))
     return (median, robots), signs
-
-
-@style.styled()
-def arms_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the median total error of each folder's trials over time, with a band that contains the
-    middle half of the trials.
-
-    After its end, a trial keeps its final error; incomplete trials are left out. Batches may differ
-    in robots, arena and controller, but not in the length unit.
-    """
-    batches = by_folder(logs)
-    time_s = _common_times([log for found in batches.values() for log in found])
-    curves: list[Curve] = []
-    for i, (label, found) in enumerate(batches.items()):
-        totals = np.array([errors_at(log, time_s).sum(axis=1) for log in found])
-        middle, band = _quartiles(totals)
-        key, color = f"{label}, n = {len(found)}", PALETTE[i % len(PALETTE)]
-        curves.append(Curve(middle, color, f"{middle[-1]:.3g}", f"arm-{i}", band, key, 1.3))
-    figure = style.figure(style.PAGE_IN, 3.3)
-    axes = figure.subplots()
-    draw_curves(axes, time_s, curves)
-    unit = unit_of(logs[0].start.setup.unit)
-    axes.set(xlim=(0, time_s[-1]), xlabel=SINCE, ylabel=f"total error, median [{unit}]")
-    axes.set_ylim(bottom=0)
-    name_curves(axes, curves)
-    style.legend(figure, [*axes.get_legend_handles_labels()[0], _middle_half(style.GREY)])
-    return figure
 
 
 def _quartiles(values: Floats) -> tuple[Floats, Floats]:

@@ -518,25 +518,21 @@ def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
     assert len(axes.collections) == 2
 
 
-def test_arms_have_the_median_of_each_folder_over_time(log):
-    def near(robot_errors, moved):
-        result = replace(log.result, robot_errors=robot_errors, total_error=sum(robot_errors))
-        return replace(log, mocap=log.mocap + moved, result=result)
-
-    ends = {"exact": (10.0, 20.0, 60.0), "arc": (5.0,)}
+def test_arms_have_a_dot_for_each_trial_and_level_names(log):
+    ends = {"exact": [10.0, 20.0, 60.0], "few-a=3": [5.0]}
     logs = [
-        replace(near((end, 0.0, 0.0), [end, 0, 0]), path=f"{folder}/trial-{i}.mcap")
+        replace(log, path=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=end))
         for folder, errors in ends.items()
         for i, end in enumerate(errors)
     ]
     (axes,) = draw("arms", logs).axes
-    medians = {line.get_label(): line.get_ydata() for line in axes.lines if line.get_gid()}
-    assert list(medians) == ["exact, n = 3", "arc, n = 1"]
-    assert [float(line[-1]) for line in medians.values()] == [20.0, 5.0]
-    setup, began = log.start.setup, log.mocap_ns.searchsorted(log.began_ns, side="right") - 1
-    first = [setup.distances(one.mocap[..., :2])[max(began, 0)].sum() for one in logs]
-    assert medians["exact, n = 3"][0] == pytest.approx(np.median(first[:3]))
-    assert medians["arc, n = 1"][0] == pytest.approx(first[3])
+    means, trials = (line.get_ydata() for line in axes.lines)
+    assert list(means) == [30.0, 5.0]
+    assert list(trials) == [*ends["exact"], *ends["few-a=3"]]
+    labels = [(label.get_text(), label.get_rotation()) for label in axes.get_xticklabels()]
+    assert labels == [("exact\nn = 3", 0), ("few\na=3\nn = 1", 0)]
+    (interval,) = axes.collections[0].get_segments()
+    assert interval[0][1] < 30.0 < interval[1][1]
 
 
 def test_a_start_is_drawn_where_the_path_begins(log):

@@ -334,6 +334,16 @@ def test_an_actuator_sends_to_a_port_behind_which_nothing_is():
         list(check_actuator(PortSection(divisor=0.0), SETUP))
 
 
+def test_nothing_is_sent_to_the_port_of_a_network():
+    """Regression: it was given the name of a pseudo-terminal, on which it failed."""
+
+    class NetworkSection(PortSection):
+        port: int = 9001
+
+    assert wrong(found := list(check_actuator(NetworkSection(), SETUP))) == []
+    assert found[-1].what.startswith("send: not called")
+
+
 def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
     (tmp_path / "one.yaml").write_text(template("one", "one", "cells"), encoding="utf-8")
     words = ("kinds", "--check", "tetractl.control.sequence:SequenceSection", "--json")

@@ -158,8 +158,8 @@ def check_actuator(
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
     """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends."""
-    if not isinstance(section, OnPort):
-        yield Finding("send: not called, as the section has no field `port`")
+    if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
+        yield Finding("send: not called, as the section has no field `port` for a serial port")
         return
     ours, theirs = os.openpty()
     tty.setraw(theirs)

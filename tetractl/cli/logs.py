@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 from tetractl.cli import ui
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
-from tetractl.core.table.table_files import json_text
 from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.log.read.find import find_log, find_logs
 
 if TYPE_CHECKING:
     from tetractl.log.read.overview import ChannelCount, Overview
-    from tetractl.log.read.track_log import TrackLog
     from tetractl.replay.verify import Verification
 
 
@@ -25,8 +23,6 @@ def info(
     as_json: ui.AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
-
-    Of the log of `tetractl track`: the film, how many cells it shows, channels, damage.
 
     Times count from the first direction sent.
 
@@ -38,11 +34,8 @@ def info(
       log LOG: Log of a trial, finished or not.
     """
     from tetractl.log.read.overview import overview
-    from tetractl.log.read.track_log import is_track, read_track
 
     log = find_log(log)
-    if is_track(log):
-        return _info_of_film(read_track(log), as_json)
     found = overview(log)
     if as_json:
         print(found.as_json())
@@ -50,32 +43,6 @@ def info(
         for line in _lines(found):
             print(printable(line, 240).rstrip())  # --json prints whole lines
     return Exit.FAILED if found.damage else Exit.DONE
-
-
-def _info_of_film(log: "TrackLog", as_json: bool) -> int:
-    """Print the contents of the log of a film."""
-    from tetractl.log.read.overview import channel_counts
-
-    found = log.contents
-    if as_json:
-        print(json_text({"path": log.path, "size": found.size, **log.record}))
-        return Exit.FAILED if log.damage else Exit.DONE
-    film = {
-        key: str(value) for key, value in log.record.items() if not isinstance(value, list | dict)
-    }
-    sizes = {name: f"{len(item.data)} bytes" for name, item in found.attachments.items()}
-    lines = [
-        f"{log.path}: the cells of a film; {found.size} bytes, {found.chunks} chunks",
-        *_section("film", _aligned(film)),
-        *_section("cells", [f"{len(log.record['cells'])} cells, {len(log.time)} poses"]),
-        *_section("notes", log.record["notes"]),
-        *_section("channels", _channel_lines(channel_counts(found))),
-        *_section("attachments", _aligned(sizes)),
-        *_section("damage", log.damage),
-    ]
-    for line in lines:
-        print(printable(line, 240).rstrip())
-    return Exit.FAILED if log.damage else Exit.DONE
 
 
 def _channel_lines(channels: "Sequence[ChannelCount]") -> Iterator[str]:

@@ -7,11 +7,10 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
-from tetractl.core.registries import CELL_FIGURES
 from tetractl.core.table.table_files import FORMATS, check_format, table_files
 from tetractl.log.read.find import find_logs
 
-CELLS, TRAJECTORY, VIDEO = "cells", "trajectory", "video"
+TRAJECTORY, VIDEO = "trajectory", "video"
 
 
 def plot(
@@ -19,7 +18,7 @@ def plot(
     out: Path | None = None,
     kind: str | None = None,
 ) -> int:
-    """Draw a figure of a trial, or of a film's cells, and print the name of its file.
+    """Draw a figure of one trial or several, and print the name of its file.
 
     trajectory: paths in one trial or several, the paper's Figure 5.
     convergence: cost over the iterations, the paper's Figure 3.
@@ -31,42 +30,25 @@ def plot(
     scatter: where the robots of several trials ended, by folder.
     estimate: the controller's estimates of turning rate a, speed and so on over time.
     timing: solve time of each control step.
-    video: a film of the trial.
-
-    Of the log of `tetractl track`:
-
-    cells: all figures that follow, on one page.
-    paths: the cells' paths over the first picture.
-    speeds: each cell's speed with its interval.
-    turning: rate of turning against the angle to the field, with a sin(angle).
-    msd: mean squared displacement.
-    velocities: VCL, VAP and VSL, as of sperm.
-    linearity: VSL / VCL.
+    video: the trial as a video.
 
     Installed packages may add figures.
 
-    The same log gives the same bytes. MP4 films need ffmpeg.
+    The same log gives the same bytes. MP4 needs ffmpeg.
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
 
     Options:
       out FILE: Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A
-        film: .mp4, .gif or .webp, by default LOG-video.gif.
-      kind NAME: The figure to draw, a name from the lists above.  [trajectory or cells]
+        video: .mp4, .gif or .webp, by default LOG-video.gif.
+      kind NAME: The figure to draw, a name from the lists above.  [trajectory]
     """
-    from tetractl.log.read.track_log import tracks_of
-    from tetractl.view.figures.draw import check_kind, draw, draw_cells
+    from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
 
-    if kind not in (None, VIDEO, *CELL_FIGURES.names()):
+    if kind not in (None, VIDEO):
         check_kind(kind)  # before the logs are read
     logs = find_logs(logs)
-    if films := tracks_of(logs):
-        path = out or _default_name(logs, kind or CELLS)
-        file_format(path)
-        save(draw_cells(kind or CELLS, films), path)
-        print(printable(str(path)))
-        return Exit.FAILED if any(film.damage for film in films) else Exit.DONE
     if kind == VIDEO:
         return _film(logs, out)
     kind = kind or TRAJECTORY

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tetractl.cli import ui
-from tetractl.core.errors import Exit, LogError, UsageError, printable
+from tetractl.core.errors import Exit, LogError, printable
 from tetractl.core.table.table_files import csv_text, json_text
 from tetractl.core.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
-    from tetractl.log.read.track_log import TrackLog
     from tetractl.results.contrast import BatchComparison
     from tetractl.results.describe import BatchStatistics
     from tetractl.results.open_batch import Source
@@ -27,8 +26,6 @@ def stats(
     full: bool = False,
 ) -> int:
     """Print the total errors of batches, the verdict of their comparison, and what is unusual.
-
-    Of logs of `tetractl track`: the cells of each film, and the means over them.
 
     Every two batches are compared, or each with the baseline of --against: paired if their seeds
     match, with tests corrected for the number of comparisons. A study's trials without logs are
@@ -52,16 +49,10 @@ def stats(
       plot FILE: File of a figure of the batches: .png, .svg or .pdf.
       full: Print every figure: of each robot, distances, solve times, and each flagged trial.
     """
-    from tetractl.log.read.track_log import tracks_of
     from tetractl.results.contrast import contrast
     from tetractl.results.open_batch import one_source, sources
 
     listed = sources(paths)
-    if films := tracks_of([log for source in listed for log in source.logs]):
-        if against or plot:
-            raise UsageError("--against and --plot are for trials", "tetractl plot draws films")
-        _show_films(films, "json" if as_json else form)
-        return Exit.FAILED if any(film.damage for film in films) else Exit.DONE
     if plot:
         from tetractl.view.style import file_format
 
@@ -94,29 +85,6 @@ def show(found: "BatchComparison", form: str, full: bool = False) -> None:
         print(csv_text(data_table(found)), end="")
     else:
         print(TEXTS[form](made(found)))
-
-
-def _show_films(films: "Sequence[TrackLog]", form: str) -> None:
-    """Print the cells of films."""
-    from tetractl.results.cell_tables import cell_data, cell_tables
-
-    if form == "json":
-        records = [film.record for film in films]
-        print(json_text(records[0] if len(records) == 1 else {"films": records}))
-    elif form == "csv":
-        tables = [cell_data(film.record).with_first(film=film.record["film"]) for film in films]
-        print(
-            csv_text(tables[0]),
-            *(csv_text(one).partition("\n")[2] for one in tables[1:]),
-            sep="",
-            end="",
-        )
-    else:
-        found = [table for film in films for table in cell_tables(film.record)]
-        if form == "table":
-            print_tables(found)
-        else:
-            print(TEXTS[form](found))
 
 
 def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":

@@ -1,11 +1,12 @@
 """`tetractl track`: follows the cells of a film."""
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 from tetractl.cli import ui
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError, printable
 
 
 def track(
@@ -20,13 +21,18 @@ def track(
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
+    Of a folder that it wrote, or of the log in it, it prints the tables again, and -o draws all
+    figures.
+
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
     bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
 
+    Example: tetractl track tracks -o figures
+
     Options:
-      film FILM: A film, a TIFF stack or a folder of pictures.
+      film FILM: A film, a TIFF stack or a folder of pictures; or what an earlier `track` wrote.
       field CSV: CSV file of the field's direction over time, with columns time_s and direction_rad.
       scale UM: Micrometres per pixel; by default as the film states it, or else guessed from the
         length that the organism has.
@@ -44,9 +50,14 @@ def track(
     from tetractl.film.fit_cell import fit_cells
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
+    from tetractl.log.read.track_log import track_log_of
     from tetractl.model.organisms import named
     from tetractl.results.cell_tables import cell_tables
 
+    if log := track_log_of(film):
+        if field or scale or rate or organism or y_down:
+            raise UsageError(f"{film}: was analysed already", "options go with the film itself")
+        return _show(log, out, as_json)
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
     kind = None if organism is None else named(organism)
@@ -77,3 +88,26 @@ def track(
             f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px"
         )
     return Exit.DONE if found.paths else Exit.FAILED
+
+
+def _show(log: Path, out: Path | None, as_json: bool) -> int:
+    """Print the cells in the log of a film; draw all figures and write the table into `out`."""
+    from tetractl.core.registries import CELL_FIGURES
+    from tetractl.core.table.table_files import csv_text
+    from tetractl.log.read.track_log import read_track
+    from tetractl.results.cell_tables import cell_data, cell_tables
+    from tetractl.view.figures.draw_cells import draw_cells
+    from tetractl.view.style import save
+
+    ui.refuse_existing(out, folder=True)
+    found = read_track(log)
+    ui.show(as_json, found.record, cell_tables(found.record))
+    ui.tell(*(f"damaged: {log}: {line}" for line in found.damage))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "cells.csv").write_text(csv_text(cell_data(found.record)), encoding="utf-8")
+        for kind in CELL_FIGURES.names():
+            with suppress(UsageError):  # this film has no field, or no cell
+                save(draw_cells(kind, [found]), out / f"{kind}.png")
+        ui.tell(printable(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}"))
+    return Exit.FAILED if found.damage else Exit.DONE

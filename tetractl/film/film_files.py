@@ -29,7 +29,7 @@ from tetractl.log.format.scene import stamp
 from tetractl.log.read.track_log import CELL, PICTURE, PROFILE, UM, read_track
 from tetractl.results.cell_tables import cell_data
 from tetractl.results.geff_file import write_geff
-from tetractl.view.figures.draw import draw_cells
+from tetractl.view.figures.draw_cells import draw_cells
 from tetractl.view.style import SCREEN_DPI, save
 
 PICTURES_S = 1.0  # interval of whole pictures in the log [s]

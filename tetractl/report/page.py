@@ -15,12 +15,10 @@ from tetractl.core.errors import LogError, unit_of
 from tetractl.core.table.table import NONE, Column, Table, lengths
 from tetractl.core.table.table_files import plain
 from tetractl.core.table.terminal_table import html
-from tetractl.log.read.find import find_logs, without_others
+from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.track_log import TrackLog, tracks_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.trial_data import packed, trial_data
-from tetractl.results.cell_tables import cell_tables
 from tetractl.results.contrast import BatchComparison, contrast
 from tetractl.results.describe import BatchStatistics, describe
 from tetractl.results.open_batch import counts, sources
@@ -47,8 +45,6 @@ def report(
     results read and the number of all logs. Raises UsageError if there is no log, or if the trials
     of a batch belong to several experiments.
     """
-    if films := tracks_of(find_logs(without_others(paths))):
-        return _page_of_films(films, title), [line for film in films for line in film.damage]
     groups, unread = _groups(paths, progress)
     count = sum(len(group.batch.logs) for group in groups)
     shown = list[tuple[str, str, dict[str, Any]]]()
@@ -81,20 +77,6 @@ def report(
         body.append(_provenance(first))
     scripts = "".join((ASSETS / script).read_text() for script in SCRIPTS) if shown else ""
     return _page(name, "".join(body), scripts), unread
-
-
-def _page_of_films(films: Sequence[TrackLog], title: str | None) -> str:
-    """Return the page of films: of each, the figures and tables of its cells."""
-    from tetractl.view.figures.draw import draw_cells
-
-    name = title or ", ".join(film.record["film"] for film in films)
-    parts = [f"<header><div><h1>{escape(name)}</h1></div></header>"]
-    for film in films:
-        which = escape(film.record["film"])
-        drawn = _picture(draw_cells("cells", [film]), f"cells of {film.record['film']}")
-        parts.append(f"<section><h2>{which}</h2>{_paper([drawn])}")
-        parts.append(f"{_tables(cell_tables(film.record))}</section>")
-    return _page(name, "".join(parts), "")
 
 
 def carried(group: BatchStatistics, groups: int) -> list[Path]:

@@ -3,7 +3,7 @@
 import io
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError
 from PIL import Image
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats, Grey
 from tetractl.core.setup import METRES
 from tetractl.log.format.channels import TRACK, TRANSFORMS
@@ -75,12 +75,10 @@ def is_track(path: Path) -> bool:
         return PROFILE.encode() in file.read(64)
 
 
-def tracks_of(logs: Sequence[Path]) -> list[TrackLog]:
-    """Return the logs of films; none if all logs are of trials. UsageError if there are both."""
-    films = [path for path in logs if is_track(path)]
-    if films and len(films) < len(logs):
-        raise UsageError(f"{films[0]}: is of a film, the others are of trials", "give either")
-    return [read_track(path) for path in films]
+def track_log_of(path: Path) -> Path | None:
+    """Return the log of a film: the path itself, or `track.mcap` in a folder; None if it is not."""
+    log = path / "track.mcap" if path.is_dir() else path
+    return log if is_track(log) else None
 
 
 def read_track(path: Path) -> TrackLog:

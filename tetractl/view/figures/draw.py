@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
-from tetractl.core.registries import CELL_FIGURES, FIGURES
+from tetractl.core.registries import FIGURES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tetractl.log.read.track_log import TrackLog
     from tetractl.log.read.trial_log import TrialLog
 
 
@@ -18,7 +17,7 @@ def check_kind(kind: str) -> None:
     if kind not in FIGURES:
         raise UsageError(
             f"no figure is called {kind!r}",
-            f"there are {', '.join(FIGURES.names())}, and video for a film",
+            f"there are {', '.join(FIGURES.names())}, and video",
         )
 
 
@@ -35,15 +34,3 @@ def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
     figure = FIGURES.load(kind)(logs)
     headline(figure, ", ".join(sorted({log.origin.value for log in logs})), broken_off(logs))
     return figure
-
-
-def draw_cells(kind: str, logs: "Sequence[TrackLog]") -> "Figure":
-    """Draw the figure of a film's cells named `kind`; UsageError if there are several films."""
-    if kind not in CELL_FIGURES:
-        raise UsageError(
-            f"no figure of a film's cells is called {kind!r}",
-            f"there are {', '.join(CELL_FIGURES.names())}",
-        )
-    if len(logs) > 1:
-        raise UsageError(f"this figure shows one film, not {len(logs)}", "give one log")
-    return CELL_FIGURES.load(kind)(logs[0])

@@ -7,7 +7,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.registries import CELL_FIGURES
 from tetractl.log.read.track_log import TrackLog
 from tetractl.view.figures.cells import turns
-from tetractl.view.figures.draw import draw_cells
+from tetractl.view.figures.draw_cells import draw_cells
 
 RATE_HZ, A, SPEED = 30.0, 3.0, 400.0
 FIELD = {"time_s": [0.0, 2.0, 4.0], "x": [1.0, 0.0, -0.5], "y": [0.0, 1.0, 0.0]}

@@ -21,7 +21,7 @@ def commands(command=None, words=()):
         yield from commands(each, (*words, name))
 
 
-WITHOUT_JSON = ["init", "schema", "plot", "replay", "export", "open", "serve", "report"]
+WITHOUT_JSON = ["init", "schema", "plot", "replay", "export", "open", "report"]
 WITHOUT_JSON += ["study", "warm", "lab stop", "lab calibrate", "lab survey"]
 """Commands that write files, play, or give what has no form but its own."""
 

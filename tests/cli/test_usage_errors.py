@@ -44,8 +44,6 @@ run spec.yaml --resume | --resume needs --out
 run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
-serve spec.yaml --paused | only a LOG can be played back
-serve LOG --rate 0 | --rate must be above 0
 rerun LOG --seed 3 | No such option
 study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
 study study.yaml --trial many -o out | --trial many: must be ARM/N

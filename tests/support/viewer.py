@@ -5,7 +5,7 @@ import socket
 import struct
 from base64 import b64decode
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import urlsplit
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -14,20 +14,7 @@ from websockets.typing import Subprotocol
 
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
-MESSAGE, TIME, STATE = 1, 2, 5  # what a binary message from the server begins with
-CONTROL = 3  # and one to it
-STATES = ("playing", "paused", "buffering", "ended")
-
-
-class Played(NamedTuple):
-    """A state of the playback, as the server tells it."""
-
-    kind: str  # "state"
-    status: str
-    time_ns: int
-    rate: float
-    sought: bool
-    request: str
+MESSAGE, TIME = 1, 2  # what a binary message from the server begins with
 
 
 @dataclass
@@ -35,7 +22,7 @@ class Viewer:
     """A connection; `info` and `channels` are what the server says of itself.
 
     `all` is what came, in its order: messages and times as (topic, log time, bytes), the topic of
-    a time being "time", and states of the playback.
+    a time being "time".
     """
 
     url: str
@@ -59,13 +46,6 @@ class Viewer:
         self.socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
         return self
 
-    def control(self, playing, rate=1.0, seek_ns=None, request="r"):
-        """Press the viewer's controls."""
-        name = request.encode()
-        seek = seek_ns is not None, seek_ns or 0
-        head = struct.pack("<BBfBQI", CONTROL, not playing, rate, *seek, len(name))
-        self.socket.send(head + name)
-
     def until(self, condition) -> Any:
         """Read on until `condition` holds for something that came, and return that."""
         while True:
@@ -75,22 +55,13 @@ class Viewer:
                 return got
 
     def seen(self, condition) -> Any:
-        """The same of what came already: states overtake messages, which wait in another queue."""
+        """The same of what came already: times overtake messages, which wait in another queue."""
         return next((got for got in self.all if condition(got)), None) or self.until(condition)
 
     def message(self, topic):
         """Read on until a message of a topic comes; return its log time and the message."""
         _, log_ns, data = self.until(lambda got: got[0] == topic)
         return log_ns, self.decode(topic, data)
-
-    def state(self, **facts):
-        """Return the first state of the playback that is reported, of those in `all` too."""
-        return self.seen(
-            lambda got: (
-                isinstance(got, Played)
-                and all(getattr(got, name) == value for name, value in facts.items())
-            )
-        )
 
     def schema(self, topic):
         """The bytes of a topic's schema."""
@@ -114,13 +85,8 @@ class Viewer:
             _, subscription, log_ns = struct.unpack_from("<BIQ", got)
             topic = next(t for t, one in self.channels.items() if 100 + one["id"] == subscription)
             return (topic, log_ns, got[13:])
-        if got[0] == TIME:
-            return ("time", struct.unpack_from("<Q", got, 1)[0], b"")
-        assert got[0] == STATE
-        status, time_ns, rate, sought, length = struct.unpack_from("<BQfBI", got, 1)
-        return Played(
-            "state", STATES[status], time_ns, rate, bool(sought), got[19 : 19 + length].decode()
-        )
+        assert got[0] == TIME
+        return ("time", struct.unpack_from("<Q", got, 1)[0], b"")
 
 
 def deaf(url, count):

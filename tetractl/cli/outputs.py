@@ -1,4 +1,4 @@
-"""`tetractl plot`, `report` and `export`: write figures, a page or tables of logs."""
+"""`tetractl plot`, `report`, `open` and `export`: write figures, a page or tables of logs."""
 
 from os.path import commonpath
 from pathlib import Path
@@ -111,6 +111,25 @@ def report(
     ui.tell(*(f"warning: {problem}" for problem in unread))
     print(printable(str(out)))
     return Exit.FAILED if unread else Exit.DONE
+
+
+def open_(
+    logs: ui.Logs,
+    out: Path = Path("report.html"),
+) -> int:
+    """Write the page of `tetractl report`, and open it in the browser.
+
+    Example: tetractl open trial-000.mcap
+
+    Options:
+      out FILE: HTML file to write; an existing file is overwritten.
+    """
+    import webbrowser
+
+    code = report(logs, out)
+    if not webbrowser.open(out.resolve().as_uri()):
+        ui.tell("notice: no browser was found here; open the file in one")
+    return code
 
 
 def export(

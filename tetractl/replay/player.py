@@ -175,7 +175,6 @@ class Player:
         self._steps, self._events = recording.step_ns, recording.event_ns
         self._loop = loop
         self._quit = False
-        self.jumps = 0  # number of jumps in time so far
         self.rate = rate  # seconds of the trial per second
         self._wall, self._paused = wall, paused
         # the trial's time at a time of the wall, at the last change of rate, pause or jump
@@ -203,18 +202,6 @@ class Player:
                 self._seek(self.start_ns)
             else:
                 self._pause()
-
-    def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
-        """Play, or pause if not `playing`, from the trial's time `at_ns` [ns], None for the present
-        time. Playing is `rate` times as fast as the trial, limited to RATE_MIN to RATE_MAX; NaN
-        keeps the rate.
-        """
-        if at_ns is not None:
-            self._seek(at_ns)
-        if not math.isnan(rate):
-            self._set_rate(min(max(rate, RATE_MIN), RATE_MAX))
-        if playing is self._paused:
-            self._toggle()
 
     def press(self, key: str) -> None:
         """Act on a key; unknown keys are ignored."""
@@ -258,7 +245,6 @@ class Player:
         self.rate = rate
 
     def _seek(self, time_ns: int) -> None:
-        self.jumps += 1
         self._anchor_at(min(max(time_ns, self.start_ns), self.until_ns))
 
     def _pause_at(self, time_ns: int) -> None:

@@ -1,21 +1,18 @@
-"""Serves a recorded trial, or running trials, to the log viewers Foxglove and Lichtblick.
+"""Serves running trials to the log viewers Foxglove and Lichtblick.
 
 `websockets` (the extra `serve`) implements each connection, and its server's handshake. No trial
 waits for a viewer: each viewer has a queue of at most `BACKLOG` messages and a thread that sends
 them; when the queue is full, the oldest are dropped. A viewer cannot publish messages or call
-services; it can only control the playback of a recording.
+services.
 """
 
 import json
 import logging
-import queue
 import socket
 import threading
-from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from time import monotonic
 from typing import Any
 
@@ -27,15 +24,12 @@ from websockets.server import ServerProtocol
 from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import Clock
 from tetractl.core.commands import Sample
 from tetractl.core.trial import Start
-from tetractl.log.format.channels import CHANNELS, LOG, Entry
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.format.channels import LOG, Entry
 from tetractl.log.write.encoder import Encoder
-from tetractl.replay.player import Playback, Player
 from tetractl.serve import foxglove_protocol
-from tetractl.serve.foxglove_protocol import PlaybackState, Request
 
 BACKLOG = 2048
 """Length of a viewer's queue [messages]: three seconds of a trial with a camera of 120 Hz."""
@@ -48,26 +42,15 @@ _QUIET.propagate = False
 
 
 class Viewers:
-    """Sends a trial called `name` to viewers, and receives their requests.
+    """Sends trials called `name` to viewers."""
 
-    `span_ns` [Unix ns] is the span of a recording, None for running trials. `asked` is called with
-    each request of a viewer, in another thread, and returns the new state of the playback.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        span_ns: tuple[int, int] | None = None,
-        asked: Callable[[Request], PlaybackState] | None = None,
-    ) -> None:
-        self._asked = asked
-        self._greeting = foxglove_protocol.greeting(name, span_ns)
+    def __init__(self, name: str) -> None:
+        self._greeting = foxglove_protocol.greeting(name)
         # lock of the fields below; never held while waiting for a viewer
         self._lock = threading.Lock()
         self._clients: set[_Client] = set()
         self._newest: dict[str, Entry] = {}
         self._time_ns = 0  # log time of the last message, 0 before the first
-        self._state: PlaybackState | None = None
 
     @property
     def watched(self) -> bool:
@@ -96,12 +79,6 @@ class Viewers:
             for entry in entries:
                 self._publish(entry)
 
-    def announce(self, state: PlaybackState) -> None:
-        """Send the state of the playback."""
-        with self._lock:
-            self._state = state
-            self._put(foxglove_protocol.playback_state(state))
-
     def close(self) -> None:
         """End the connections; waits for at most `CLOSE_S`."""
         with self._lock:
@@ -125,9 +102,6 @@ class Viewers:
                 client.put(said)
             if self._time_ns:
                 client.put(foxglove_protocol.time(self._time_ns))
-            if self._state:
-                now = replace(self._state, time_ns=self._time_ns, sought=False)
-                client.put(foxglove_protocol.playback_state(now))
             self._clients.add(client)
         try:
             for said in link:
@@ -141,12 +115,6 @@ class Viewers:
             client.leave(monotonic())
 
     def _obey(self, client: "_Client", said: str | bytes) -> None:
-        if isinstance(said, bytes):
-            found = foxglove_protocol.control(said)
-            if found and self._asked:
-                request, name = found
-                client.put(foxglove_protocol.playback_state(self._asked(request), name))
-            return
         asked: dict[str, Any] = json.loads(said)
         with self._lock:
             if asked["op"] == "subscribe":
@@ -240,63 +208,6 @@ class _Client:
                     message = self._waiting.popleft()
                 self._link.send(message)
             self._link.close()
-
-
-class ServedReplay:
-    """Sends the messages of a log to `viewers` as the time of `player` passes them.
-
-    After a jump in time the newest message of each topic is sent again. Requests of viewers are
-    answered at once and applied by the next `follow`.
-    """
-
-    def __init__(self, contents: RawLog, player: Player) -> None:
-        self._start_ns = contents.run.start_unix_ns
-        known = [entry for entry in contents.entries if entry.topic in CHANNELS]
-        self._entries = sorted(known, key=lambda entry: entry.log_ns)
-        self._times = [entry.log_ns for entry in self._entries]
-        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.player = player
-        self._jumps: int | None = None  # number of the player's jumps at the last call of `follow`
-        self._sent = 0  # index of the next entry to send
-        self._announced: tuple[Playback, float] | None = None
-        span_ns = (self._start_ns + player.start_ns, self._start_ns + player.until_ns)
-        name = contents.run.name
-        self.viewers = Viewers(name, span_ns, self._asked)
-
-    def follow(self) -> None:
-        """Apply the viewers' requests, and send the messages since the last call."""
-        player = self.player
-        while not self._requests.empty():
-            request = self._requests.get()
-            at_ns = None if request.seek_ns is None else request.seek_ns - self._start_ns
-            player.command(playing=request.playing, rate=request.rate, at_ns=at_ns)
-            self._announced = None
-        player.update()
-        jumped = player.jumps != self._jumps
-        now_ns, self._jumps = self._start_ns + player.now, player.jumps
-        passed = bisect_right(self._times, now_ns)
-        if jumped:
-            newest = {entry.topic: entry for entry in self._entries[:passed]}
-            self.viewers.jump(now_ns, newest.values())
-        else:
-            self.viewers.messages(self._entries[self._sent : passed])
-        self._sent = passed
-        state = player.state, player.rate
-        if (jumped or state != self._announced) and player.state is not Playback.QUIT:
-            self._announced = state
-            self.viewers.announce(PlaybackState(player.state, now_ns, player.rate, jumped))
-
-    def play(self, wall: Clock) -> None:
-        """Follow the player until it quits."""
-        while self.player.state is not Playback.QUIT:
-            self.follow()
-            wall.sleep_until(wall.now() + SECOND // 60)
-
-    def _asked(self, request: Request) -> PlaybackState:
-        self._requests.put(request)
-        time_ns = self._start_ns + self.player.now if request.seek_ns is None else request.seek_ns
-        playback = Playback.PLAYING if request.playing else Playback.PAUSED
-        return PlaybackState(playback, time_ns, request.rate, request.seek_ns is not None)
 
 
 class ServedRun(Encoder):

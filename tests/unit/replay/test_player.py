@@ -197,26 +197,3 @@ def test_a_log_without_anything_still_shows_the_start():
     frame = recording.at(0)
     assert (recording.end_ns, frame.step) == (0, None)
     assert frame.poses[:, :2].tolist() == [[900, 800], [900, 1200], [900, 1600]]
-
-
-@given(
-    commands=st.lists(
-        st.tuples(
-            st.booleans(), st.floats(), st.none() | st.integers(-(2**63), 2**63), st.booleans()
-        )
-    )
-)
-def test_other_controls_never_leave_the_span_and_say_when_the_time_was_set(commands):
-    wall = FakeWall()
-    p = player(Recording(three_robots()), wall)
-    for playing, rate, at_ns, late in commands:
-        before = p.jumps
-        ended = p.state is Playback.ENDED
-        p.command(playing=playing, rate=rate, at_ns=at_ns)
-        assert p.start_ns <= p.now <= p.until_ns
-        assert 1 / 16 <= p.rate <= 64
-        assert (p.jumps > before) is (at_ns is not None or (playing and ended))
-        assert (p.state is Playback.PLAYING) is playing
-        wall.pass_by(3600 * late)
-        p.update()
-    assert p.start_ns <= p.now <= p.until_ns

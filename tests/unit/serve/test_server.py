@@ -15,8 +15,7 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
-from tetractl.replay.player import Playback
-from tetractl.serve.live import BACKLOG, PlaybackState, Request, ServedRun, Viewers
+from tetractl.serve.live import BACKLOG, ServedRun, Viewers
 from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000
@@ -25,9 +24,9 @@ START_NS = 1_600_000_000_000_000_000
 class Live(LoopbackServer):
     """A server with `viewers`."""
 
-    def __init__(self, *args, **options):
-        self.viewers = Viewers("test", *args)
-        super().__init__(live=self.viewers, **options)
+    def __init__(self):
+        self.viewers = Viewers("test")
+        super().__init__(self.viewers)
 
 
 @pytest.fixture
@@ -42,7 +41,7 @@ def frame(number, size=2000):
 
 def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
     log = scan(made.write(made.trial(1, steps=1), tmp_path / "trial.mcap"))
-    with Viewer(server.live_url) as viewer:
+    with Viewer(server.url) as viewer:
         assert viewer.info["name"] == "test"
         assert viewer.info["capabilities"] == ["time"]
         assert viewer.channels.keys() == log.channels.keys() == CHANNELS.keys()
@@ -61,7 +60,7 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
     observer = ServedRun(server.viewers, MonotonicClock())
     observer.on_start(trial.start)
     observer.on_samples(trial.samples)
-    with Viewer(server.live_url) as viewer:
+    with Viewer(server.url) as viewer:
         viewer.subscribe(SCENE, TRANSFORMS)
         _, scene = viewer.message(SCENE)
         named = [entity.id for entity in scene.entities]
@@ -75,14 +74,14 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
 
 def test_lines_of_text_are_not_sent_twice(server):
     server.viewers.messages([Entry(LOG, START_NS, START_NS, b""), frame(1)])
-    with Viewer(server.live_url) as viewer:
+    with Viewer(server.url) as viewer:
         viewer.subscribe(LOG, FRAMES)
         viewer.until(lambda got: got[0] == FRAMES)
         assert LOG not in [got[0] for got in viewer.all]
 
 
 def test_the_time_never_runs_back_but_by_a_jump(server):
-    with Viewer(server.live_url) as viewer:
+    with Viewer(server.url) as viewer:
         assert not server.viewers.watched
         server.viewers.messages([frame(1)])
         viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
@@ -104,8 +103,8 @@ def test_the_time_never_runs_back_but_by_a_jump(server):
 
 def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     server = Live()
-    with deaf(server.live_url, len(CHANNELS)) as stuck:
-        with Viewer(server.live_url) as viewer:
+    with deaf(server.url, len(CHANNELS)) as stuck:
+        with Viewer(server.url) as viewer:
             server.viewers.messages([frame(0)])
             viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
             viewer.all.clear()
@@ -138,46 +137,29 @@ PAGES = {
     403: [
         *("https://evil.example", "http://evil.example:8080", "http://localhost.evil.example"),
         *("http://127.0.0.1@evil.example", "null"),
-        "http://lichtblick.example",  # another port, and so another page
+        "http://lichtblick.example:8080",
     ],
     101: [
         *(None, "https://app.foxglove.dev", "http://localhost:8080", "http://127.0.0.1:9000"),
-        *("file://", "http://lichtblick.example:8080"),
+        "file://",
     ],
 }
 
 
 @pytest.mark.parametrize(("status", "pages"), PAGES.items())
 def test_pages_of_other_sites_are_refused_even_with_the_token(status, pages):
-    with Live(viewer="http://lichtblick.example:8080/") as server:
-        assert [knock(server.live_url, origin=page) for page in pages] == [status] * len(pages)
+    with Live() as server:
+        assert [knock(server.url, origin=page) for page in pages] == [status] * len(pages)
 
 
 def test_other_names_of_this_machine_and_other_tokens_are_refused(server):
-    port, token = server.port, urlsplit(server.live_url).path
+    port, token = server.port, urlsplit(server.url).path
     for host in ("evil.example", "192.168.1.7", "127.0.0.1.evil.example"):
-        assert knock(server.live_url, f"{host}:{port}") == 403
-    assert knock(server.live_url, "localhost:1") == 403
-    assert knock(server.live_url, f"localhost:{port}") == 101
+        assert knock(server.url, f"{host}:{port}") == 403
+    assert knock(server.url, "localhost:1") == 403
+    assert knock(server.url, f"localhost:{port}") == 101
     for path in ("", "/", "/" + "A" * 16, token[:-1], token + "A", token.upper() + "x"):
-        assert knock(server.live_url, path=path) == 403
-
-
-def test_a_playback_is_moved_with_the_link_alone():
-    asked = []
-
-    def answer(request):
-        asked.append(request)
-        return PlaybackState(Playback.PLAYING, START_NS, request.rate)
-
-    with Live((START_NS, START_NS + 1), answer) as server:
-        where = urlsplit(server.live_url)
-        with pytest.raises(InvalidStatus), Viewer(f"ws://{where.netloc}/"):
-            pass
-        with Viewer(server.live_url) as viewer:
-            viewer.control(True, 2.0, seek_ns=START_NS + 1, request="mine")
-            assert viewer.state(request="mine").rate == 2.0
-    assert asked == [Request(True, 2.0, START_NS + 1)]
+        assert knock(server.url, path=path) == 403
 
 
 @pytest.mark.parametrize(
@@ -196,11 +178,8 @@ def test_a_playback_is_moved_with_the_link_alone():
     ],
 )
 def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
-    def answer(request):
-        raise AssertionError
-
-    with Live((0, 1), answer) as server, Viewer(server.live_url) as other:
-        with Viewer(server.live_url) as viewer, pytest.raises(ConnectionClosedError):
+    with Live() as server, Viewer(server.url) as other:
+        with Viewer(server.url) as viewer, pytest.raises(ConnectionClosedError):
             viewer.socket.send(said)
             viewer.until(lambda got: False)
         server.viewers.messages([frame(1)])
@@ -210,7 +189,7 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
 
 def test_what_was_published_last_is_sent_before_the_end():
     server = Live()
-    with Viewer(server.live_url) as viewer:
+    with Viewer(server.url) as viewer:
         server.viewers.messages([frame(0)])
         viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         server.viewers.messages([frame(number) for number in range(1, 500)])
@@ -219,7 +198,7 @@ def test_what_was_published_last_is_sent_before_the_end():
 
 
 def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
-    with Viewer(server.live_url) as viewer:
+    with Viewer(server.url) as viewer:
         server.viewers.messages([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
         viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         ended = [100 + viewer.channels[FRAMES]["id"]]
@@ -232,4 +211,37 @@ def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
 
 def test_a_port_in_use_is_a_mistake_of_the_user(server):
     with pytest.raises(UsageError, match=f"port {server.port}: cannot be used"):
-        LoopbackServer(server.port)
+        LoopbackServer(server.viewers, server.port)
+
+
+def test_each_server_has_its_own_token(server):
+    assert server.url.startswith("ws://127.0.0.1:")
+    with Live() as other:
+        assert other.token != server.token
+        assert len(other.token) >= 16
+
+
+def answered(server, request):
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as door:
+        door.sendall(f"{request}\r\nConnection: close\r\n\r\n".encode())
+        return door.makefile("rb").read()[:13]
+
+
+ODD = (
+    "GET * HTTP/1.1",
+    "GET http://[ HTTP/1.1",
+    "GET /%ff%00 HTTP/1.1",
+    "GET / HTTP/1.1\r\nOrigin: http://[",
+    "OPTIONS * HTTP/1.1",
+    "POST / HTTP/1.1",
+)
+
+
+def test_nothing_else_is_served_and_a_strange_request_prints_nothing(server, capfd):
+    """Regression: a traceback on the operator's terminal."""
+    for line in (*ODD, f"GET /{server.token} HTTP/1.1", f"GET /{server.token}/x HTTP/1.1"):
+        said = answered(server, f"{line}\r\nHost: 127.0.0.1:{server.port}")
+        assert said in (b"", b"HTTP/1.1 404 ", b"HTTP/1.1 501 "), line
+    said = answered(server, "GET / HTTP/1.1\r\nUpgrade: websocket\r\nOrigin: http://[")
+    assert said in (b"", b"HTTP/1.1 403 ")
+    assert capfd.readouterr() == ("", "")

@@ -27,31 +27,24 @@ def play(
     player: Player,
     count: int = 1,
     turn_to: Callable[[int], Player] | None = None,
-    *,
-    follow: Callable[[], None] = lambda: None,
-    note: str = "",
 ) -> bool:
     """Play the first of `count` trials until q is pressed; the keys n and p go to the next and the
     previous trial.
 
-    `turn_to(i)` returns the player of trial i; `follow` is called before each picture is drawn, and
-    `note` is shown in it. Returns whether a signal ended the play.
+    `turn_to(i)` returns the player of trial i. Returns whether a signal ended the play.
     """
     index, drawn, helping = 0, None, False
     live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
     # the keyboard is the outer context: no signal interrupts before the screen is restored
     with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
         while player.state is not Playback.QUIT:
-            follow()
             player.update()
             scene = (index, player.now, player.rate, player.state, console.size, helping)
             if scene != drawn:
                 drawn, glyphs = scene, glyphs_for(console)
                 place = (index + 1, count)
-                live.update(
-                    Help(glyphs) if helping else dashboard(player, glyphs, place, note),
-                    refresh=True,
-                )
+                picture = Help(glyphs) if helping else dashboard(player, glyphs, place)
+                live.update(picture, refresh=True)
             for key in keyboard.read(1 / 15):
                 if turn_to and key in TURNS and 0 <= index + TURNS[key] < count:
                     index += TURNS[key]
@@ -61,9 +54,7 @@ def play(
     return keyboard.interrupted
 
 
-def dashboard(
-    player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1), note: str = ""
-) -> Dashboard:
+def dashboard(player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1)) -> Dashboard:
     """Return the dashboard at the player's time; it states that this is log `place[0]` of
     `place[1]`.
     """
@@ -92,7 +83,7 @@ def dashboard(
     heading = f"{setup.name}, trial {log.start.trial}{which}"
     notes = ("damaged log", *log.damage.lost) if log.damage else ()
     colors = robot_colors(setup.names, setup.colors)
-    return Dashboard(recording.at(now_ns), colors, heading, footer, notes, aside=note)
+    return Dashboard(recording.at(now_ns), colors, heading, footer, notes)
 
 
 class Help:

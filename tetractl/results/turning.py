@@ -2,15 +2,15 @@
 
 A pose that turns, with its course, from the start of a trial on looks like wheels that differ, and
 no check of one trial can tell the two apart. But a robot has the same wheels in every trial. With
-its rate x_k and standard error e_k in trial k of n (`lab.drift_check`) and the median m of the
-rates, trial k differs if
+its rate x_k and standard error e_k in trial k of n (`lab.drift_check`), the median m of the rates
+and e of the errors, trial k differs if
 
-    |x_k - m| > z sqrt(e_k^2 + (1 + FEW / n)^2 s^2),   s = 1.4826 median |x_j - m|,
+    |x_k - m| > z sqrt(e_k^2 + max(0, (1 + FEW / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
 
-where s is the standard deviation of the trials, whatever fewer than half of them show, and z a
+where s is the standard deviation of the rates, whatever fewer than half of them show, and z a
 quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
-fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates without
-errors e_k exceed the limit in 1 % of batches of ten trials or more, and in 3 % at most of smaller.
+fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates exceed
+the limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
 """
 
 import math
@@ -43,11 +43,12 @@ def _compared(trials: Sequence[ResultSummary]) -> Iterator[tuple[str, str, float
         known = [one for one in known if math.isfinite(one[2])]
         if len(known) < LEAST:
             continue
-        off = np.array([rate for _, rate, _ in known])
-        off -= np.median(off)
+        off, errors = np.array([each for _, *each in known]).T
+        off = off - np.median(off)
         spread = (1 + FEW / len(known)) * 1.4826 * np.median(np.abs(off))
+        beyond = max(0.0, spread**2 - np.median(errors) ** 2)  # what no error explains
         z = NormalDist().inv_cdf(1 - CHANCE / (2 * len(robots) * len(known)))
-        limits = z * np.hypot([error for *_, error in known], spread)
+        limits = z * np.sqrt(errors**2 + beyond)
         for (path, *_), each, limit in zip(known, off.tolist(), limits.tolist(), strict=True):
             yield path, name, each, limit
 
@@ -77,7 +78,7 @@ def _of_batch(trials: Sequence[ResultSummary]) -> Value:
         named = [f"{name} in {Path(path).stem}, {off:+.2f} rad/s" for path, name, off in odd]
         text += f", by wheels that changed or false poses: {listing(named, '; ')}"
     else:
-        text += f", turns of {max(limit for *_, limit in compared):.2f} rad/s would be seen"
+        text += f", turns above {max(limit for *_, limit in compared):.2f} rad/s would be seen"
     return Value.row(LABEL, text, not odd, less_certain=count)
 
 

@@ -84,7 +84,7 @@ def test_honest_batches_are_hardly_ever_marked(spread):
 
 def test_what_would_be_seen_is_told_in_full_and_few_trials_are_not_compared():
     found = group(turned(20))
-    assert found.rows["less certain"] == "0 of 20 trials, turns of 0.07 rad/s would be seen"
+    assert found.rows["less certain"] == "0 of 20 trials, turns above 0.05 rad/s would be seen"
     assert found.items["less_certain"] == 0
     assert "less certain" not in printed(found, summary)
     few = group(turned(5, trial_3=[0.3, 0.0, 0.0]))

@@ -119,8 +119,9 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
 
 @pytest.mark.parametrize("told", [False, True])
 def test_check_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(told, tmp_path):
-    script = "emulation: {camera: {mirrored: true}}\n"
-    with virtual_dish(tmp_path, 3, (f"lab.camera.mirrored={told}".lower(),), script) as dish:
+    script = "emulation: {actuator: {cells: 7}, camera: {mirrored: true}}\n"
+    sets = (*SMALL, f"lab.camera.mirrored={told}".lower())
+    with virtual_dish(tmp_path, 3, sets, script) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
         done = tetractl(tmp_path, "lab", "check", DISH, "--turn", "--yes", *words)
         dish.clock.sleep_until(dish.clock.now() + SECOND)

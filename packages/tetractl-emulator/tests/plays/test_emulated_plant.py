@@ -83,8 +83,9 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     pytest.importorskip("cv2")
     small = flags(
         (
-            "robots={choose: 2, targets: [[1200, 1200], [1800, 1800]], a: 4, speed: 420, "
-            "seconds: 4}",
+            "robots={choose: 2, targets: [[900, 900], [1400, 1400]], a: 4, speed: 420, seconds: 4}",
+            "arena.width=2300",
+            "arena.height=2300",
             "controller.steps_max=8",
             "trials.seed=3",
             "controller.deadline=60",

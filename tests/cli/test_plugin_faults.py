@@ -57,13 +57,16 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 class Anchor(DisturbanceSection):
     type: Literal["anchor"]
     fails: bool = False
+    until_s: float = 1e9
     def build(self, setup, rng):
-        return Held(1 / (not self.fails))
+        return Held(1 / (not self.fails), self.until_s)
 
 class Held(Disturbance):
-    def __init__(self, one):
-        pass
+    def __init__(self, one, until_s):
+        self.until_s = until_s
     def varied(self, a, speed, time_s):
+        if time_s > self.until_s:
+            raise SystemExit("no more")
         return 0 * a, 0 * speed
 """
 NOTHING = """
@@ -131,3 +134,15 @@ def test_what_a_controller_returns_is_checked_and_names_it(tetractl):
         assert done.stderr.startswith("error: trial 1: plug-in controller 'east' (mine 1.0")
         assert told in done.stderr
         assert tetractl("verify", out).ok().stdout.startswith(f"{out}/trial-000.mcap: ok")
+
+
+def test_a_disturbance_that_fails_at_the_stop_too_leaves_a_complete_log(tetractl):
+    """Regression: the stop asked it again, and the log stayed a .part without a result."""
+    failing = "plant.disturbances=[{type: anchor, until_s: 0.5}]"
+    done = tetractl("run", "one.yaml", "--out", "logs", "-q", "--set", failing)
+    assert done.returncode == 1
+    told = "error: trial 1: plug-in disturbance 'anchor' (mine 1.0"
+    assert done.stderr.startswith(told)
+    assert "raised SystemExit: no more" in done.stderr
+    assert tetractl("info", "logs/trial-000.mcap").returncode == 0
+    assert tetractl("verify", "logs").ok().stdout.startswith("logs/trial-000.mcap: ok")

@@ -2,8 +2,12 @@
 samples, commands, verdict, health.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
 
 from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Floats, Observation, Poses
@@ -129,6 +133,12 @@ class Verdict:
     stood: str = ""
     turn: tuple[float, ...] = ()
     turn_std: tuple[float, ...] = ()
+
+    @classmethod
+    def unknown(cls, robots: int) -> Self:
+        """Return the verdict on N robots of which the plant could not tell where they stopped."""
+        nowhere = Poses.of(np.full((robots, 3), np.nan))
+        return cls(nowhere, (False,) * robots, (math.inf,) * robots)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) entered an obstacle."""

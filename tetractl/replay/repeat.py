@@ -12,13 +12,14 @@ from dataclasses import replace
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Note
 from tetractl.core.errors import AbortError
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.load import resolved_yaml
+from tetractl.experiment.registry_fields import packages
 from tetractl.log.format import channels
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits
@@ -44,6 +45,7 @@ class Repetition(Encoder):
     def __init__(self, log: TrialLog, result: Result, sink: Comparison) -> None:
         super().__init__(sink, real_time=not log.start.plant.simulated)
         self._log, self.result = log, result  # as logged
+        self._failed = log.start.plant.simulated and result.outcome is Outcome.ABORTED
         self._left = len(log.commands) - 1  # commands still to come, without the stop
         self._period_ns = round(log.experiment.controller.period * SECOND)
         self._standing, self._misses = True, 0
@@ -71,12 +73,17 @@ class Repetition(Encoder):
         if self._left == 0 and self.ending and self.ending.delay_ns == 0:
             raise AbortError(ENDED)
 
+    def on_note(self, note: Note) -> None:
+        """Add a message, but for the calls that led to an exception: those logged are added."""
+        if not (self._failed and note.level == "error"):
+            super().on_note(note)
+
     def on_stop(self, stop: Command, result: Result) -> None:
         """Add the stop and the result."""
         logged = self.result
         if result.reason not in ("", ENDED, logged.reason, result.verdict.stood):
             self.failure = result.reason
-        if self._log.start.plant.simulated and logged.outcome is Outcome.ABORTED:
+        if self._failed:
             for note in self._log.notes[:-1]:  # the calls that led to a plug-in's exception
                 if note.level == "error":
                     super().on_note(note)
@@ -128,7 +135,8 @@ class _LoggedPlans:
 def _start(log: TrialLog) -> Start:
     """Return the start that follows from the spec in a log."""
     experiment = log.experiment
-    return replace(log.start, seed=experiment.trials.seed, resolved=resolved_yaml(experiment))
+    text, used = resolved_yaml(experiment), packages(experiment)
+    return replace(log.start, seed=experiment.trials.seed, resolved=text, packages=used)
 
 
 def too_large(log: TrialLog) -> bool:

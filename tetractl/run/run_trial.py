@@ -8,7 +8,17 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import Action, Command, Note, PlantInfo, Sample, Steer, Turn
+from tetractl.core.commands import (
+    Action,
+    Command,
+    Note,
+    PlantInfo,
+    Sample,
+    Steer,
+    Stop,
+    Turn,
+    Verdict,
+)
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.plugin_fault import plugin_fault
@@ -250,14 +260,22 @@ class Trial:
         before. If an observer raises an exception, the others are still called; bugs are raised at
         the end.
         """
-        stop = self.plant.stop()
-        stopped = min(self.clock.now(), stop.sent_ns)  # in the lab the same, as logged
+        setup, news, samples = self.start.setup, list[Command | Note](), self._samples
+        stop = Command(Stop(), self.clock.now(), (False,) * len(setup.names))
+        verdict = Verdict.unknown(len(setup.names))
         try:
-            verdict = self.plant.settle()
-            samples, news = self._samples + self.plant.samples(), self.plant.news()
-            self._tour.add(samples, stop.sent_ns)
-        finally:
-            self.plant.close()
+            try:
+                stop = self.plant.stop()
+                verdict = self.plant.settle()
+                samples, news = samples + self.plant.samples(), self.plant.news()
+                self._tour.add(samples, stop.sent_ns)
+            finally:
+                self.plant.close()
+        except (Exception, SystemExit) as error:  # the log ends as one that says so
+            bug = error if bug is None else bug
+            if outcome is not Outcome.ABORTED:
+                known = isinstance(error, TetractlError)
+                outcome, reason = self._failed(error.message if known else text_of(error))
         if bug is not None and (fault := plugin_fault(bug, self.start.packages)):
             reason, bug = fault.message, None
             news = [*news, *(Note(stop.sent_ns, "error", call) for call in fault.calls)]
@@ -268,7 +286,9 @@ class Trial:
             verdict,
             outcome=outcome,
             reason=reason or verdict.stood,
-            duration_s=seconds(stopped - (opened_ns if self._began_ns is None else self._began_ns)),
+            duration_s=seconds(
+                stop.sent_ns - (opened_ns if self._began_ns is None else self._began_ns)
+            ),
             solve_ns=tuple(self._solve_ns),
             deadline_misses=self._misses,
             tour=self._tour,

@@ -3,7 +3,8 @@ intervals.
 
 The filter of `lab.cameras.cells.helix` runs over each path again, from the likeliest of some
 helices and headings. Newton steps find the likeliest noise of the cell. A second pass starts where
-the first found that the cell was; the smoother gives the states given all pictures.
+the first found that the cell was, if that is likelier; the smoother gives the states given all
+pictures.
 """
 
 import math
@@ -262,13 +263,16 @@ class _Fit:
 
         for _ in range(ROUNDS):
             noise, _ = newton_step(likelihood, noise, SPREAD)
-        mean = table.smoothed(noise[0], mean)[2][0]
-        mean[FROM_0] = 0.0
+        second = table.smoothed(noise[0], mean)[2][0]
+        second[FROM_0] = 0.0
+        tried = np.array([mean, second])  # the second pass may lose a cell that turned by itself
+        mean = tried[table.likelihood(np.tile(noise, (2, 1)), tried).argmax()]
         last, covariance, states, bodies = table.smoothed(noise[0], mean)
         parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
         misfit = 0.0
         for start, end in pairwise(np.linspace(0, len(states), parts + 1).astype(int).tolist()):
-            part, spread, _, _ = table.smoothed(noise[0], states[start], start, end)
+            begun = states[start] if start else mean
+            part, spread, _, _ = table.smoothed(noise[0], begun, start, end)
             misfit += (part[A] - last[A]) ** 2 / spread[A, A]
         return cls(table, last, np.sqrt(np.diagonal(covariance)), states, bodies, misfit, parts - 1)
 

@@ -27,9 +27,6 @@ SHORTEST_S = 0.35  # least duration of a path that is kept [s]
 # least share of a path's pictures in which its cell has a blob; least way over SHORTEST_S, relative
 # to the way from picture to picture: what jumps to and fro does not swim
 FOUND, STEADY = 0.7, 0.6
-# least probability of a sure name; a cell may be another once its blob was too large for it, and no
-# other cell known there, in so many pictures, this near to the picture's edge [lengths]
-SURE, LARGE, ENTERS = 0.98, 2, 4.8
 # pictures in which cells move this many times as fast as usual, or less: some are lost, or doubled;
 # least number of cells that tell; least share, and number, of such pictures that are said
 LOST, DOUBLED, TELL, ODD = 1.6, 0.3, 3, (0.015, 3)
@@ -143,10 +140,9 @@ def follow(
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
-    around = np.array((width, height)) * seen_as.um_px, ENTERS * seen_as.organism.body_um[0]
     paths = _paths(shown, frames, times, seen_as.organism)
     return Followed(
-        paths=tuple(_flagged(path, *around) for path in paths),
+        paths=tuple(map(_flagged, paths)),
         pictures=len(frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -319,17 +315,17 @@ def _paths(
             yield path
 
 
-def _flagged(path: CellPath, size_um: Floats, enters_um: float) -> CellPath:
+def _flagged(path: CellPath) -> CellPath:
     """Return a path whose pictures say whether they surely show the cell of its first ones.
 
-    They do not where the name is uncertain, unless it is certain before and after; nor any more
-    after something may have entered the cell's blob within `enters_um` [um] of the edge of a
-    picture of `size_um` (2,) [um].
+    They do not once the name is uncertain, or the cell's blob too large for it, unless the name is
+    certain later; nor after the name has gone on from one track to another.
     """
-    certain = np.flatnonzero(np.array([cell.probability > SURE for cell in path.seen]))
-    edge = np.minimum(path.places, size_um - path.places).min(axis=1)
-    joined = np.array([cell.merged and cell.measured is not None for cell in path.seen])
-    sure = np.cumsum(joined & (edge < enters_um)) < LARGE
-    sure[: certain.min(initial=len(sure))] = sure[certain.max(initial=-1) + 1 :] = False
-    marked = zip(path.seen, sure.tolist(), strict=True)
+    seen, tracks = path.seen, np.array([cell.track for cell in path.seen])
+    large = np.array([cell.merged and cell.measured is not None for cell in seen])
+    doubtful = large | np.array([cell.probability <= ASSERTED for cell in seen])
+    certain = np.flatnonzero(~doubtful & [cell.found for cell in seen])
+    doubtful[: certain.max(initial=-1) + 1] = False
+    sure = np.cumsum(doubtful | (tracks != tracks[0])) == 0
+    marked = zip(seen, sure.tolist(), strict=True)
     return replace(path, seen=tuple(replace(cell, sure=is_sure) for cell, is_sure in marked))

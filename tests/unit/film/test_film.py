@@ -11,10 +11,11 @@ from support.needs_opencv import cv2, video
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
 from tetractl.film.film_tables import LISTED, as_items, notes
-from tetractl.film.fit_cell import fit_cells
+from tetractl.film.fit_cell import _Fit, _Measured, fit_cells
 from tetractl.film.follow import CellPath, _faded_line, _flagged, _paths, _split, follow
 from tetractl.film.pictures import open_film
 from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.lab.cameras.cells.kernels.helix_steps import HEADING
 from tetractl.model.organisms import TETRAHYMENA
 from tetractl.results.kinematics import velocities
 
@@ -78,6 +79,30 @@ def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
         truth = made.body[path.frames, who(made, path), 2]
         off += np.abs(np.sin(np.array([cell.axis for cell in path.seen]) - truth)).tolist()
     assert np.mean(off) < 0.2
+
+
+@pytest.mark.parametrize(("seed", "turned"), [(0, 1.5), (1, 2.1), (7, 2.1), (8, 1.5)])
+def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed, turned):
+    random, times, begun = np.random.default_rng(seed), np.arange(160) / 30, 160 / 60
+    backs = (times > begun) & (times < begun + 0.5)
+    heading = random.normal(0, 0.07 / 30**0.5, 160).cumsum() + turned * (times > begun + 0.25)
+    way = np.where(backs, -150.0, 330.0) / 30 * np.exp(1j * heading)
+    turn = 6 * np.pi * times  # of a helix of 8 um
+    places = 1000 * (1 + 1j) + way.cumsum() + 8j * np.cos(turn) * np.exp(1j * heading)
+    places += random.normal(0, 0.5, (160, 2)) @ (1, 1j)
+    swing = np.arctan(0.8 * 8 * 6 * np.pi * np.sin(turn) / 330)
+    axes = heading + swing + random.normal(0, 0.02, 160)
+    state, seen = np.zeros(15), []
+    for x, y, axis in zip(places.real.tolist(), places.imag.tolist(), axes.tolist(), strict=True):
+        own = (x, y, axis, 0.86, 0.86, 0.04), None
+        seen.append(
+            SeenCell(1, x, y, axis, 0.0, state, state, 1.0, True, False, 50.0, 25.0, 1, *own)
+        )
+    path = CellPath(1, times, np.arange(160), tuple(seen))
+    made = SimpleNamespace(organism=TETRAHYMENA, size=(2000, 2000), um_px=2.3)
+    fit = _Fit.of(_Measured.of(path, made, None), np.ones(3))
+    off = np.angle(np.exp(1j * (fit.states[:, HEADING] - heading)))
+    assert (np.abs(off) > 0.8).sum() < 17  # it backs in 15 pictures
 
 
 def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
@@ -245,24 +270,24 @@ def test_velocities_are_those_of_casa():
 
 
 @pytest.mark.parametrize(
-    ("likely", "lone", "x", "sure"),
+    ("likely", "large", "tracks", "sure"),
     [
-        ([1.0, 1.0, 0.4, 0.4, 1.0, 1.0], [], 500.0, [True] * 6),  # sure before and after
-        ([1.0, 1.0, 1.0, 0.97, 0.97, 0.97], [], 500.0, [True] * 3 + [False] * 3),
-        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [], 500.0, [False] * 2 + [True] * 4),
-        ([0.9] * 6, [], 500.0, [False] * 6),
-        ([1.0] * 6, [2, 3], 100.0, [True] * 3 + [False] * 3),  # in its blob is something unknown
-        ([1.0] * 6, [2, 3], 500.0, [True] * 6),
+        ([1.0, 1.0, 0.4, 0.4, 1.0, 1.0], [], "777777", [True] * 6),  # certain before and after
+        ([1.0, 1.0, 1.0, 0.97, 0.97, 0.97], [], "777777", [True] * 3 + [False] * 3),
+        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [], "777777", [True] * 6),
+        ([0.9] * 6, [], "777777", [False] * 6),
+        ([1.0] * 6, [2, 3], "777777", [True] * 6),  # in its blob may be something unknown
+        ([1.0] * 6, [4, 5], "777777", [True] * 4 + [False] * 2),  # the same at the end
+        ([1.0] * 6, [], "777788", [True] * 4 + [False] * 2),  # lost and found again
     ],
 )
-def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, lone, x, sure):
+def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tracks, sure):
     state, body = np.zeros(12), (0.0,) * 6
     seen = tuple(
-        SeenCell(3, x, 500.0, 0, 0, state, state, p, True, k in lone, 50.0, 25.0, 7, body, None)
-        for k, p in enumerate(likely)
+        SeenCell(3, 9.0, 9.0, 0, 0, state, state, p, True, k in large, 50.0, 25.0, t, body, None)
+        for k, (p, t) in enumerate(zip(likely, tracks, strict=True))
     )
-    path = CellPath(3, np.arange(6) / 30, np.arange(6), seen)
-    flagged = _flagged(path, np.array((1000.0, 1000.0)), 250.0)
+    flagged = _flagged(CellPath(3, np.arange(6) / 30, np.arange(6), seen))
     assert [cell.sure for cell in flagged.seen] == sure
 
 

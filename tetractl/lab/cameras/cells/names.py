@@ -29,7 +29,7 @@ from tetractl.lab.cameras.cells.readings import MERGED
 TOGETHER = 4  # most tracks whose identities are resolved together
 CLEAR = 0.99  # probability of the places alone above which no question is asked
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
-ASSERTED = 0.95  # least probability with which a film's table goes on with a name
+ASSERTED = 0.99  # least probability with which a film's table goes on with a name
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
@@ -183,7 +183,7 @@ class Names:
             for t, track in enumerate(question.tracks):
                 known[track.number] = float(shares[t] * question.cells[order[t]].certainty)
         for meeting in self._meetings:
-            shares = self._stay(meeting) if len(meeting.tracks) > 1 else np.ones(1)
+            shares = self._stay(meeting)
             for track, share in zip(meeting.tracks, shares.tolist(), strict=True):
                 if track.question is None:
                     known[track.number] = track.certainty * share
@@ -199,7 +199,8 @@ class Names:
             meeting, shares = track.meeting, self._stay(track.meeting).tolist()
             likely = [each for each in zip(meeting.tracks, shares, strict=True) if each[0] != track]
             self._leave(meeting, track)
-            if track.merged and len(likely) == 1:
+            if len(likely) == 1 and likely[0][1] < CLEAR:
+                self._forget(meeting)
                 self._doubt(*likely[0])
         size, since_s = (track.long, track.wide), seconds - track.missed_s
         lost = Known(track.identity, track.row, track.certainty, size, track.last, since_s)

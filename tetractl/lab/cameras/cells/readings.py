@@ -20,6 +20,7 @@ OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
 LONGER = 1.35  # ratio of blob to cell length above which it shows two cells in a row
 GROWN_S = 1.0  # time for which a blob has another size than its cell, which then is the cell's
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
+JUMP = 0.25  # change of a new cell's steps, less the usual step, above which it jumped [lengths]
 PATH = 15  # number of newest blobs of a track that are kept
 
 Reading = tuple[CellTrack, tuple[float, ...], tuple[float, ...]]
@@ -38,6 +39,17 @@ def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
         cell.long, cell.wide = usual_size(np.array(cell.path))
     cell.hidden_s = math.inf
     cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
+
+
+def own_path(path: Floats, long: float, wide: float, body_um: float) -> Floats:
+    """Return the path (M, 6) of a new cell of a size [um] after the last blob that is too large for
+    it, or to which it jumped: another cell was in that blob. Cells are `body_um` long.
+    """
+    steps = np.diff(path[:, 1:3], axis=0)
+    usual_um = float(np.median(np.linalg.norm(steps, axis=1)))
+    other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
+    other[1:] |= np.linalg.norm(np.diff(steps, axis=0), axis=1) > JUMP * body_um + usual_um
+    return path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
 
 
 def own_reading(

@@ -16,13 +16,13 @@ from tetractl.lab.cameras.cells.cell import Born, CellAnswer, CellTrack, Entry, 
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl.lab.cameras.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
-from tetractl.lab.cameras.cells.match import LARGE
 from tetractl.lab.cameras.cells.names import FROM, LIKELIER, Names
 from tetractl.lab.cameras.cells.readings import (
     MERGED,
     PATH,
     Reading,
     note_size,
+    own_path,
     own_reading,
     shared_readings,
 )
@@ -291,9 +291,7 @@ class CellTracker:
         density = (ENTER if entered else APPEAR) / area
         place = np.array([x, y, math.atan2(vy, vx)])
         divided = self._names.appear(track, place, float(path[0, 0]), density, entered)
-        # keep the path after the last blob too large for this cell: another cell was in that blob
-        other = path[:-1, 4:6].prod(axis=1) > LARGE * track.long * track.wide
-        path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
+        path = own_path(path, track.long, track.wide, self._body_um)
         (sure,) = self._probabilities([track])
         by = None if near is None else near.number
         self.born.append(Born(track.identity, track.number, path, sure, divided, by))

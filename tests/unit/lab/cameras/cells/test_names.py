@@ -107,6 +107,27 @@ def test_a_name_is_uncertain_where_something_unknown_may_have_taken_its_place(me
     assert (track.identity == 1) is not met
 
 
+@pytest.mark.parametrize("merged", [False, True])
+def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
+    dish = Dish(splits=True)
+    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 503.0)]
+    dish.names.meet(tracks, 1.0, False)
+    tracks[0].merged = merged
+    uncertain, name = dish.names.probabilities(tracks)[0], tracks[0].identity
+    assert uncertain < ASSERTED
+    dish.names.give_up(tracks[1], 1.5, may_return=False)
+    assert tracks[0].identity != name and dish.bank.used.sum() == 1
+
+
+def test_a_cell_is_uncertain_where_something_unknown_is_likelier():
+    dish = Dish()
+    track = dish.track(500.0, 500.0)
+    dish.names.meet([track], 1.0, met=True)
+    assert dish.names.probabilities([track])[0] > ASSERTED
+    dish.bank.mean[track.row, Y] += 150.0  # its row has followed another cell
+    assert dish.names.probabilities([track])[0] < 0.5
+
+
 def test_each_meeting_lowers_the_certainty_of_who_is_who():
     dish = Dish()
     tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]

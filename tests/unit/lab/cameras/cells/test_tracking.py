@@ -9,7 +9,7 @@ from support.dish_films import Score, film, followed
 from tetractl.film.field_file import no_field
 from tetractl.lab.cameras.cells.cell import CellTrack
 from tetractl.lab.cameras.cells.detect_cells import BLOBS, BlobFinder
-from tetractl.lab.cameras.cells.readings import note_size
+from tetractl.lab.cameras.cells.readings import note_size, own_path
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 
@@ -32,6 +32,18 @@ def test_numbers_are_kept_through_crossings():
     made = film(seed=12, side=512, cells=4, seconds=4.0)
     for numbers in Score().add(made, followed(made)).numbers.values():
         assert max(numbers.count(n) for n in set(numbers)) >= 0.9 * len(numbers)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
+def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
+    times = np.arange(12) / rate_hz
+    path = np.zeros((12, 6))
+    path[:, 0], path[:, 1], path[:, 4:] = times, 330 * times, (50.0, 25.0)
+    assert len(own_path(path, 50.0, 25.0, 52.3)) == 12
+    path[:5, 2] = 60.0  # on the way of another cell
+    assert len(own_path(path, 50.0, 25.0, 52.3)) == 6
+    path[7, 4] = 90.0  # too large
+    assert len(own_path(path, 50.0, 25.0, 52.3)) == 4
 
 
 @pytest.mark.parametrize("bright", [False, True])

@@ -3,8 +3,8 @@
     python benchmarks/bench.py [--trials N]
 
 The emulated lab's radio, robots, firmware and our side of it run in virtual time here, so that a
-loaded host changes nothing; see tests/support/bench_agreement.py for what both have alike. Prints
-Markdown.
+loaded host changes nothing; see the emulator's tests/support/bench_agreement.py for what both have
+alike. Prints Markdown.
 """
 
 import argparse
@@ -16,6 +16,7 @@ import numpy as np
 from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages/tetractl-emulator/tests"))
 
 from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages/tetractl-emulator/tests"))
 from scipy.optimize import linear_sum_assignment
 from support.virtual_lab import DISH, VirtualLab, virtual_dish
 

@@ -10,7 +10,8 @@
 
 Three m3pi robots drive by model predictive control in the emulated lab, in virtual time, before a
 camera with noise of 0.3 mm and 4 mrad; each wheel is up to 10 % off, and 5 % of the
-packets are lost. What `tests/support/ghosts.py` shows begins 0.6 to 2.1 s after the first command.
+packets are lost. What the emulator's `tests/support/ghosts.py` shows begins 0.6 to 2.1 s after the
+first command.
 
 Worst of the plays: how far off its robot the pose shown was when that robot was commanded to stop
 [mm], how long after the fault that was and all robots stood [s], how far one drove until then
@@ -26,7 +27,7 @@ from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / one) for one in ("tests", "packages/tetractl-emulator/tests")]
 
 from support.bench_agreement import lab_spec  # noqa: E402
 from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, slow_radio, trial_of  # noqa: E402

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / one) for one in ("tests", "packages/tetractl-emulator/tests")]
 
 from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 from tetractl_emulator.optitrack.natnet_server import pack_answer  # noqa: E402

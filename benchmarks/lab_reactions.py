@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / one) for one in ("tests", "packages/tetractl-emulator/tests")]
 
 from support.lab_processes import play  # noqa: E402
 from support.scripts import load_script  # noqa: E402

@@ -23,7 +23,9 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+sys.path[:0] = [
+    str(ROOT / one) for one in ("tests", "benchmarks", "packages/tetractl-emulator/tests")
+]
 
 from lab import LOCAL, latency_ms  # noqa: E402
 from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402

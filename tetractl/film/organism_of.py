@@ -18,6 +18,7 @@ from tetractl.model.organisms import Organism
 
 LOOK_S, LOOKED = 1.5, 40  # duration [s] and greatest number of the pictures that are searched,
 LATEST_S, ENOUGH = 9.0, 3  # or until this time if fewer objects than these were seen
+COARSE_PX = 4.0  # width below which a large organism cannot be distinguished from a small one
 LEAST_PX, MOST_SHARE = 30.0, 0.02  # areas of objects: in pixels, and as a share of the picture
 REACH = 1.5  # way from one picture to the next, in lengths of the object, up to which it is itself
 SEEN = 6  # fewest pictures of an object whose speed is known
@@ -69,7 +70,9 @@ def recognised(
             f"{taken.name} of {taken.body_um[0]:.0f} um are at {scale:.3g} um/px; lengths and "
             "speeds have this guess's error. Give the scale by --scale, what swims by --organism",
         )
-    moving = moving * scale
+    moving, (usual_um, _) = moving * scale, known[0].body_um
+    # small cells seem larger in coarse pictures
+    known = [k for k in known if k.body_um[0] <= usual_um or k.body_um[1] >= COARSE_PX * scale]
     if um_px is not None and organism is None:
         taken = known[int(np.argmax(_shares(moving, known)))]  # the first if nothing moves
         fits = _fits(moving, taken)

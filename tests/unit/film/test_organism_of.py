@@ -69,6 +69,14 @@ def test_other_swimmers_than_those_chosen_are_counted_and_named():
     assert recognised(film, 6.0, PARAMECIUM).remarks == ()
 
 
+def test_small_cells_that_seem_large_in_coarse_pictures_are_not_taken_for_others():
+    film = Ellipses(7.0, 2.0, 35.0)  # seem 164 um long and 96 um wide
+    found = recognised(film, 16.0)
+    assert found.organism is TETRAHYMENA
+    assert not any("paramecium" in line for line in found.remarks)
+    assert "tetrahymena is 1.6 px wide" in found.remarks[-1]
+
+
 def test_pictures_too_rare_to_tell_cells_apart_are_said():
     film = swimming(TETRAHYMENA, 2.3)
     film.rate_hz = 5.0

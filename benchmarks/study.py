@@ -20,7 +20,6 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Task
 from tetractl.study.load_study import load_study
 from tetractl.study.options import Logs, lacking
-from tetractl.study.row_store import Store
 
 ROOT = Path(__file__).parents[1]
 CASES = {
@@ -65,7 +64,7 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
         file = Path(name) / "study.yaml"
         file.write_text(f"name: rate\nbase: {spec}\ntrials: {{count: {trials}, seed: 1}}\n")
         loaded, clocked = load_study(file), Clocked()
-        store = Store(Path(name) / "out", loaded.arms)
+        store = loaded.store(Path(name) / "out")
         with store.opened():
             tasks, _ = lacking(loaded, store, Logs.parse(logs), False)
             executor = on_this_machine(jobs, len(tasks), Interrupt())
@@ -73,7 +72,7 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
             run_batch(tasks, store, executor, clocked)
             here_s = time.process_time() - before_s
         first = 2 * jobs
-        rows = list(store.rows[loaded.arms[0].name].values())
+        rows = list(store.batches[loaded.arms[0].name].rows.values())
         used_s = [row.cpu_s for row in rows]
         first_ms = [1e-6 * max(row.result.solve_ns) for row in rows]
         solved_s = sum(1e-9 * sum(row.result.solve_ns) for row in rows)

@@ -75,7 +75,7 @@ def run_trial(
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.run import task
-    from tetractl.run.store import make_folder
+    from tetractl.run.folder_lock import make_folder
 
     with TemporaryDirectory() as temporary, _running(spec) as interrupt:
         place = Path(temporary if folder is None else folder)
@@ -104,11 +104,12 @@ def run_batch(
     """
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
-    from tetractl.run.store import LogStore
+    from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks
 
-    store = LogStore(Path(folder), spec.experiment)
-    with _running(spec) as interrupt, store.opened(resume) as todo:
+    store = Store.of_batch(Path(folder), spec.experiment)
+    with _running(spec) as interrupt, store.opened(resume):
+        todo = store.lacking
         tasks, executor = batch_tasks(spec, todo), on_this_machine(jobs, len(todo), interrupt)
         report = batch.run_batch(tasks, store, executor, _Watcher(on_result), fail_fast=True)
     for error in report.errors.values():
@@ -133,10 +134,9 @@ def run_study(
     from tetractl.run.executors import on_this_machine
     from tetractl.study import arm_table, figure, options
     from tetractl.study.load_study import load_study
-    from tetractl.study.row_store import Store
 
     loaded = load_study(Path(path))
-    store = Store(Path("logs", loaded.study.name) if folder is None else Path(folder), loaded.arms)
+    store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))
     with store.opened(), _interruptible() as interrupt:
         tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), False)
         options.warm_up_arms(loaded, logging.getLogger("tetractl").info)

@@ -14,7 +14,7 @@ from support.lateness import lateness
 from support.running import QUICK
 
 from tetractl.log.read.reader import read_trial
-from tetractl.run.store import locked
+from tetractl.run.folder_lock import locked
 
 LOSS_S = 1.2
 

@@ -16,9 +16,9 @@ from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact
 from tetractl.log.read import limits
-from tetractl.log.read import rows as log_rows
 from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import passes, tracks
+from tetractl.run import rows as log_rows
 
 
 def refused(done, *words, code=2):

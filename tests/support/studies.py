@@ -11,7 +11,6 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.study.arm_table import counted_rows, write_tables
 from tetractl.study.load_study import load_study
 from tetractl.study.options import Logs, lacking
-from tetractl.study.row_store import Store
 
 STUDY = """\
 name: quick
@@ -73,7 +72,7 @@ class Running(Started):
 def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     """Run a study in this process; return the study, its store and what became of the trials."""
     loaded = load_study(write(folder, study, spec))
-    store = Store(folder / out, loaded.arms)
+    store = loaded.store(folder / out)
     logs = options.get("logs", Logs(0, False))
     watcher = Watcher()
     with store.opened():

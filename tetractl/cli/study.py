@@ -13,8 +13,8 @@ from tetractl.core.table.terminal_table import print_tables
 from tetractl.run.interrupt import Interrupt, leave_on_signals
 
 if TYPE_CHECKING:
+    from tetractl.run.store import Store
     from tetractl.study.load_study import LoadedStudy
-    from tetractl.study.row_store import Store
 
 STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
 
@@ -57,7 +57,6 @@ def study(
     from tetractl.run.executors import on_this_machine
     from tetractl.study import options
     from tetractl.study.load_study import load_study
-    from tetractl.study.row_store import Store
     from tetractl.view.terminal.progress import StudyProgress
 
     if cluster is not None and jobs is not None:
@@ -65,7 +64,7 @@ def study(
     rule = options.Logs.parse(logs)
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
-    store = Store(folder, loaded.arms)
+    store = loaded.store(folder)
     if dry_run:
         store.read()
         tasks, _ = options.lacking(loaded, store, rule, rerun_outdated)

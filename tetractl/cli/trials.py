@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
     from tetractl.run.batch import Report, RunObserver
     from tetractl.run.executors import Executor
-    from tetractl.run.store import LogStore
+    from tetractl.run.store import Store
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
@@ -50,7 +50,7 @@ def run_command(
     only print the spec. Return the exit code and the logs' folder.
     """
     from tetractl.cli.serve import served_run
-    from tetractl.run.store import LogStore, default_folder
+    from tetractl.run.store import Store, default_folder
     from tetractl.run.trial_limits import check
 
     experiment, lab = loaded.experiment, loaded.experiment.plant.real_time
@@ -60,19 +60,19 @@ def run_command(
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
     check(experiment)
     folder = options.out or default_folder(experiment.name, datetime.now(UTC))
-    store = LogStore(folder, experiment)
+    store = Store.of_batch(folder, experiment)
     if options.dry_run:
-        lacking = store.lacking(options.resume)
-        _describe(loaded, folder, lacking if only is None else [only])
+        store.read(options.resume)
+        _describe(loaded, folder, store.lacking if only is None else [only])
         return Exit.DONE, folder
     if lab:
         ui.require_confirmation(options.yes)
     with (
         served_run(experiment.name, options.port) as served,
-        store.opened(options.resume) as todo,
+        store.opened(options.resume),
         _stoppable(loaded, options) as interrupt,
     ):
-        todo = todo if only is None else [only]
+        todo = store.lacking if only is None else [only]
         report = _run_trials(loaded, store, todo, options, interrupt, served)
         return _conclude(report, todo, folder, interrupt.requested, options.json), folder
 
@@ -85,12 +85,12 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     aborted, KeyboardInterrupt for one that was interrupted.
     """
     from tetractl.core.plan import Outcome
-    from tetractl.run.store import LogStore
+    from tetractl.run.store import Store
     from tetractl.run.task import log_path
     from tetractl.run.trial_limits import check
 
     check(loaded.experiment)
-    lab, store = loaded.experiment.plant.real_time, LogStore(folder, loaded.experiment)
+    lab, store = loaded.experiment.plant.real_time, Store.of_batch(folder, loaded.experiment)
     if lab:
         ui.require_confirmation(yes)
     options = RunOptions(quiet=not lab, yes=yes)
@@ -127,7 +127,7 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
 
 def _run_trials(
     loaded: "LoadedSpec",
-    store: "LogStore",
+    store: "Store",
     trials: list[int],
     options: RunOptions,
     interrupt: "Interrupt",

@@ -23,8 +23,11 @@ COMPUTING = ("numpy", "numba", "llvmlite", "scipy")
 PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
 """Packages whose version may change a result or its log."""
 
-VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
-"""Keys that `versions` may return."""
+CODE = "trial_code"
+"""Key of the hash `trial_code`, by which a study knows the trials of its own code."""
+
+VERSION_KEYS = frozenset({"python", "tetractl", "code", CODE, "git_commit", "git_dirty", *PACKAGES})
+"""Keys of versions in a log."""
 
 LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
 """Keys of those facts of a host whose values are lists of words."""
@@ -123,7 +126,9 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
 
     `packages` are name and version of each package that provides a kind used by the spec.
     """
-    return {"started": now(), "pid": str(os.getpid())} | host() | versions() | plugins(packages)
+    code = trial_code(tuple(sorted(packages.items())))
+    found = {"started": now(), "pid": str(os.getpid()), CODE: code}
+    return found | host() | versions() | plugins(packages)
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:

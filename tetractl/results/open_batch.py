@@ -12,8 +12,8 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.find import ROWS, find_logs, find_rows, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
-from tetractl.log.read.rows import row_results
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.run.rows import row_results
 
 OnLog = Callable[[int, int], object]
 

@@ -11,7 +11,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result
 from tetractl.run.executors import Executor
-from tetractl.run.store import TrialFolder
+from tetractl.run.store import Store
 from tetractl.run.task import Finished, OtherCodeError, Task
 
 
@@ -113,7 +113,7 @@ class Report:
 
 def run_batch(
     tasks: Sequence[Task],
-    store: TrialFolder,
+    store: Store,
     executor: Executor,
     observer: RunObserver,
     fail_fast: bool = False,

@@ -1,107 +1,27 @@
-"""The folder of a batch: its lock, its logs, and the missing trials of an interrupted batch."""
+"""The folder of a run: its lock, the logs and rows of its trials, and which trials are missing.
 
-import fcntl
-import getpass
+A batch is a folder with the logs of the trials of one experiment. A study is a folder of batches,
+its arms, in which each trial also has a row, with or without a log.
+"""
+
 import itertools
-import os
-import socket
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError, printable
+from tetractl.core.files import save_whole
+from tetractl.core.plan import Outcome
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import spec_hash
-from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
+from tetractl.experiment.load import arm_hash, resolved_yaml
+from tetractl.log.format.channels import RESOLVED_SPEC, TEXT
+from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, ROWS, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
+from tetractl.run.folder_lock import locked, make_folder
+from tetractl.run.rows import Row, cut_to_lines, read_rows
 from tetractl.run.task import Finished, Task, log_path
-
-LOCK_FILE = ".tetractl-lock"
-OWNER_BYTES = 300
-
-
-def make_folder(folder: Path) -> None:
-    """Create the folder; LogError if that fails."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Create a folder and hold its lock, a flock(2) on its file `.tetractl-lock`, which names the
-    owner.
-
-    The kernel releases the lock when the process that holds it ends, so a leftover file of this
-    host does not lock the folder. A file of another host locks the folder, because not every
-    network file system shares locks between hosts.
-
-    Raises UsageError if another run holds the lock, LogError if folder or file cannot be written.
-    """
-    make_folder(folder)
-    path = folder / LOCK_FILE
-    try:
-        file = _acquire(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot lock the folder: {error.strerror}") from error
-    try:
-        yield
-    finally:
-        with suppress(OSError):  # the folder may have been removed
-            path.unlink()
-        os.close(file)
-
-
-def _acquire(path: Path) -> int:
-    """Open and lock a file and return its descriptor; UsageError if another run has locked it."""
-    while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not _is(path, file):  # the last owner has removed the file in the meantime
-                os.close(file)
-                continue
-            left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
-            if left and not left.startswith(f"{socket.gethostname()} "):
-                raise _in_use(path, left, "; if that run has ended, remove the file " + LOCK_FILE)
-            os.ftruncate(file, 0)
-            os.pwrite(file, _owner().encode(errors="replace"), 0)
-        except BlockingIOError:
-            left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
-            os.close(file)
-            raise _in_use(path, left) from None
-        except BaseException:
-            os.close(file)
-            raise
-        return file
-
-
-def _is(path: Path, file: int) -> bool:
-    try:
-        return os.path.samestat(path.stat(), os.fstat(file))
-    except FileNotFoundError:
-        return False
-
-
-def _owner() -> str:
-    """Return "host pid user since", the four words of the lock's file."""
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # the user id has no name
-        user = str(os.getuid())
-    return f"{socket.gethostname()} {os.getpid()} {user} {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
-
-
-def _in_use(path: Path, owner: str, more: str = "") -> UsageError:
-    words = owner.split()
-    host, pid, user, since = words if len(words) == 4 else ("?",) * 4
-    by = f"by process {pid} of {user} on {host} since {since}" if words else "by another run"
-    by = "".join(c if c.isprintable() else "?" for c in by)
-    return UsageError(
-        f"{path.parent}: in use {by}", f"wait for that run, or name another folder with --out{more}"
-    )
 
 
 def default_folder(name: str, now: datetime) -> Path:
@@ -109,80 +29,180 @@ def default_folder(name: str, now: datetime) -> Path:
     return Path("logs") / f"{name}-{now:%Y%m%dT%H%M%SZ}"
 
 
-class TrialFolder:
-    """The folder of a run: of a batch (`LogStore`) or of a study with its rows (`Store`)."""
+class BatchFolder:
+    """The folder of the trials of one experiment; `rows` are its finished trials by number.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    A trial is finished if it has a row in the file of rows, or a complete log: then its row is made
+    from the log. All others are run, by `run --resume` as by a study. With `code`, the hash of the
+    code that runs the trials, each trial that is added leaves a row; without, its log is its only
+    record.
+    """
 
-    def arm_folder(self, arm: str) -> Path:
-        """Return the folder for the logs of an arm; a batch has one arm, without a name."""
-        return self.folder
+    def __init__(self, folder: Path, experiment: Experiment, code: str = "") -> None:
+        self.folder, self.experiment, self.code = folder, experiment, code
+        self.hash = arm_hash(experiment)
+        self.rows: dict[int, Row] = {}
+        self._spec_written = False
+
+    @property
+    def lacking(self) -> list[int]:
+        """The numbers of the trials that are not finished."""
+        return [n for n in range(self.experiment.trials.count) if n not in self.rows]
+
+    @property
+    def outdated(self) -> list[int]:
+        """The numbers of the finished trials that another version of the code has run."""
+        count = self.experiment.trials.count
+        return [n for n, row in self.rows.items() if n < count and row.code != self.code]
+
+    def read(self, mend: bool = False) -> None:
+        """Read which trials are finished; damaged rows, and logs that are damaged or incomplete, do
+        not count.
+
+        With `mend` the file of rows is cut after its last complete line, which a killed process may
+        have left. Raises UsageError if trials are of another spec or seed (only their number may
+        differ), LogError if the rows cannot be read.
+        """
+        path = self.folder / ROWS
+        self.rows = {}
+        if path.exists():
+            if mend:
+                cut_to_lines(path)
+            found = read_rows(path, self.experiment)
+            self.rows = {trial: row for trial, row in found.items() if row is not None}
+            for row in self.rows.values():
+                self._check(row.place, row.arm_hash)
+            if mend and self.rows:
+                self.prepare()
+        for trial in self.lacking:
+            if (row := self._of_log(log_path(self.folder, trial))) is not None:
+                self.rows[trial] = row
+
+    def _of_log(self, path: Path) -> Row | None:
+        """Return the row of a complete log; None for any other, and if there is none."""
+        if not path.exists():
+            return None
+        try:
+            found = read_result(path)
+        except LogError:
+            return None
+        experiment = found.experiment
+        if self.experiment.open:  # each trial chose its own robots
+            own = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
+            experiment = experiment.model_copy(update=own)
+        self._check(str(path), arm_hash(experiment))
+        return Row.of(found, self.hash) if found.outcome.complete and not found.recovered else None
+
+    def _check(self, place: str, known_by: str) -> None:
+        if known_by != self.hash:
+            raise UsageError(
+                f"{place}: was run with another spec or seed",
+                "name another folder with --out, or give the spec and seed of this trial",
+            )
+
+    def prepare(self) -> None:
+        """Create the folder; if its trials leave rows, with the spec, by which rows are read."""
+        if self.code and not self._spec_written:
+            make_folder(self.folder)
+            save_whole(self.folder / RESOLVED_SPEC, resolved_yaml(self.experiment).encode())
+            self._spec_written = True
+
+    def add(self, task: Task, finished: Finished) -> None:
+        """Store the record of a finished trial. A study's trial that was interrupted leaves neither
+        row nor log."""
+        if not self.code:
+            return
+        if finished.result.outcome is Outcome.INTERRUPTED:
+            log_path(self.folder, task.trial).unlink(missing_ok=True)
+            return
+        result = finished.result
+        row = Row(
+            trial=task.trial,
+            arm_hash=self.hash,
+            code=self.code,
+            processor=finished.processor,
+            content_digest=finished.digest,
+            count=task.count,
+            logged=finished.logged,
+            wall_s=finished.wall_s,
+            cpu_s=finished.cpu_s,
+            warnings=finished.warnings,
+            result=replace(result, reason=printable(result.reason, TEXT)),
+            place=str(self.folder / ROWS),
+        )
+        self.add_row(row)
+
+    def add_row(self, row: Row) -> None:
+        """Add a row, in memory and, as one line, on disk."""
+        self.prepare()
+        self.rows[row.trial] = row
+        path = self.folder / ROWS
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(row.line(self.experiment))
+        except OSError as error:
+            raise LogError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+class Store:
+    """The folder of a run with the folders of its batches, by arm: those of a study, or one named
+    "", the folder itself.
+    """
+
+    def __init__(self, folder: Path, batches: Mapping[str, BatchFolder]) -> None:
+        self.folder, self.batches = folder, batches
+
+    @classmethod
+    def of_batch(cls, folder: Path, experiment: Experiment) -> "Store":
+        """Return the store of a batch, whose logs are its only record."""
+        return cls(folder, {"": BatchFolder(folder, experiment)})
+
+    @property
+    def lacking(self) -> list[int]:
+        """The trials of a batch that are not finished."""
+        return self.batches[""].lacking
+
+    @contextmanager
+    def opened(self, resume: bool = True) -> Iterator[None]:
+        """Create and lock the folder, and read which trials are finished.
+
+        Raises the errors of `read` and `locked`.
+        """
+        self._check(resume)  # checked first, so that a refused run creates no folder
+        with locked(self.folder):
+            self.read(resume, mend=True)
+            yield
+
+    def read(self, resume: bool = True, mend: bool = False) -> None:
+        """Read which trials are finished, with the errors of `BatchFolder.read`.
+
+        Raises UsageError for a folder with trials unless they are to `resume`.
+        """
+        self._check(resume)
+        for batch in self.batches.values():
+            batch.read(mend)
+
+    def _check(self, resume: bool) -> None:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise UsageError(f"{self.folder}: not a folder", "name another with --out")
+        names = () if resume or not self.folder.exists() else self.folder.iterdir()
+        if any(path.name.endswith((SUFFIX, LOG_PART, ROWS)) for path in names):
+            raise UsageError(
+                f"{self.folder}: holds logs already",
+                "name another folder with --out, or add --resume",
+            )
 
     def place(self, arm: str, trial: int) -> Path:
         """Rename logs of earlier attempts of a trial, as `set_aside` does; return the folder for
         its log."""
-        folder = self.arm_folder(arm)
-        set_aside(folder, trial)
-        return folder
+        batch = self.batches[arm]
+        batch.prepare()
+        set_aside(batch.folder, trial)
+        return batch.folder
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Store the record of a finished trial; in a batch, the log is the record."""
-
-
-class LogStore(TrialFolder):
-    """The folder of a batch; its logs are the only record of the trials that were run."""
-
-    def __init__(self, folder: Path, experiment: Experiment) -> None:
-        super().__init__(folder)
-        self._experiment = experiment
-
-    @contextmanager
-    def opened(self, resume: bool) -> Iterator[list[int]]:
-        """Create and lock the folder, and yield the numbers of the trials to run.
-
-        Raises the errors of `lacking` and `locked`.
-        """
-        self.lacking(resume)  # checked first, so that a refused batch creates no folder
-        with locked(self.folder):
-            yield self.lacking(resume)
-
-    def lacking(self, resume: bool) -> list[int]:
-        """Return the numbers of the trials to run: all or, with `resume`, those that have no
-        complete log.
-
-        Raises UsageError for a folder with logs or, with `resume`, with logs of another spec or
-        seed; only the number of trials may differ.
-        """
-        folder, count = self.folder, self._experiment.trials.count
-        if folder.exists() and not folder.is_dir():
-            raise UsageError(f"{folder}: not a folder", "name another with --out")
-        names = (path.name for path in folder.iterdir()) if folder.exists() else ()
-        if not resume and any(name.endswith((SUFFIX, LOG_PART)) for name in names):
-            raise UsageError(
-                f"{folder}: holds logs already", "name another folder with --out, or add --resume"
-            )
-        return [trial for trial in range(count) if not self._is_complete(trial)]
-
-    def _is_complete(self, trial: int) -> bool:
-        path = log_path(self.folder, trial)
-        if not path.exists():
-            return False
-        try:
-            found = read_result(path)
-        except LogError:  # a log that cannot be read is renamed, and its trial is run again
-            return False
-        experiment = self._experiment
-        same = experiment.model_copy(update={"trials": found.experiment.trials})
-        if experiment.open:  # each trial chose its own robots
-            own = {key: getattr(found.experiment, key) for key in ("robots", "chosen")}
-            same = same.model_copy(update=own)
-        if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
-            raise UsageError(
-                f"{path}: was run with another spec or seed",
-                "resume with the spec and seed of this log",
-            )
-        return found.outcome.complete and not found.recovered
+        """Store the record of a finished trial."""
+        self.batches[task.arm].add(task, finished)
 
 
 def set_aside(folder: Path, trial: int) -> None:

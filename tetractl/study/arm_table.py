@@ -11,14 +11,14 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.table.table import Column, Table
 from tetractl.core.table.table_files import table_files
-from tetractl.log.read.rows import SIMULATED, Row
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import error_table, processors_note
 from tetractl.results.trial_tables import trials_table
+from tetractl.run.rows import SIMULATED, Row
+from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
-from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
@@ -29,7 +29,7 @@ LISTED = 100  # largest number of arms in the printed table
 def counted_rows(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Row]]:
     """Yield every row of the study in the order of arms and trials."""
     for arm in loaded.arms:
-        rows = store.rows[arm.name]
+        rows = store.batches[arm.name].rows
         for trial in range(loaded.study.trials.count):
             if trial in rows:
                 yield arm, rows[trial]
@@ -92,7 +92,7 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     errors = [
         {
             trial: row.result.total_error
-            for trial, row in store.rows[arm.name].items()
+            for trial, row in store.batches[arm.name].rows.items()
             if trial < loaded.study.trials.count and counts(row.summary(arm.spec.experiment))
         }
         for arm in arms

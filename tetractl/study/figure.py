@@ -9,9 +9,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from tetractl.results.estimate import ArmErrors
+from tetractl.run.store import Store
 from tetractl.study.arm_table import LISTED, field_values, group_of, origins
 from tetractl.study.load_study import LoadedStudy
-from tetractl.study.row_store import Store
 from tetractl.view import style
 from tetractl.view.figures.arms import errors_by
 

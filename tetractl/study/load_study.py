@@ -25,6 +25,7 @@ from tetractl.experiment.yaml.document import Document, parse_document, read_tex
 from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
+from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check
 from tetractl.study.sweep import FieldPath, Setting, Sweep
@@ -120,6 +121,16 @@ class LoadedStudy:
     def paths(self) -> tuple[str, ...]:
         """Paths of the swept fields."""
         return tuple(dict.fromkeys(path for arm in self.arms for path in arm.values))
+
+    def store(self, folder: Path) -> Store:
+        """Return the store of the study, with the folder of each arm."""
+        return Store(
+            folder,
+            {
+                arm.name: BatchFolder(folder / arm.name, arm.spec.experiment, arm.code)
+                for arm in self.arms
+            },
+        )
 
 
 def load_study(path: Path) -> LoadedStudy:

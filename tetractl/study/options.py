@@ -19,13 +19,12 @@ from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.log.format.run_records import encode_result
 from tetractl.log.provenance import host, processor
 from tetractl.log.read.reader import content_digest, read_result
-from tetractl.log.read.rows import Row
 from tetractl.replay.comparison import first_difference
 from tetractl.run.interrupt import interrupted_once
-from tetractl.run.store import set_aside
+from tetractl.run.rows import Row
+from tetractl.run.store import BatchFolder, Store, set_aside
 from tetractl.run.task import Task, log_path, run_trial
 from tetractl.study.load_study import Arm, LoadedStudy, spec_of
-from tetractl.study.row_store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,25 +49,25 @@ class Logs:
 def lacking(
     loaded: LoadedStudy, store: Store, logs: Logs, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
-    """Return the tasks of trials without a row and, by arm, the number of outdated rows kept.
+    """Return the tasks of trials that are not finished and, by arm, the number of outdated trials
+    kept.
 
-    A row is outdated if another version of the code computed it; with `rerun_outdated`, the tasks
-    of such rows are returned too. Tasks are ordered by trial number, so that all arms have about
+    A trial is outdated if another version of the code has run it; with `rerun_outdated`, the tasks
+    of such trials are returned too. Tasks are ordered by trial number, so that all arms have about
     equally many trials if the run ends early.
     """
     count = loaded.study.trials.count
     tasks: list[Task] = []
     kept: dict[str, int] = {}
     for arm in loaded.arms:
-        spec = pickle.dumps(arm.spec)
-        for trial in range(count):
-            row = store.rows[arm.name].get(trial)
-            outdated = row is not None and row.code != arm.code
-            if row is None or (outdated and rerun_outdated):
-                keep = trial < logs.each
-                tasks.append(Task(trial, count, spec, arm.name, keep, logs.failed, True, arm.code))
-            elif outdated:
-                kept[arm.name] = kept.get(arm.name, 0) + 1
+        spec, batch = pickle.dumps(arm.spec), store.batches[arm.name]
+        trials = [*batch.lacking, *(batch.outdated if rerun_outdated else ())]
+        tasks += [
+            Task(n, count, spec, arm.name, n < logs.each, logs.failed, True, arm.code)
+            for n in sorted(trials)
+        ]
+        if batch.outdated and not rerun_outdated:
+            kept[arm.name] = len(batch.outdated)
     return sorted(tasks, key=lambda task: task.trial), kept
 
 
@@ -95,8 +94,8 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     Raises UsageError if the study lacks the trial or its row, or already has its log. Raises
     LogError if the digests differ; the log is then set aside as an attempt.
     """
-    arm, row = _found(loaded, store, which)
-    path = log_path(store.arm_folder(arm.name), row.trial)
+    arm, batch, row = _found(loaded, store, which)
+    path = log_path(batch.folder, row.trial)
     if row.logged and path.exists():
         raise UsageError(
             f"{path}: the trial has a log already", f"check it with: tetractl verify {path}"
@@ -118,7 +117,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
             f"that of its row {row.content_digest}{text}",
             hint,
         )
-    store.add_row(arm, replace(row, logged=True))
+    batch.add_row(replace(row, logged=True))
     return f"{path}: {result.summary}, with the digest of its row: {digest}"
 
 
@@ -131,7 +130,7 @@ def _difference(log: Path, row: Row) -> str:
     return "; {}: {}".format(*found) if found else ""
 
 
-def _found(loaded: LoadedStudy, store: Store, which: str) -> tuple[Arm, Row]:
+def _found(loaded: LoadedStudy, store: Store, which: str) -> tuple[Arm, BatchFolder, Row]:
     name, slash, number = which.rpartition("/")
     if not slash or not number.isdecimal():
         raise UsageError(f"--trial {which}: must be ARM/N, as in the columns arm and trial")
@@ -139,7 +138,8 @@ def _found(loaded: LoadedStudy, store: Store, which: str) -> tuple[Arm, Row]:
     if arm is None:
         close = did_you_mean(name, [arm.name for arm in loaded.arms])
         raise UsageError(f"--trial {which}: the study has no arm '{name}'{close}")
-    row = store.rows[arm.name].get(int(number))
+    batch = store.batches[arm.name]
+    row = batch.rows.get(int(number))
     if row is None:
         raise UsageError(f"--trial {which}: it has no row in {store.folder}", "run the study first")
-    return arm, row
+    return arm, batch, row

@@ -84,7 +84,7 @@ def test_rows_without_a_result_are_missed_only_where_there_is_no_log(tmp_path):
         str(arm / ROWS), "2 trials have neither a readable log nor a readable row"
     )  # fmt: skip
     assert [task.key for task in run(tmp_path, SMALL, logs=FIRST).tasks] == [
-        (arm.name, trial) for trial in range(3)
+        (arm.name, trial) for trial in (1, 2)
     ]
     run(tmp_path, SMALL, logs=FIRST, rerun_outdated=True)
     assert read(arm) == ({0: True, 1: False, 2: False}, 3, [])

@@ -15,7 +15,7 @@ from tetractl.run import executors, task
 from tetractl.run.batch import TimeLeft, run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.store import LogStore
+from tetractl.run.store import Store
 from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial, trial_seeds
 
 SPEC = parse_spec(QUICK.replace("count: 3", "count: 4"), "quick.yaml")
@@ -52,7 +52,7 @@ def scripted(monkeypatch, outcomes, action=lambda trial: None):
 
 def run(folder, trials=range(4), jobs=1, interrupt=None, watcher=None, fail_fast=True):
     executor = on_this_machine(jobs, len(trials), interrupt or Interrupt())
-    store = LogStore(folder, SPEC.experiment)
+    store = Store.of_batch(folder, SPEC.experiment)
     return run_batch(batch_tasks(SPEC, trials), store, executor, watcher or Watcher(), fail_fast)
 
 

@@ -7,12 +7,12 @@ import sys
 import pytest
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.run.store import LOCK_FILE, locked
+from tetractl.run.folder_lock import LOCK_FILE, locked
 
 HOLD = """
 import sys
 from pathlib import Path
-from tetractl.run.store import locked
+from tetractl.run.folder_lock import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

@@ -6,7 +6,8 @@ from support import random_trials as made
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
-from tetractl.run.store import LogStore, make_folder, set_aside
+from tetractl.run.folder_lock import make_folder
+from tetractl.run.store import Store, set_aside
 from tetractl.run.task import log_path
 
 
@@ -17,7 +18,9 @@ def log(folder, index, outcome=Outcome.ARRIVED, **fields):
 
 
 def trials_to_run(experiment, folder, resume):
-    return LogStore(folder, experiment).lacking(resume)
+    store = Store.of_batch(folder, experiment)
+    store.read(resume)
+    return store.lacking
 
 
 def spec(count=4, seed=None, **fields):

@@ -74,15 +74,15 @@ def test_the_errors_of_arms_are_a_table(ran):
 
 def test_rows_of_several_types_of_processor_are_marked(ran):
     arm = ran.loaded.arms[0].name
-    own = ran.store.rows[arm][0]
-    ran.store.rows[arm][0] = replace(own, processor="other-123456")
+    own = ran.store.batches[arm].rows[0]
+    ran.store.batches[arm].rows[0] = replace(own, processor="other-123456")
     try:
         assert arms_table(ran.loaded, ran.store).note.startswith(
             "trials of 2 types of processor, on which the same seed may give another trial: "
             f"{own.processor} (39), other-123456 (1); "
         )
     finally:
-        ran.store.rows[arm][0] = own
+        ran.store.batches[arm].rows[0] = own
 
 
 def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):

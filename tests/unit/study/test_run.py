@@ -4,17 +4,18 @@ import shutil
 from dataclasses import replace
 
 import pytest
-from support.studies import SMALL, run
+from support.studies import SMALL, Watcher, run
 
 from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import content_digest, read_result
 from tetractl.run import task
+from tetractl.run.batch import run_batch
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import OtherCodeError, log_path, run_trial
+from tetractl.run.store import Store
+from tetractl.run.task import OtherCodeError, batch_tasks, log_path, run_trial
 from tetractl.study.options import Logs, repeat
-from tetractl.study.row_store import rows_of
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
 ARM = "dead_time=0.1"
@@ -119,6 +120,7 @@ def test_more_trials_and_values_are_added_to_those_there_are(done):
 
 
 def test_the_trials_of_damaged_rows_are_run_again(done, finished):
+    without_logs(done / "out")
     path = done / "out" / ARM / "trials.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + b'{"trial": 1}\n\xff\xfe\n' + lines[2][:-9])
@@ -126,6 +128,44 @@ def test_the_trials_of_damaged_rows_are_run_again(done, finished):
     assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
     assert digests(ran.rows) == digests(finished[1].rows)
     assert path.read_bytes().count(b"\n") == 5
+
+
+def test_a_log_without_a_row_is_a_finished_trial(done):
+    """As a process leaves it that is killed between the two, or a batch that `run` has run."""
+    table = (done / "out" / "trials.csv").read_bytes()
+    path = done / "out" / ARM / "trials.jsonl"
+    path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
+    torn = log_path(path.parent, 2)
+    torn.write_bytes(torn.read_bytes()[:-300])
+    ran = run(done, SMALL, logs=ALL)
+    assert [task.key for task in ran.tasks] == [(ARM, 2)]
+    assert (done / "out" / "trials.csv").read_bytes() == table
+    log_path(path.parent, 0).unlink()  # has a row
+    other = log_path(done / "out" / "dead_time=0", 1)
+    path.unlink()
+    log_path(path.parent, 1).write_bytes(other.read_bytes())
+    with pytest.raises(UsageError, match=r"trial-001.mcap: was run with another spec or seed"):
+        run(done, SMALL, logs=ALL)
+
+
+def test_an_arm_is_a_batch_and_a_batch_an_arm(done):
+    table = (done / "out" / "trials.csv").read_bytes()
+    loaded = run(done, SMALL).loaded
+    for arm in loaded.arms:
+        batch = Store.of_batch(done / "batches" / arm.name, arm.spec.experiment)
+        with batch.opened(resume=False):
+            tasks = batch_tasks(arm.spec, [0, 2])
+            run_batch(tasks, batch, Here(Interrupt()), Watcher(), fail_fast=True)
+    ran = run(done, SMALL, logs=ALL, out="batches")
+    assert sorted(task.trial for task in ran.tasks) == [1, 1]
+    assert ran.outdated == {}
+    assert (done / "batches" / "trials.csv").read_bytes() == table
+    without_logs(done / "out")
+    resumed = Store.of_batch(done / "out" / ARM, loaded.arms[1].spec.experiment)
+    resumed.read()
+    assert resumed.lacking == []  # it has their rows
+    with pytest.raises(UsageError, match="holds logs already"):
+        resumed.read(resume=False)
 
 
 def test_a_trial_without_an_outcome_has_no_row_and_is_run_again_the_next_time(
@@ -173,7 +213,8 @@ def test_a_trial_is_repeated_to_its_log(done):
         for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):
             with pytest.raises(UsageError, match=f"--trial {wrong}"):
                 repeat(ran.loaded, ran.store, wrong)
-    assert rows_of(done / "out", ran.loaded.arms[1])[1].logged
+    ran.store.read()
+    assert ran.rows[ARM, 1].logged
 
 
 def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(done):

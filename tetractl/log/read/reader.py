@@ -143,6 +143,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         digest=contents.stated_digest,
         warnings=contents.warnings,
         processor=provenance.processor(contents.facts),
+        code=contents.facts.get(provenance.CODE, ""),
     )
 
 

@@ -144,6 +144,7 @@ class ResultSummary:
     digest: str | None  # content digest that the log states
     warnings: int = 0  # number of warnings and errors among the operator messages
     processor: str = ""  # type of processor, as by `provenance.processor`; "" if not stated
+    code: str = ""  # hash of the code that ran the trial, `provenance.trial_code`; "" if not stated
 
     @property
     def simulated(self) -> bool:

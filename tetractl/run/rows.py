@@ -1,7 +1,7 @@
-"""The rows of a study: one record per trial, with or without a log.
+"""The rows of a batch: one record per trial, with or without a log.
 
-The folder of an arm contains its spec and a file with one line of JSON per trial, in which `result`
-has the fields of the log's message of the result, except those that are 0 or empty.
+The folder of a study's arm contains its spec and a file with one line of JSON per trial, in which
+`result` has the fields of the log's message of the result, except those that are 0 or empty.
 """
 
 import json
@@ -72,13 +72,13 @@ OF_RESULT = {"result", "solve_ns", "deadline_misses"}
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One trial of an arm.
+    """One trial of a batch.
 
     `arm_hash` identifies the experiment, `code` and `processor` the code and the type of processor
     that ran it. `content_digest` is that of the trial's log, `count` is the number of trials of the
     batch, as stated in the log, and `logged` is whether the log was kept.
-    `wall_s` and `cpu_s` are wall and processor time [s]. `place`, the file and line of the row, is
-    not written.
+    `wall_s` and `cpu_s` are wall and processor time [s], None in a row made from a log. `place`,
+    the file and line of the row or its log, is not written.
     """
 
     trial: int
@@ -88,11 +88,29 @@ class Row:
     content_digest: str
     count: int
     logged: bool
-    wall_s: float
-    cpu_s: float
+    wall_s: float | None
+    cpu_s: float | None
     warnings: int
     result: Result
     place: str = field(default="", compare=False)
+
+    @classmethod
+    def of(cls, log: ResultSummary, known_by: str) -> Self:
+        """Return the row of a whole log, whose experiment has the hash `known_by`."""
+        return cls(
+            trial=log.trial,
+            arm_hash=known_by,
+            code=log.code,
+            processor=log.processor,
+            content_digest=log.digest or "",
+            count=log.experiment.trials.count,
+            logged=True,
+            wall_s=None,
+            cpu_s=None,
+            warnings=log.warnings,
+            result=log.result,
+            place=log.path,
+        )
 
     @property
     def complete(self) -> bool:
@@ -205,6 +223,19 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     return dict(sorted(found.items()))
+
+
+def cut_to_lines(path: Path) -> None:
+    """Cut a file after its last complete line, with the errors of `read_rows`."""
+    check_rows(path)
+    try:
+        with path.open("r+b") as file:
+            text = file.read()
+            whole = text.rfind(b"\n") + 1
+            if whole < len(text):
+                file.truncate(whole)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def row_results(path: Path) -> dict[int, ResultSummary | None]:

@@ -10,9 +10,9 @@ from tetractl.core.errors import LogError
 from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.reader import read_result
-from tetractl.log.read.rows import Row, row_results
 from tetractl.results.open_batch import Batch
 from tetractl.results.trial_tables import trials_table
+from tetractl.run.rows import Row, row_results
 from tetractl.study.options import Logs
 
 

@@ -1,0 +1,98 @@
+"""The lock of a folder, so that two runs never write to the same one."""
+
+import fcntl
+import getpass
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tetractl.core.errors import LogError, UsageError
+
+LOCK_FILE = ".tetractl-lock"
+OWNER_BYTES = 300
+
+
+def make_folder(folder: Path) -> None:
+    """Create the folder; LogError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Create a folder and hold its lock, a flock(2) on its file `.tetractl-lock`, which names the
+    owner.
+
+    The kernel releases the lock when the process that holds it ends, so a leftover file of this
+    host does not lock the folder. A file of another host locks the folder, because not every
+    network file system shares locks between hosts.
+
+    Raises UsageError if another run holds the lock, LogError if folder or file cannot be written.
+    """
+    make_folder(folder)
+    path = folder / LOCK_FILE
+    try:
+        file = _acquire(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot lock the folder: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # the folder may have been removed
+            path.unlink()
+        os.close(file)
+
+
+def _acquire(path: Path) -> int:
+    """Open and lock a file and return its descriptor; UsageError if another run has locked it."""
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not _is(path, file):  # the last owner has removed the file in the meantime
+                os.close(file)
+                continue
+            left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
+            if left and not left.startswith(f"{socket.gethostname()} "):
+                raise _in_use(path, left, "; if that run has ended, remove the file " + LOCK_FILE)
+            os.ftruncate(file, 0)
+            os.pwrite(file, _owner().encode(errors="replace"), 0)
+        except BlockingIOError:
+            left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
+            os.close(file)
+            raise _in_use(path, left) from None
+        except BaseException:
+            os.close(file)
+            raise
+        return file
+
+
+def _is(path: Path, file: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(file))
+    except FileNotFoundError:
+        return False
+
+
+def _owner() -> str:
+    """Return "host pid user since", the four words of the lock's file."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # the user id has no name
+        user = str(os.getuid())
+    return f"{socket.gethostname()} {os.getpid()} {user} {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _in_use(path: Path, owner: str, more: str = "") -> UsageError:
+    words = owner.split()
+    host, pid, user, since = words if len(words) == 4 else ("?",) * 4
+    by = f"by process {pid} of {user} on {host} since {since}" if words else "by another run"
+    by = "".join(c if c.isprintable() else "?" for c in by)
+    return UsageError(
+        f"{path.parent}: in use {by}", f"wait for that run, or name another folder with --out{more}"
+    )

@@ -75,7 +75,7 @@ NAMED = {
     "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
 }
 BATCH = 12  # trials of a batch
-TURNS = (0.1, 0.15, 0.2)  # of a pose in one trial of a batch [rad/s]
+TURNS = (0.05, 0.1, 0.15, 0.2)  # of a pose in one trial of a batch [rad/s]
 TAIL = 5.0  # statistic above which the tail of good trials is fitted
 
 

@@ -249,6 +249,13 @@ def test_help_names_no_types_of_python(folder, words):
     assert not re.search("<(bool|int|str|float|path|list)", shown), shown
 
 
+def test_options_are_described_without_docstrings_too(folder, monkeypatch):
+    """`python -OO` keeps none: commands then have no description, but their options do."""
+    monkeypatch.setattr("tetractl.cli.run.run.__doc__", None)
+    shown = " ".join(tetractl(folder, "run", "--help").ok().stdout.split())
+    assert "--quiet -q Show neither a live view nor progress." in shown.replace(" │ │ ", " ")
+
+
 def test_warm_compiles_what_specs_and_studies_name(folder):
     done = tetractl(folder, "warm", "spec.yaml", "study.yaml").ok()
     kinds, seconds = done.stdout.split(": ")

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tetractl.cli import ui
-from tetractl.cli.serve import TCP, wanted_port
+from tetractl.cli import options, ui
+from tetractl.cli.serve import wanted_port
 from tetractl.cli.trials import RunOptions, run_command
 from tetractl.core.errors import Exit
 from tetractl.log.read.find import find_log
@@ -19,17 +19,23 @@ if TYPE_CHECKING:
 
 
 def rerun(
-    log: ui.Log,
-    sets: ui.Sets = None,
-    plant: str = "sim",
-    yes: ui.Yes = False,
-    unattended: bool = False,
-    out: Path | None = None,
-    dry_run: bool = False,
-    quiet: Annotated[bool, "--quiet", "-q"] = False,
-    serve: bool = False,
-    port: Annotated[int | None, TCP] = None,
-    json: bool = False,
+    log: options.Log,
+    sets: options.Sets = None,
+    plant: Annotated[
+        str,
+        options.plant_option(
+            "sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab "
+            "in virtual time."
+        ),
+    ] = "sim",
+    yes: options.Yes = False,
+    unattended: options.Unattended = False,
+    out: options.LogFolder = None,
+    dry_run: options.DryRun = False,
+    quiet: options.Quiet = False,
+    serve: options.Serve = False,
+    port: options.ServePort = None,
+    json: options.StatsJson = False,
 ) -> int:
     """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
 
@@ -39,29 +45,15 @@ def rerun(
     only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
-
-    Options:
-      plant sim|lab|emulated: sim: simulate. lab: drive the robots of the log's lab. emulated:
-        emulate that lab in virtual time.
-      unattended: Lab only, with --yes: go on if the terminal closes or no process reads the output
-        any more, which otherwise stops the robots.
-      out DIR: Folder for the logs.  [logs/<spec name>-<UTC time>]
-      dry_run: Run nothing: print the spec, its limits and what would be run.
-      quiet: Show neither a live view nor progress.
-      serve: Print a link that shows the trial in Foxglove or Lichtblick as it runs.
-      port N: With --serve: TCP port of the server; 0 for any free port.  [8765]
-      json: Print the statistics as JSON, like `stats --format json`.
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.run.task import log_path
 
     log = find_log(log)
     trial = read_trial(log)
-    options = RunOptions(
-        out, 1, False, dry_run, quiet, yes, wanted_port(serve, port), json, unattended
-    )
+    how = RunOptions(out, 1, False, dry_run, quiet, yes, wanted_port(serve, port), json, unattended)
     number = trial.start.trial
-    code, folder = run_command(_recorded(trial, plant, sets or ()), options, number)
+    code, folder = run_command(_recorded(trial, plant, sets or ()), how, number)
     if code == Exit.DONE and not dry_run:
         again = log_path(folder, number)
         return _compare(log, again) if not sets else _errors_of(log, again, trial.start.setup.unit)

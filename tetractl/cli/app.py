@@ -6,32 +6,21 @@ answers at once.
 
 import re
 import sys
-from collections.abc import Callable
+from collections import UserDict
+from collections.abc import Callable, Mapping
+from inspect import cleandoc
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+import typer.main
+from typer.core import TyperArgument, TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from tetractl import __version__
-from tetractl.cli import (
-    again,
-    identify,
-    kinds,
-    lab,
-    lab_survey,
-    logs,
-    outputs,
-    replay,
-    run,
-    specs,
-    stats,
-    study,
-    track,
-    ui,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, TetractlError, UsageError
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
+from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
 from tetractl.experiment.packages import not_installed
 
@@ -64,12 +53,31 @@ EXTRAS = {
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, not in a list
 
 
-def _placeholders(params: Any) -> Any:
-    """Let the help show an option's placeholder, and nothing for arguments, in place of types."""
+class _Commands(UserDict[str, Any]):
+    """Commands by name: those of a registry, each imported when it is needed, and `groups`."""
+
+    def __init__(self, registry: Registry, groups: Mapping[str, Any]) -> None:
+        super().__init__(dict.fromkeys(registry.names()), **groups)
+        self.registry = registry
+
+    def __getitem__(self, name: str) -> Any:
+        if self.data[name] is None:
+            self.data[name] = _command(self.registry, name)
+        return self.data[name]
+
+
+def _placeholders(params: list[Any]) -> list[Any]:
+    """Let the help show placeholders, and no types of Python: switches and arguments have none."""
     for one in params:
-        text = one.metavar if one.param_type_name == "option" else ""
-        one.display_type_rich = lambda ctx, text=text or "": text
+        if isinstance(one, TyperArgument):
+            one.display_type_rich = _no_type  # typer itself has no setting for it
+        elif one.is_flag:
+            one.metavar = ""
     return params
+
+
+def _no_type(ctx: Any) -> None:
+    """Return what is shown next to the name of an argument: nothing."""
 
 
 class _Command(TyperCommand):
@@ -78,16 +86,53 @@ class _Command(TyperCommand):
 
 
 class _Group(TyperGroup):
+    """The group of the commands of a registry."""
+
+    def __init__(self, **attrs: Any) -> None:
+        super().__init__(**attrs)
+        self.registry = LAB_COMMANDS if self.name == "lab" else COMMANDS
+        self.commands = _Commands(self.registry, self.commands)
+
     def get_params(self, ctx: Any) -> Any:
         return _placeholders(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command with this name; UsageError if its package is not installed."""
-        group = LAB_GROUP if self.name == "lab" else GROUP
         found = super().get_command(ctx, cmd_name)
-        if found is None and (missing := not_installed(group, cmd_name)):
+        if found is None and (missing := not_installed(self.registry.group, cmd_name)):
             raise UsageError(f"'{ctx.command_path} {cmd_name}' {missing[0]}", missing[1])
         return found
+
+
+def _command(registry: Registry, name: str) -> Any:
+    """Return the command of a registry's function, or, if the function of another package cannot
+    be used, a command that says why."""
+    try:
+        function = registry.load(name)
+        try:
+            return _made(name, function, help=_BREAK.sub(" ", cleandoc(function.__doc__ or "")))
+        except Exception as error:  # typer cannot make a command of it
+            if name in registry.builtin:
+                raise
+            raise registry.unusable(name, f"{type(error).__name__}: {error}") from error
+    except PluginError as error:
+        broken = error
+
+    from rich.markup import escape
+
+    def fail() -> None:
+        raise broken
+
+    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
+    text = f"Cannot be used: {escape(broken.message)}"
+    return _made(name, fail, help=text, context_settings=anything, add_help_option=False)
+
+
+def _made(name: str, function: Callable[..., object], **settings: Any) -> Any:
+    """Return typer's command of a function."""
+    one = typer.Typer(add_completion=False)
+    one.command(name, cls=_Command, **settings)(function)
+    return typer.main.get_command(one)
 
 
 app = typer.Typer(
@@ -119,65 +164,8 @@ def _root(
     """
 
 
-COMMANDS = (
-    specs.init,
-    run.run,
-    again.rerun,
-    specs.validate,
-    specs.warm,
-    specs.schema,
-    kinds.kinds,
-    logs.info,
-    logs.recover,
-    replay.replay,
-    outputs.plot,
-    outputs.report,
-    outputs.open_,
-    outputs.export,
-    logs.verify,
-    stats.stats,
-    stats.analyze,
-    study.study,
-    identify.design,
-    identify.identify,
-    track.track,
-)
-GROUP, LAB_GROUP = "tetractl.commands", "tetractl.lab_commands"
-"""Groups of entry points, with which other packages add commands."""
-LAB_COMMANDS = (lab.check, lab.stop, lab.calibrate, lab_survey.survey)
-lab_app = typer.Typer(name="lab", no_args_is_help=True, help=lab.HELP, cls=_Group)
-app.add_typer(lab_app)
-
-
-def _add(group: typer.Typer, name: str, function: Callable[..., object]) -> None:
-    help_text = _BREAK.sub(" ", ui.declare_options(function))
-    group.command(name, cls=_Command, help=help_text)(function)
-
-
-def _unusable(group: typer.Typer, name: str, error: PluginError) -> None:
-    """Add a command that only says why another package's command cannot be used."""
-
-    def fail() -> None:
-        raise error
-
-    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
-    text = f"Cannot be used: {error.message}"
-    group.command(name, help=text, context_settings=anything, add_help_option=False)(fail)
-
-
-for group, registry, functions in (
-    (app, Registry(GROUP, {}), COMMANDS),
-    (lab_app, Registry(LAB_GROUP, {}), LAB_COMMANDS),
-):
-    ours = {function.__name__.strip("_").replace("_", "-"): function for function in functions}
-    for name, function in ours.items():
-        _add(group, name, function)
-    for name in registry.names():
-        try:
-            if name not in ours:
-                _add(group, name, registry.load(name))
-        except PluginError as error:
-            _unusable(group, name, error)
+lab_help = "Check, calibrate, survey, stop or emulate the lab of a spec."
+app.add_typer(typer.Typer(name="lab", no_args_is_help=True, help=lab_help, cls=_Group))
 
 
 def run_app() -> int:
@@ -185,7 +173,7 @@ def run_app() -> int:
     if "" in sys.argv[1:]:  # as a path, it would be the present folder
         return complain(Exit.USAGE, "an argument is empty", "is a variable of the shell not set?")
     try:
-        with plugins_blamed():
+        with plugins_blamed(spared=(TyperException, typer.Abort)):
             code = app(standalone_mode=False)
         sys.stdout.flush()  # here, so that an error of stdout is handled below
     except TetractlError as error:

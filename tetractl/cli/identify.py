@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, argument, option, out_option, plant_option
 from tetractl.cli.trials import drive
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
@@ -21,14 +22,27 @@ if TYPE_CHECKING:
 
 
 def design(
-    spec: ui.Spec,
-    sets: ui.Sets = None,
-    seconds: Annotated[float, ui.ValueRange(1, 120)] = 10.0,
-    plant: str | None = None,
-    logs: Path | None = None,
-    yes: ui.Yes = False,
-    out: Path | None = None,
-    as_json: ui.AsJson = False,
+    spec: Spec,
+    sets: Sets = None,
+    seconds: Annotated[float, option("S", "Duration of the motion [s].", min=1, max=120)] = 10.0,
+    plant: Annotated[
+        str | None,
+        plant_option("Drive the proposed motion, and identify the robots from it."),
+    ] = None,
+    logs: Annotated[
+        Path | None,
+        option("DIR", "With --plant: folder for the log. [logs/<spec name>-design-<UTC time>]"),
+    ] = None,
+    yes: Yes = False,
+    out: Annotated[
+        Path | None,
+        out_option(
+            "FILE",
+            "YAML file to write: a spec of the motion; with --plant, the identified values, for "
+            "the field `identified` of a spec.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
 ) -> int:
     """Propose a motion from which the robots can be identified well.
 
@@ -37,13 +51,6 @@ def design(
     identified from its log.
 
     Example: tetractl design experiments/three_m3pi.yaml --plant sim
-
-    Options:
-      seconds S: Duration of the motion [s].
-      plant sim|lab|emulated: Drive the proposed motion, and identify the robots from it.
-      logs DIR: With --plant: folder for the log.  [logs/<spec name>-design-<UTC time>]
-      out FILE: YAML file to write: a spec of the motion; with --plant, the identified values, for
-        the field `identified` of a spec.
     """
     from tetractl.experiment.plants import on_plant
     from tetractl.log.read.reader import read_trial
@@ -110,11 +117,28 @@ def _print_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None
 
 
 def identify(
-    logs: list[Path],
-    scale: Annotated[float | None, ui.ValueRange(0.05, 100)] = None,
-    rate: Annotated[float | None, ui.ValueRange(0.1, 2000)] = None,
-    out: Path | None = None,
-    as_json: ui.AsJson = False,
+    logs: Annotated[
+        list[Path],
+        argument(
+            "LOG...",
+            "Logs of the same robots, folders or globs; or CSV files of poses and commands.",
+        ),
+    ],
+    scale: Annotated[
+        float | None,
+        option("UM", "Micrometres per pixel of tracks of another program.", min=0.05, max=100),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        option("HZ", "Pictures per second of tracks of another program.", min=0.1, max=2000),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        out_option(
+            "FILE", "YAML file to write the values to; a spec names it in its field `identified`."
+        ),
+    ] = None,
+    as_json: AsJson = False,
 ) -> int:
     """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
 
@@ -131,12 +155,6 @@ def identify(
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
 
     Example: tetractl identify tracks.csv field.csv --scale 2.3 --rate 30
-
-    Options:
-      logs LOG...: Logs of the same robots, folders or globs; or CSV files of poses and commands.
-      scale UM: Micrometres per pixel of tracks of another program.
-      rate HZ: Pictures per second of tracks of another program.
-      out FILE: YAML file to write the values to; a spec names it in its field `identified`.
     """
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import CELL_S, csv_tracks, track_of

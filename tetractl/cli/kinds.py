@@ -5,15 +5,31 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, option
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.table.table_files import json_text
 
 
 def kinds(
-    check: str | None = None,
-    spec: Path | None = None,
-    sets: Annotated[list[str] | None, "--set"] = None,
-    as_json: ui.AsJson = False,
+    check: Annotated[
+        str | None,
+        option(
+            "MODULE:NAME",
+            "Check your own motion, or section of a shape, optimiser, controller, disturbance, "
+            "camera or actuator, given as module:NAME.",
+        ),
+    ] = None,
+    spec: Annotated[
+        Path | None,
+        option(
+            "SPEC", "With --check: a spec whose robots, arena and obstacles are used in the tests."
+        ),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        option("FIELD=VALUE", "With --check: set a field of the kind; may be repeated.", "--set"),
+    ] = None,
+    as_json: AsJson = False,
 ) -> int:
     """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
     on.
@@ -28,12 +44,6 @@ def kinds(
     no robot moves.
 
     Example: tetractl kinds --check pivot:PIVOT
-
-    Options:
-      check MODULE:NAME: Check your own motion, or section of a shape, optimiser, controller,
-        disturbance, camera or actuator, given as module:NAME.
-      spec SPEC: With --check: a spec whose robots, arena and obstacles are used in the tests.
-      sets FIELD=VALUE: With --check: set a field of the kind; may be repeated.
     """
     if check is None and (sets or spec):
         raise UsageError("--set and --spec need --check")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option, out_option, switch
 from tetractl.cli.rigs import rig_of
 from tetractl.cli.streams import hung_up_unread
 from tetractl.core.errors import Exit, UsageError
@@ -26,16 +27,20 @@ if TYPE_CHECKING:
     from tetractl.experiment.lab_section import LabSection, Measured
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
-HELP = "Check, calibrate, survey, stop or emulate the lab of a spec."
-
 
 def check(
-    spec: ui.Spec,
-    sets: ui.Sets = None,
-    plant: ui.LabChoice = "lab",
-    as_json: ui.AsJson = False,
-    yes: bool = False,
-    turn: bool = False,
+    spec: Spec,
+    sets: Sets = None,
+    plant: Lab = "lab",
+    as_json: AsJson = False,
+    yes: Annotated[bool, switch("Answer yes to every question.", "--yes")] = False,
+    turn: Annotated[
+        bool,
+        switch(
+            "Turn the field for `robots.seconds`, and check on which side the cells follow it.",
+            "--turn",
+        ),
+    ] = False,
 ) -> int:
     """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
 
@@ -46,10 +51,6 @@ def check(
     the firmware of an unknown radio, are asked; without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
-
-    Options:
-      yes: Answer yes to every question.
-      turn: Turn the field for `robots.seconds`, and check on which side the cells follow it.
     """
     from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.plants import on_plant
@@ -86,10 +87,14 @@ def _agreed(questions: Sequence[str]) -> bool:
 
 
 def stop(
-    spec: Path | None = None,
-    sets: ui.Sets = None,
-    port: str | None = None,
-    baud: int = 57600,
+    spec: Annotated[
+        Path | None, argument("[SPEC]", "Spec file; only its actuator is used.")
+    ] = None,
+    sets: Sets = None,
+    port: Annotated[
+        str | None, option("PORT", "Serial port of an m3pi radio, in place of a spec.")
+    ] = None,
+    baud: Annotated[int, option("N", "With --port: baud rate.")] = 57600,
 ) -> int:
     """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
 
@@ -98,11 +103,6 @@ def stop(
     killed. Exits with 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
-
-    Options:
-      spec [SPEC]: Spec file; only its actuator is used.
-      port PORT: Serial port of an m3pi radio, in place of a spec.
-      baud N: With --port: baud rate.
     """
     if (spec is None) == (port is None):
         raise UsageError("give either a SPEC or --port")
@@ -123,13 +123,32 @@ def stop(
 
 
 def calibrate(
-    spec: ui.Spec,
-    sets: ui.Sets = None,
-    out: Path = Path("calibration.yaml"),
-    robot: list[str] | None = None,
-    limit: Annotated[int, ui.ValueRange(10, 80)] = 45,
-    micrometer: str | None = None,
-    yes: ui.Yes = False,
+    spec: Spec,
+    sets: Sets = None,
+    out: Annotated[Path, out_option("FILE", "YAML file to write the calibration to.")] = Path(
+        "calibration.yaml"
+    ),
+    robot: Annotated[
+        list[str] | None, option("NAME", "Calibrate only this robot; may be repeated. [all]")
+    ] = None,
+    limit: Annotated[
+        int,
+        option(
+            "N",
+            "Largest output that the calibration sends; for m3pi robots a wheel count.",
+            min=10,
+            max=80,
+        ),
+    ] = 45,
+    micrometer: Annotated[
+        str | None,
+        option(
+            "C,R,C,R,UM",
+            "Column and row of two places in a microscope's picture (px), and their distance "
+            "along the spec's x axis (um).",
+        ),
+    ] = None,
+    yes: Yes = False,
 ) -> int:
     """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
 
@@ -140,13 +159,6 @@ def calibrate(
     `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
-
-    Options:
-      out FILE: YAML file to write the calibration to.
-      robot NAME: Calibrate only this robot; may be repeated.  [all]
-      limit N: Largest output that the calibration sends; for m3pi robots a wheel count.
-      micrometer C,R,C,R,UM: Column and row of two places in a microscope's picture (px), and their
-        distance along the spec's x axis (um).
     """
     ui.refuse_existing(out)
     lab, experiment = _lab(spec, sets)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
 from tetractl.cli.rigs import rig_of
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
@@ -17,13 +18,20 @@ if TYPE_CHECKING:
 
 
 def survey(
-    spec: ui.Spec,
-    sets: ui.Sets = None,
-    out: Path | None = None,
-    plans: Annotated[int, ui.ValueRange(1, 1000)] = 96,
-    plant: ui.LabChoice = "lab",
-    yes: ui.Yes = False,
-    as_json: ui.AsJson = False,
+    spec: Spec,
+    sets: Sets = None,
+    out: Annotated[
+        Path | None, out_option("FILE", "YAML file to write a spec for trials to.")
+    ] = None,
+    plans: Annotated[
+        int,
+        option(
+            "N", "Number of plans to search for each of the best choices of cells.", min=1, max=1000
+        ),
+    ] = 96,
+    plant: Lab = "lab",
+    yes: Yes = False,
+    as_json: AsJson = False,
 ) -> int:
     """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
@@ -33,10 +41,6 @@ def survey(
     which a trial finds the best cells again, by their turning rates a and speeds.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
-
-    Options:
-      out FILE: YAML file to write a spec for trials to.
-      plans N: Number of plans to search for each of the best choices of cells.
     """
     import numpy as np
 

@@ -5,9 +5,10 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Logs, argument, out_option
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
 from tetractl.core.table.terminal_table import LISTED_MAX
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
 
 def info(
-    log: Path,
-    as_json: ui.AsJson = False,
+    log: Annotated[Path, argument("LOG", "Log of a trial, finished or not.")],
+    as_json: AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
 
@@ -29,9 +30,6 @@ def info(
     The whole log is read and checked. Exits with 1 if the log is damaged or has no result.
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
-
-    Options:
-      log LOG: Log of a trial, finished or not.
     """
     from tetractl.log.read.overview import overview
 
@@ -137,19 +135,15 @@ def _deviating(value: float, std: float) -> str:
 
 
 def recover(
-    log: Path,
-    out: Path | None = None,
-    as_json: ui.AsJson = False,
+    log: Annotated[Path, argument("LOG", "Log of a trial, or a .part file.")],
+    out: Annotated[Path | None, out_option("FILE", "File to write. [NAME.recovered.mcap]")] = None,
+    as_json: AsJson = False,
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 
     Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
-
-    Options:
-      log LOG: Log of a trial, or a .part file.
-      out FILE: File to write.  [NAME.recovered.mcap]
     """
     from tetractl.log.read.recover import recover as save
 
@@ -170,7 +164,7 @@ def recover(
     return Exit.DONE if done.whole else Exit.LOSSY
 
 
-def verify(logs: ui.Logs, as_json: ui.AsJson = False) -> int:
+def verify(logs: Logs, as_json: AsJson = False) -> int:
     """Compute every control decision of a log again and compare it with the logged decision.
 
     A simulation is run again as well, and the messages for viewers are compared with the records.

@@ -5,18 +5,29 @@ from pathlib import Path
 from typing import Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
 from tetractl.core.table.table_files import FORMATS, check_format, table_files
 from tetractl.log.read.find import find_logs
 
 TRAJECTORY, VIDEO = "trajectory", "video"
+Page = Annotated[Path, out_option("FILE", "HTML file to write; an existing file is overwritten.")]
 
 
 def plot(
-    logs: ui.Logs,
-    out: Path | None = None,
-    kind: str | None = None,
+    logs: Logs,
+    out: Annotated[
+        Path | None,
+        out_option(
+            "FILE",
+            "Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A "
+            "video: .mp4, .gif or .webp, by default LOG-video.gif.",
+        ),
+    ] = None,
+    kind: Annotated[
+        str | None, option("NAME", "The figure to draw, a name from the lists above. [trajectory]")
+    ] = None,
 ) -> int:
     """Draw a figure of one trial or several, and print the name of its file.
 
@@ -37,11 +48,6 @@ def plot(
     The same log gives the same bytes. MP4 needs ffmpeg.
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
-
-    Options:
-      out FILE: Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A
-        video: .mp4, .gif or .webp, by default LOG-video.gif.
-      kind NAME: The figure to draw, a name from the lists above.  [trajectory]
     """
     from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
@@ -84,9 +90,9 @@ def _default_name(logs: list[Path], kind: str) -> Path:
 
 
 def report(
-    logs: ui.Logs,
-    out: Path = Path("report.html"),
-    title: str | None = None,
+    logs: Logs,
+    out: Page = Path("report.html"),
+    title: Annotated[str | None, option("TEXT", "Title of the page. [experiment's name]")] = None,
 ) -> int:
     """Write one HTML page that shows trials and their statistics, and needs no network.
 
@@ -95,10 +101,6 @@ def report(
     and where the numbers come from. Each folder is a batch; several batches are shown side by side.
 
     Example: tetractl report logs/three-m3pi -o report.html
-
-    Options:
-      out FILE: HTML file to write; an existing file is overwritten.
-      title TEXT: Title of the page.  [experiment's name]
     """
     from tetractl.report import page
 
@@ -114,15 +116,12 @@ def report(
 
 
 def open_(
-    logs: ui.Logs,
-    out: Path = Path("report.html"),
+    logs: Logs,
+    out: Page = Path("report.html"),
 ) -> int:
     """Write the page of `tetractl report`, and open it in the browser.
 
     Example: tetractl open trial-000.mcap
-
-    Options:
-      out FILE: HTML file to write; an existing file is overwritten.
     """
     import webbrowser
 
@@ -133,10 +132,21 @@ def open_(
 
 
 def export(
-    logs: ui.Logs,
-    out: Path,
-    table: str | None = None,
-    form: Annotated[str | None, "--format"] = None,
+    logs: Logs,
+    out: Annotated[
+        Path,
+        out_option(
+            "DIR|FILE",
+            "Folder for all tables; or a .csv or .parquet file for the one named by --table.",
+        ),
+    ],
+    table: Annotated[
+        str | None,
+        option("NAME", "Write only this table: trials, steps, poses, estimates or events. [all]"),
+    ] = None,
+    form: Annotated[
+        str | None, option("NAME", "File format: csv or parquet. [csv]", "--format")
+    ] = None,
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
 
@@ -144,11 +154,6 @@ def export(
     tables can be joined. Existing files of these names are overwritten.
 
     Example: tetractl export logs/three-m3pi -o tables --format parquet
-
-    Options:
-      out DIR|FILE: Folder for all tables; or a .csv or .parquet file for the one named by --table.
-      table NAME: Write only this table: trials, steps, poses, estimates or events.  [all]
-      form NAME: File format: csv or parquet.  [csv]
     """
     from tetractl.results.trial_tables import of_log
 

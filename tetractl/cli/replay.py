@@ -1,20 +1,29 @@
 """`tetractl replay`: play a trial back."""
 
 from pathlib import Path
+from typing import Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.options import Logs, option, switch
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.log.read.find import find_logs
 
 
 def replay(
-    logs: ui.Logs,
-    rate: float | None = None,
-    start: float = 0.0,
-    until: float | None = None,
-    loop: bool = False,
-    paused: bool = False,
+    logs: Logs,
+    rate: Annotated[
+        float | None,
+        option(
+            "R",
+            "Speed: seconds of the trial per second (1). Without a terminal all lines are "
+            "printed at once unless --rate is given.",
+        ),
+    ] = None,
+    start: Annotated[float, option("S", "Begin at this second of the trial.")] = 0.0,
+    until: Annotated[float | None, option("S", "Stop at this second of the trial.")] = None,
+    loop: Annotated[bool, switch("At the end, start again.", "--loop")] = False,
+    paused: Annotated[bool, switch("Start paused, until a key is pressed.", "--paused")] = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -28,14 +37,6 @@ def replay(
     Without a terminal it prints one line per control step and event.
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
-
-    Options:
-      rate R: Speed: seconds of the trial per second (1). Without a terminal all lines are printed
-        at once unless --rate is given.
-      start S: Begin at this second of the trial.
-      until S: Stop at this second of the trial.
-      loop: At the end, start again.
-      paused: Start paused, until a key is pressed.
     """
     from rich.console import Console
 

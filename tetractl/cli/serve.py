@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 PORT = 8765
 """TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
 
-TCP = ui.ValueRange(0, 65535)
-
 
 def wanted_port(serve: bool, port: int | None) -> int | None:
     """Return the port to serve at, None without --serve; UsageError for a port without --serve."""

@@ -8,6 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_option, switch
 from tetractl.core.cache import cache_folder
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.table.table_files import json_text
@@ -66,10 +67,20 @@ def example_files(name: str) -> dict[str, str]:
 
 
 def init(
-    name: str | None = None,
-    lab: bool = False,
-    cells: bool = False,
-    example: str | None = None,
+    name: Annotated[
+        str | None,
+        argument("[NAME]", "Name of the experiment and of the file to write. [experiment]"),
+    ] = None,
+    lab: Annotated[bool, switch("Add a lab of m3pi robots to the spec.", "--lab")] = False,
+    cells: Annotated[
+        bool, switch("Write a spec of two cells, in um, in place of robots.", "--cells")
+    ] = False,
+    example: Annotated[
+        str | None,
+        option(
+            "NAME", "Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml."
+        ),
+    ] = None,
 ) -> int:
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
@@ -80,12 +91,6 @@ def init(
     Example: tetractl init first
 
     Example: tetractl init --example studies/dead_time
-
-    Options:
-      name [NAME]: Name of the experiment and of the file to write.  [experiment]
-      lab: Add a lab of m3pi robots to the spec.
-      cells: Write a spec of two cells, in um, in place of robots.
-      example NAME: Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml.
     """
     if example is not None:
         if name is not None or lab or cells:
@@ -151,20 +156,21 @@ def template(name: str, file: str, kind: str) -> str:
 
 
 def validate(
-    specs: list[Path],
-    sets: Annotated[list[str] | None, "--set"] = None,
-    strict: ui.Strict = False,
-    as_json: ui.AsJson = False,
+    specs: Annotated[
+        list[Path], argument("SPEC|STUDY", "Files to check; of a study the spec of each arm, too.")
+    ],
+    sets: Annotated[
+        list[str] | None,
+        option("PATH=VALUE", "Replace a value of every spec before the check.", "--set"),
+    ] = None,
+    strict: Strict = False,
+    as_json: AsJson = False,
 ) -> int:
     """Check specs and studies, and report every problem at its line.
 
     Valid values that will probably not work as intended cause a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
-
-    Options:
-      specs SPEC|STUDY: Files to check; of a study the spec of each arm, too.
-      sets PATH=VALUE: Replace a value of every spec before the check.
     """
     results = [_check(spec, sets) for spec in specs]
     if as_json:
@@ -223,8 +229,14 @@ def _check_study(path: Path, shown: str) -> tuple[dict[str, Any], list[str]]:
 
 
 def warm(
-    specs: list[Path] | None = None,
-    sets: ui.Sets = None,
+    specs: Annotated[
+        list[Path] | None,
+        argument(
+            "[SPEC|STUDY]...",
+            "Specs and studies to compile for. [the specs that `tetractl init` writes]",
+        ),
+    ] = None,
+    sets: Sets = None,
 ) -> int:
     """Compile the code that specs and studies need, with progress, so that their runs start at
     once.
@@ -233,10 +245,6 @@ def warm(
     controller, optimiser and motion. Run this command again after a change of one of these.
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
-
-    Options:
-      specs [SPEC|STUDY]...: Specs and studies to compile for.  [the specs that `tetractl init`
-        writes]
     """
     from rich.console import Console
 
@@ -275,16 +283,14 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
 
 
 def schema(
-    out: Path | None = None,
-    study: bool = False,
+    out: Annotated[Path | None, out_option("FILE", "File to write the schema to.")] = None,
+    study: Annotated[
+        bool, switch("Print the schema of a study in place of a spec's.", "--study")
+    ] = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.
 
     Example: tetractl schema -o experiment.schema.json
-
-    Options:
-      out FILE: File to write the schema to.
-      study: Print the schema of a study in place of a spec's.
     """
     from tetractl.experiment.yaml.schema import experiment_schema, schema_json
     from tetractl.study.load_study import study_schema

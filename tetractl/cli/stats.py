@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tetractl.cli import ui
+from tetractl.cli.options import LikeFormatJson, Sets, argument, option, out_option, switch
 from tetractl.core.errors import Exit, LogError, printable
 from tetractl.core.table.table_files import csv_text, json_text
 from tetractl.core.table.terminal_table import TEXTS, print_tables
@@ -18,12 +19,36 @@ Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
 
 def stats(
-    paths: list[str],
-    form: Annotated[Format, "--format"] = "table",
-    as_json: ui.LikeFormatJson = False,
-    against: list[str] | None = None,
-    plot: Path | None = None,
-    full: bool = False,
+    paths: Annotated[
+        list[str],
+        argument(
+            "PATH",
+            "Logs, folders or globs: one batch. Several folders, or one of several folders such "
+            "as a study, are several batches.",
+        ),
+    ],
+    form: Annotated[
+        Format, option("table|json|csv|markdown|latex|html", "Output format.", "--format")
+    ] = "table",
+    as_json: LikeFormatJson = False,
+    against: Annotated[
+        list[str] | None,
+        option(
+            "PATH",
+            "Log, folder or quoted glob of a baseline batch: the others are compared with this "
+            "batch only; may be repeated.",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, option("FILE", "File of a figure of the batches: .png, .svg or .pdf.")
+    ] = None,
+    full: Annotated[
+        bool,
+        switch(
+            "Print every figure: of each robot, distances, solve times, and each flagged trial.",
+            "--full",
+        ),
+    ] = False,
 ) -> int:
     """Print the total errors of batches, the verdict of their comparison, and what is unusual.
 
@@ -39,15 +64,6 @@ def stats(
     Example: tetractl stats logs/exact logs/arc logs/euler --plot ecdf.pdf
 
     Example: tetractl stats logs/slip
-
-    Options:
-      paths PATH: Logs, folders or globs: one batch. Several folders, or one of several folders such
-        as a study, are several batches.
-      form table|json|csv|markdown|latex|html: Output format.
-      against PATH: Log, folder or quoted glob of a baseline batch: the others are compared with
-        this batch only; may be repeated.
-      plot FILE: File of a figure of the batches: .png, .svg or .pdf.
-      full: Print every figure: of each robot, distances, solve times, and each flagged trial.
     """
     from tetractl.results.contrast import contrast
     from tetractl.results.open_batch import one_source, sources
@@ -106,12 +122,19 @@ def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":
 
 
 def analyze(
-    spec: Path,
-    sets: ui.Sets = None,
-    plans: Annotated[int, ui.ValueRange(1, 1000)] = 5,
-    form: Annotated[Literal["text", "json"], "--format"] = "text",
-    as_json: ui.LikeFormatJson = False,
-    out: Path | None = None,
+    spec: Annotated[Path, argument("SPEC", "Spec file of the experiment to analyse.")],
+    sets: Sets = None,
+    plans: Annotated[
+        int, option("N", "Number of plans to search for each result.", min=1, max=1000)
+    ] = 5,
+    form: Annotated[
+        Literal["text", "json"], option("text|json", "Output format.", "--format")
+    ] = "text",
+    as_json: LikeFormatJson = False,
+    out: Annotated[
+        Path | None,
+        out_option("FILE", "File of the figure to draw: .png, .svg or .pdf."),
+    ] = None,
 ) -> int:
     """Predict how well the robots of a spec can be steered together; no trial is run.
 
@@ -123,12 +146,6 @@ def analyze(
     value of one of them.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
-
-    Options:
-      spec SPEC: Spec file of the experiment to analyse.
-      plans N: Number of plans to search for each result.
-      form text|json: Output format.
-      out FILE: File of the figure to draw: .png, .svg or .pdf.
     """
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.options import argument, option, out_option, switch
 from tetractl.cli.streams import first_signal_callback
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.table.terminal_table import print_tables
@@ -20,16 +21,41 @@ STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\
 
 
 def study(
-    file: Path,
-    out: Path | None = None,
-    jobs: Annotated[int | None, ui.ValueRange(1)] = None,
-    logs: str = "all",
-    fail_fast: bool = False,
-    rerun_outdated: bool = False,
-    cluster: str | None = None,
-    trial: str | None = None,
-    dry_run: bool = False,
-    quiet: Annotated[bool, "--quiet", "-q"] = False,
+    file: Annotated[Path, argument("STUDY", "The study, a YAML file.")],
+    out: Annotated[
+        Path | None, out_option("DIR", "Folder of the study. [logs/<study name>]")
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        option("N", "Number of trials run at a time, each in its own process. [processors]", min=1),
+    ] = None,
+    logs: Annotated[str, option("all|failed|sample:N|none", "Trials whose logs are kept.")] = "all",
+    fail_fast: Annotated[
+        bool, switch("Stop at the first trial that fails.", "--fail-fast")
+    ] = False,
+    rerun_outdated: Annotated[
+        bool,
+        switch(
+            "Run again the trials whose rows were written by another version of the code.",
+            "--rerun-outdated",
+        ),
+    ] = False,
+    cluster: Annotated[
+        str | None, option("ADDRESS", "Run on the Dask cluster with the scheduler at this address.")
+    ] = None,
+    trial: Annotated[
+        str | None,
+        option(
+            "ARM/N", "Run one trial again, write its log, and compare the log with the trial's row."
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        switch(
+            "Run nothing: print the arms and how many of their trials would be run.", "--dry-run"
+        ),
+    ] = False,
+    quiet: Annotated[bool, switch("Print only failures.", "--quiet", "-q")] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
 
@@ -37,18 +63,6 @@ def study(
     not stop the others; the exit code is then 1.
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
-
-    Options:
-      file STUDY: The study, a YAML file.
-      out DIR: Folder of the study.  [logs/<study name>]
-      jobs N: Number of trials run at a time, each in its own process.  [processors]
-      logs all|failed|sample:N|none: Trials whose logs are kept.
-      fail_fast: Stop at the first trial that fails.
-      rerun_outdated: Run again the trials whose rows were written by another version of the code.
-      cluster ADDRESS: Run on the Dask cluster with the scheduler at this address.
-      trial ARM/N: Run one trial again, write its log, and compare the log with the trial's row.
-      dry_run: Run nothing: print the arms and how many of their trials would be run.
-      quiet: Print only failures.
     """
     from rich.console import Console
 

@@ -6,18 +6,62 @@ from pathlib import Path
 from typing import Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 
 
 def track(
-    film: Path,
-    field: Path | None = None,
-    scale: Annotated[float | None, ui.ValueRange(0.05, 100)] = None,
-    rate: Annotated[float | None, ui.ValueRange(0.1, 2000)] = None,
-    organism: str | None = None,
-    y_down: bool = False,
-    out: Path | None = None,
-    as_json: ui.AsJson = False,
+    film: Annotated[
+        Path,
+        argument(
+            "FILM",
+            "A film, a TIFF stack or a folder of pictures; or what an earlier `track` wrote.",
+        ),
+    ],
+    field: Annotated[
+        Path | None,
+        option(
+            "CSV",
+            "CSV file of the field's direction over time, with columns time_s and direction_rad.",
+        ),
+    ] = None,
+    scale: Annotated[
+        float | None,
+        option(
+            "UM",
+            "Micrometres per pixel; by default as the film states it, or else guessed from the "
+            "length that the organism has.",
+            min=0.05,
+            max=100,
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        option(
+            "HZ",
+            "Pictures per second, if the rate that the film states is wrong or missing.",
+            min=0.1,
+            max=2000,
+        ),
+    ] = None,
+    organism: Annotated[
+        str | None,
+        option(
+            "NAME",
+            "What swims: one that `tetractl kinds` lists, whose sizes and speeds are searched "
+            "for; by default the one that fits what swims in the film.",
+        ),
+    ] = None,
+    y_down: Annotated[
+        bool, switch("Directions in the --field file run clockwise.", "--y-down")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        out_option(
+            "DIR", "Folder for the tables, a log, figures, and the film with the tracks drawn in."
+        ),
+    ] = None,
+    as_json: AsJson = False,
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
@@ -30,17 +74,6 @@ def track(
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
 
     Example: tetractl track tracks -o figures
-
-    Options:
-      film FILM: A film, a TIFF stack or a folder of pictures; or what an earlier `track` wrote.
-      field CSV: CSV file of the field's direction over time, with columns time_s and direction_rad.
-      scale UM: Micrometres per pixel; by default as the film states it, or else guessed from the
-        length that the organism has.
-      organism NAME: What swims: one that `tetractl kinds` lists, whose sizes and speeds are
-        searched for; by default the one that fits what swims in the film.
-      rate HZ: Pictures per second, if the rate that the film states is wrong or missing.
-      y_down: Directions in the --field file run clockwise.
-      out DIR: Folder for the tables, a log, figures, and the film with the tracks drawn in.
     """
     import numpy as np
 

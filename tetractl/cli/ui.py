@@ -1,18 +1,13 @@
-"""Shared by several commands: options, loading of specs and logs, messages, results, and a
-confirmation before robots move.
+"""Shared by several commands: loading of specs and logs, messages, results, and a confirmation
+before robots move.
 """
 
-import ast
-import inspect
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
-
-import typer
+from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.table.table import Table
@@ -23,92 +18,6 @@ if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.run.plausibility import PlacedWarning
-
-
-def argument(metavar: str, text: str) -> Any:
-    """Return the declaration of an argument, shown as `metavar`."""
-    return typer.Argument(metavar=metavar, help=text)
-
-
-class ValueRange(NamedTuple):
-    """The least and the largest value of an option."""
-
-    min: float | None = None
-    max: float | None = None
-
-
-UNBOUND = ValueRange()
-
-
-def option(metavar: str, text: str, *names: str, bounds: ValueRange = UNBOUND) -> Any:
-    """Return the declaration of an option whose value is shown as `metavar`, "" for a switch.
-
-    `names` are needed if it is not named after its parameter.
-    """
-    return typer.Option(*names, metavar=metavar, help=text, min=bounds.min, max=bounds.max)
-
-
-_ENTRY = re.compile(r"(\w+)(?: (\S+))?: (.*)")
-
-
-def declare_options(function: Callable[..., object]) -> str:
-    """Declare the arguments and options that the section "Options:" of a function's docstring
-    describes, and return the docstring without the section.
-
-    An entry is "PARAMETER METAVAR: TEXT", without METAVAR for a switch. The parameter's annotation
-    may state `ValueRange`, and the option's names if it is not named after the parameter. A
-    parameter without names is an argument if it has no default, or if METAVAR is in brackets.
-    """
-    # python -OO keeps no docstrings, but the source has them
-    found = function.__doc__ or _docstring(inspect.getsource(function)) or ""
-    text, _, section = inspect.cleandoc(found).partition("\n\nOptions:\n")
-    parameters = inspect.signature(function).parameters
-    for entry in re.split(r"\n(?=  \w)", section) if section else ():
-        found = _ENTRY.fullmatch(" ".join(entry.split()))
-        assert found is not None, entry
-        name, metavar, words = found.groups("")
-        kind, *more = [function.__annotations__[name]]
-        if get_origin(kind) is Annotated:
-            kind, *more = get_args(kind)
-        names = [one for one in more if isinstance(one, str)]
-        if not names and parameters[name].default is False:
-            names = [f"--{name.replace('_', '-')}"]  # without a --no- form
-        bounds = next((one for one in more if isinstance(one, ValueRange)), UNBOUND)
-        names, words = ["-o", "--out"] if name == "out" else names, words.replace("[", "\\[")
-        needed = parameters[name].default is inspect.Parameter.empty
-        if not names and (needed or metavar.startswith("[")):
-            made = argument(metavar, words)
-        else:
-            made = option(metavar, words, *names, bounds=bounds)
-        function.__annotations__[name] = Annotated[kind, made]
-    return text
-
-
-def _docstring(source: str) -> str | None:
-    """Return the docstring in the source of a function."""
-    (made,) = ast.parse(source).body
-    return ast.get_docstring(made) if isinstance(made, ast.FunctionDef) else None
-
-
-Log = Annotated[Path, argument("LOG", "The log of the trial.")]
-Logs = Annotated[list[Path], argument("LOG|FOLDER...", "Trial logs: files, folders or globs.")]
-Spec = Annotated[Path, argument("SPEC", "The experiment, a YAML file.")]
-SETS = "Replace a value of the spec, as field=value; may be repeated."
-Sets = Annotated[list[str] | None, option("PATH=VALUE", SETS, "--set")]
-AsJson = Annotated[bool, option("", "Print one JSON object.", "--json")]
-LikeFormatJson = Annotated[bool, option("", "The same as --format json.", "--json")]
-Strict = Annotated[bool, option("", "Exit with code 2 if a spec has warnings.", "--strict")]
-Yes = Annotated[
-    bool, option("", "Move robots without asking; needed if there is no terminal.", "--yes")
-]
-LabChoice = Annotated[
-    str,
-    option(
-        "lab|emulated",
-        "lab: the spec's lab. emulated: emulate that lab in virtual time.",
-        "--plant",
-    ),
-]
 
 
 def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":

@@ -8,7 +8,7 @@ from pathlib import Path
 from traceback import extract_tb
 
 from tetractl.core.errors import TetractlError, WrongValueError, printable, text_of
-from tetractl.core.registries import REGISTRIES
+from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
 
 HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
@@ -23,12 +23,14 @@ class FaultyPluginError(TetractlError):
 
 
 @contextmanager
-def plugins_blamed(packages: Mapping[str, str] | None = None) -> Iterator[None]:
+def plugins_blamed(
+    packages: Mapping[str, str] | None = None, spared: tuple[type[Exception], ...] = ()
+) -> Iterator[None]:
     """Raise FaultyPluginError for an unexpected error of a plug-in, such as `sys.exit`, inside the
-    `with` block, by `plugin_fault`."""
+    `with` block, by `plugin_fault`; errors of the types `spared` pass."""
     try:
         yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, *spared):
         raise
     except BaseException as error:
         if fault := plugin_fault(error, packages):
@@ -73,7 +75,7 @@ def _owner(file: Path) -> tuple[str, str] | None:
     """Return the names of the kinds that a file defines, or of the kinds of its package if it
     defines none, and the package with its version; None for a file of no plug-in."""
     own, near, package = list[str](), list[str](), ""
-    for registry in REGISTRIES:
+    for registry in (*REGISTRIES, COMMANDS, LAB_COMMANDS):
         for kind in (kind for kind in registry.kinds() if kind.package):
             module = kind.code.partition(":")[0]
             top = module.partition(".")[0]

@@ -189,3 +189,40 @@ OTHERS = (
     ORGANISMS,
 )
 REGISTRIES = (*SPEC_REGISTRIES, *OTHERS)
+
+COMMANDS = Registry(
+    "tetractl.commands",
+    {
+        "init": "tetractl.cli.specs:init",
+        "run": "tetractl.cli.run:run",
+        "rerun": "tetractl.cli.again:rerun",
+        "validate": "tetractl.cli.specs:validate",
+        "warm": "tetractl.cli.specs:warm",
+        "schema": "tetractl.cli.specs:schema",
+        "kinds": "tetractl.cli.kinds:kinds",
+        "info": "tetractl.cli.logs:info",
+        "recover": "tetractl.cli.logs:recover",
+        "replay": "tetractl.cli.replay:replay",
+        "plot": "tetractl.cli.outputs:plot",
+        "report": "tetractl.cli.outputs:report",
+        "open": "tetractl.cli.outputs:open_",
+        "export": "tetractl.cli.outputs:export",
+        "verify": "tetractl.cli.logs:verify",
+        "stats": "tetractl.cli.stats:stats",
+        "analyze": "tetractl.cli.stats:analyze",
+        "study": "tetractl.cli.study:study",
+        "design": "tetractl.cli.identify:design",
+        "identify": "tetractl.cli.identify:identify",
+        "track": "tetractl.cli.track:track",
+    },
+)
+LAB_COMMANDS = Registry(
+    "tetractl.lab_commands",
+    {
+        "check": "tetractl.cli.lab:check",
+        "stop": "tetractl.cli.lab:stop",
+        "calibrate": "tetractl.cli.lab:calibrate",
+        "survey": "tetractl.cli.lab_survey:survey",
+    },
+)
+"""Commands, and those of `tetractl lab`, in the order in which the help lists them."""

@@ -79,11 +79,11 @@ class Registry:
             found = point.load()
         except Exception as error:  # a module of another package may raise anything
             text = str(error).partition("\n")[0]
-            raise self._unusable(point, f"{type(error).__name__}: {text}") from error
+            raise self.unusable(name, f"{type(error).__name__}: {text}") from error
         if self.base and not (
             isinstance(found, type) and issubclass(found, resolve_name(self.base))
         ):
-            raise self._unusable(point, f"the object is not a class derived from {self.base}")
+            raise self.unusable(name, f"the object is not a class derived from {self.base}")
         return found
 
     def usable(self) -> dict[str, Any]:
@@ -94,12 +94,14 @@ class Registry:
                 found[name] = self.load(name)
         return found
 
-    def _unusable(self, point: EntryPoint, why: str) -> PluginError:
+    def unusable(self, name: str, why: str) -> PluginError:
+        """Return the error that says why another package's object with this name is of no use."""
+        point = self._installed[name]
         package, version = _package(point)
         where = f"{point.name} = {point.value} of {self.group}"
         return PluginError(
             f"{package} {version}: the {self.what} '{point.name}' cannot be used: {why}",
-            f"the kind's entry point is '{where}'; update or uninstall the package",
+            f"its entry point is '{where}'; update or uninstall the package",
         )
 
     def files(self, packages: Container[str]) -> Iterator[Path]:

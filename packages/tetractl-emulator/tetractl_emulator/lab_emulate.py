@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from tetractl.cli import ui
+from tetractl.cli.options import Sets, Spec, option, switch, tcp_port
 from tetractl.core.errors import Exit
 from tetractl.run.interrupt import STOP_SIGNALS
 
@@ -18,17 +19,38 @@ ROBOTS = {
 
 
 def emulate(
-    spec: ui.Spec,
-    sets: ui.Sets = None,
-    script: Path | None = None,
-    address: str = "127.0.0.1",
-    command_port: Annotated[int | None, ui.ValueRange(0, 65535)] = None,
-    data_port: Annotated[int | None, ui.ValueRange(0, 65535)] = None,
-    port_link: Path | None = None,
-    record: Path | None = None,
-    replace_after: Annotated[float | None, ui.ValueRange(0.1)] = None,
-    seed: int = 1,
-    json: bool = False,
+    spec: Spec,
+    sets: Sets = None,
+    script: Annotated[
+        Path | None,
+        option("FILE", "YAML file of scripted faults and of the devices' true properties."),
+    ] = None,
+    address: Annotated[str, option("IP", "Address at which the camera serves.")] = "127.0.0.1",
+    command_port: Annotated[
+        int | None,
+        tcp_port("The camera server's UDP port for commands; 0 for any free port. [spec]"),
+    ] = None,
+    data_port: Annotated[
+        int | None,
+        tcp_port("UDP port to send frames to; 0 for any free port. [spec]"),
+    ] = None,
+    port_link: Annotated[
+        Path | None,
+        option("PATH", "Path to create for the actuator's serial port. [spec: lab.actuator.port]"),
+    ] = None,
+    record: Annotated[
+        Path | None, option("FILE", "File for the true poses and events, as JSON lines.")
+    ] = None,
+    replace_after: Annotated[
+        float | None,
+        option(
+            "S",
+            "Put robots back on their starts once they have stood still for S seconds.",
+            min=0.1,
+        ),
+    ] = None,
+    seed: Annotated[int, option("N", "Seed of the emulation's random numbers.")] = 1,
+    json: Annotated[bool, switch("Print events as JSON lines.", "--json")] = False,
 ) -> int:
     """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
 
@@ -36,17 +58,6 @@ def emulate(
     programs can connect.
 
     Example: tetractl lab emulate experiments/three_m3pi_lab.yaml --port-link /tmp/radio
-
-    Options:
-      script FILE: YAML file of scripted faults and of the devices' true properties.
-      address IP: Address at which the camera serves.
-      command_port N: The camera server's UDP port for commands; 0 for any free port.  [spec]
-      data_port N: UDP port to send frames to; 0 for any free port.  [spec]
-      port_link PATH: Path to create for the actuator's serial port.  [spec: lab.actuator.port]
-      record FILE: File for the true poses and events, as JSON lines.
-      replace_after S: Put robots back on their starts once they have stood still for S seconds.
-      seed N: Seed of the emulation's random numbers.
-      json: Print events as JSON lines.
     """
     import gc
     import signal

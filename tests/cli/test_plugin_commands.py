@@ -1,0 +1,86 @@
+"""Commands of other packages: the one of docs/how-to/extend.md, and broken ones."""
+
+import re
+import sys
+
+import pytest
+from support import cli
+from support.packages import install
+from support.paths import ROOT
+
+from tetractl.core.registries import COMMANDS, LAB_COMMANDS
+from tetractl.core.registry import Registry
+
+PAGE = (ROOT / "docs" / "how-to" / "extend.md").read_text(encoding="utf-8")
+FURTHEST = re.search(r"title=furthest.py\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1]
+MODULES = {
+    "furthest": FURTHEST,
+    "crashing": """
+def crash(): return {}["key"]
+""",
+    "asking": """
+import typer
+def ask(): typer.confirm("Continue?", abort=True)
+""",
+    "unimported": "import nowhere_to_be_found",
+    "untyped": "def odd(value: int | str): pass",
+}
+POINTS = """
+[tetractl.commands]
+furthest = furthest:furthest
+crash = crashing:crash
+stats = crashing:crash
+absent = unimported:f
+odd = untyped:odd
+[tetractl.lab_commands]
+ask = asking:ask
+"""
+
+
+@pytest.fixture
+def tetractl(tmp_path, monkeypatch):
+    site = install(tmp_path / "site", "mine", "1.0", POINTS, **MODULES)
+    monkeypatch.syspath_prepend(site)
+    for registry in (COMMANDS, LAB_COMMANDS):
+        fresh = Registry(registry.group, {})
+        fresh.names()  # reads what is installed
+        monkeypatch.setitem(vars(registry), "_installed", vars(fresh)["_installed"])
+    for name in MODULES:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return lambda *words: cli.tetractl(tmp_path, *words, env={"COLUMNS": "100"})
+
+
+def test_the_command_of_the_page_runs_and_its_options_have_placeholders(tetractl, folder):
+    log = folder / "logs" / "trial-000.mcap"
+    shown = tetractl("furthest", log).ok().stdout
+    assert re.fullmatch(rf"{log}: (one|two), \d+\.\d\d mm\n", shown)
+    assert tetractl("furthest", folder / "logs", "--above", "1e6").ok().stdout == ""
+    words = " ".join(tetractl("furthest", "--help").ok().stdout.split())
+    assert "LOG|FOLDER... Trial logs: files, folders or globs. [required]" in words
+    assert "--above D [x>=0] Only robots further away than this. [default: 0.0]" in words
+    assert tetractl("furthest", log, "--above", "x").stderr.startswith("error: --above: is not a n")
+
+
+def test_commands_that_cannot_be_used_say_why_and_break_no_other(tetractl):
+    listed = " ".join(tetractl("--help").ok().stdout.replace("│", " ").split())
+    why = "Cannot be used: mine 1.0: the command"
+    assert f"absent {why} 'absent' cannot be used: ModuleNotFoundError: No module" in listed
+    assert f"odd {why} 'odd' cannot be used: AssertionError: Typer currently" in listed
+    assert "furthest Print which robot of each trial ended furthest" in listed
+    done = tetractl("absent", "x", "--y")
+    error, hint = done.stderr.splitlines()
+    assert done.returncode == 2
+    assert error.startswith("error: mine 1.0: the command 'absent' cannot be used: ")
+    assert "'absent = unimported:f of tetractl.commands'" in hint
+    assert tetractl("schema").returncode == 0
+    assert "did you mean 'furthest'?" in tetractl("furthes").stderr.lower()
+
+
+def test_a_command_that_fails_names_its_package_and_may_ask(tetractl):
+    done = tetractl("crash")
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: plug-in command 'crash' (mine 1.0, ")
+    assert "raised KeyError: 'key'" in done.stderr
+    assert "statistics" in tetractl("run", "--help").stdout  # a name of ours stays ours
+    assert "crash" not in tetractl("stats", "--help").ok().stdout
+    assert tetractl("lab", "ask").stderr == "error: interrupted\n"

@@ -1,0 +1,101 @@
+"""Options of commands, as typer's `Annotated` types: those that several commands have, and short
+ways to declare others. Commands of other packages use them too.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tetractl.core.registries import PLANTS
+
+
+def argument(metavar: str, text: str) -> Any:
+    """Return typer's declaration of an argument, shown as `metavar`."""
+    return typer.Argument(metavar=metavar, help=_plain(text))
+
+
+def option(
+    metavar: str, text: str, *names: str, min: float | None = None, max: float | None = None
+) -> Any:
+    """Return typer's declaration of an option whose value is shown as `metavar`.
+
+    `names` are needed if it is not named after its parameter.
+    """
+    return typer.Option(*names, metavar=metavar, help=_plain(text), min=min, max=max)
+
+
+def switch(text: str, *names: str) -> Any:
+    """Return typer's declaration of an option without a value.
+
+    Without `names`, it is named after its parameter, and has a second form with --no-.
+    """
+    return typer.Option(*names, help=_plain(text))
+
+
+def out_option(metavar: str, text: str) -> Any:
+    """Return typer's declaration of -o."""
+    return option(metavar, text, "-o", "--out")
+
+
+def tcp_port(text: str) -> Any:
+    """Return typer's declaration of the number of a port of TCP or UDP."""
+    return option("N", text, min=0, max=65535)
+
+
+def plant_option(text: str) -> Any:
+    """Return typer's declaration of --plant, which a shell completes."""
+    return typer.Option(metavar="sim|lab|emulated", help=_plain(text), autocompletion=PLANTS.names)
+
+
+def _plain(text: str) -> str:
+    return text.replace("[", "\\[")  # which rich would read as markup
+
+
+Log = Annotated[Path, argument("LOG", "The log of the trial.")]
+Logs = Annotated[list[Path], argument("LOG|FOLDER...", "Trial logs: files, folders or globs.")]
+Spec = Annotated[Path, argument("SPEC", "The experiment, a YAML file.")]
+Sets = Annotated[
+    list[str] | None,
+    option("PATH=VALUE", "Replace a value of the spec, as field=value; may be repeated.", "--set"),
+]
+AsJson = Annotated[bool, switch("Print one JSON object.", "--json")]
+LikeFormatJson = Annotated[bool, switch("The same as --format json.", "--json")]
+Strict = Annotated[bool, switch("Exit with code 2 if a spec has warnings.", "--strict")]
+Yes = Annotated[
+    bool, switch("Move robots without asking; needed if there is no terminal.", "--yes")
+]
+Lab = Annotated[
+    str,
+    option(
+        "lab|emulated",
+        "lab: the spec's lab. emulated: emulate that lab in virtual time.",
+        "--plant",
+    ),
+]
+
+Unattended = Annotated[
+    bool,
+    switch(
+        "Lab only, with --yes: go on if the terminal closes or no process reads the output any "
+        "more, which otherwise stops the robots.",
+        "--unattended",
+    ),
+]
+LogFolder = Annotated[
+    Path | None, out_option("DIR", "Folder for the logs. [logs/<spec name>-<UTC time>]")
+]
+DryRun = Annotated[
+    bool, switch("Run nothing: print the spec, its limits and what would be run.", "--dry-run")
+]
+Quiet = Annotated[bool, switch("Show neither a live view nor progress.", "--quiet", "-q")]
+Serve = Annotated[
+    bool,
+    switch("Print a link that shows the trial in Foxglove or Lichtblick as it runs.", "--serve"),
+]
+ServePort = Annotated[
+    int | None, tcp_port("With --serve: TCP port of the server; 0 for any free port. [8765]")
+]
+StatsJson = Annotated[
+    bool, switch("Print the statistics as JSON, like `stats --format json`.", "--json")
+]

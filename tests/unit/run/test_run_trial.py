@@ -164,12 +164,14 @@ def test_robots_stop_whatever_a_controller_raises(error):
     assert result.reason.startswith(type(error).__name__)
 
 
-def test_a_plant_that_cannot_settle_is_closed():
+def test_a_plant_that_cannot_settle_is_closed_and_its_log_ends():
     made = bench()
     made.happenings.faults["settle", 1] = BugError("lost")
     with pytest.raises(BugError):
         made.run()
-    assert made.happenings.names[-3:] == ["stop", "settle", "close"]
+    names = made.happenings.names
+    assert names[names.index("stop") :][:3] == ["stop", "settle", "close"]
+    assert names[-1] == "log.stop"
 
 
 @pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step"])

@@ -12,8 +12,9 @@ from contextlib import contextmanager, suppress
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
-from tetractl.core.errors import AbortError, text_of
+from tetractl.core.errors import AbortError, WrongValueError, text_of
 from tetractl.core.plugin_fault import plugin_fault
+from tetractl.core.poses import POSE_MAX
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
@@ -176,6 +177,10 @@ class InnerLoop:
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()
         for frame in self._camera.frames():
+            known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
+            if not all(abs(value) <= POSE_MAX for pose in known for value in pose):
+                text = "a pose that no log can hold"
+                raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
                 self.frames.append(accepted)
         if self._emergency.is_set():

@@ -1,5 +1,7 @@
 """The inner loop where its other thread hangs; all else is tested through the plant."""
 
+import math
+
 import pytest
 from support.labs import fake_lab
 from support.trials import experiment
@@ -7,6 +9,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
+from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab import inner_loop
 from tetractl.lab.guard import GuardState
 
@@ -77,3 +80,19 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     lab.plant.rig.loop.step()
     assert sent[0] is None  # a stop
     assert guard.reason == "the camera"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
+def test_a_pose_that_no_log_can_hold_stops_the_robots(value):
+    """Regression: a camera's NaN came into the log, which could not be read."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    frames = lab.camera.frames
+    spoilt = CameraFrame(10**6, 0, 0, (Pose(value, 0.0, 0.0), None, None))
+    lab.camera.frames = lambda: [*frames(), spoilt]
+    lab.plant.rig.loop.step()
+    guard = lab.plant.rig.guard
+    assert guard.state is GuardState.ABORT
+    assert "a camera returned a pose that no log can hold" in guard.reason
+    assert lab.actuator.sent[-1].direction is None  # a stop

@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+import numpy as np
+
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError, WrongValueError, text_of
@@ -178,8 +180,9 @@ class InnerLoop:
         guard, now = self.guard, self._clock.now()
         for frame in self._camera.frames():
             known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
-            if not all(abs(value) <= POSE_MAX for pose in known for value in pose):
-                text = "a pose that no log can hold"
+            fit = all(abs(value) <= POSE_MAX for pose in known for value in pose)
+            if not (fit and len(frame.poses) == len(guard.rules.names)):
+                text = "poses that no log can hold"
                 raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
                 self.frames.append(accepted)
@@ -245,7 +248,20 @@ class InnerLoop:
             self._hearer.steered(sent.direction, sent.sent_ns)
 
     def _note(self, sent: Transmission) -> None:
+        if not _loggable(sent, len(self.guard.rules.names)):
+            text = "a transmission that no log can hold"
+            raise WrongValueError(self._actuator, "an actuator", text)
         self.last = sent
         self._pass_on(sent)
         self._sent.append(sent)
         self.guard.sent(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
+
+
+def _loggable(sent: object, robots: int) -> bool:
+    """Return whether an actuator returned what a log can hold of N robots."""
+    if not (isinstance(sent, Transmission) and isinstance(sent.sent_ns, int)):
+        return False
+    speeds = (sent.speed, sent.turning, sent.left, sent.right)
+    known = [np.asarray(one) for one in speeds if one is not None]
+    fit = len(sent.moving) == robots and all(one.shape == (robots,) for one in known)
+    return fit and all((np.abs(one) <= POSE_MAX).all() for one in known)

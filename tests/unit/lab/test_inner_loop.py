@@ -1,7 +1,9 @@
 """The inner loop where its other thread hangs; all else is tested through the plant."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.labs import fake_lab
 from support.trials import experiment
@@ -82,6 +84,22 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     assert guard.reason == "the camera"
 
 
+WRONG = [{"left": np.array([math.nan] * 3)}, {"left": np.zeros(1)}, {"sent_ns": 1.5}, None]
+
+
+@pytest.mark.parametrize("change", WRONG)
+def test_a_transmission_that_no_log_can_hold_stops_the_robots(change):
+    """Regression: exit 0, and a log that could not be read."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    send = lab.actuator.send
+    lab.actuator.send = lambda *a: None if change is None else replace(send(*a), **change)
+    with pytest.raises(AbortError, match="an actuator returned a transmission that no log"):
+        lab.plant.send(Steer(0.6))
+    assert lab.actuator.sent[-1].direction is None  # a stop
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
 def test_a_pose_that_no_log_can_hold_stops_the_robots(value):
     """Regression: a camera's NaN came into the log, which could not be read."""
@@ -94,5 +112,5 @@ def test_a_pose_that_no_log_can_hold_stops_the_robots(value):
     lab.plant.rig.loop.step()
     guard = lab.plant.rig.guard
     assert guard.state is GuardState.ABORT
-    assert "a camera returned a pose that no log can hold" in guard.reason
+    assert "a camera returned poses that no log can hold" in guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import NEVER, SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError, WrongValueError, text_of
 from tetractl.core.plugin_fault import plugin_fault
@@ -181,8 +181,10 @@ class InnerLoop:
         for frame in self._camera.frames():
             known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
             fit = all(abs(value) <= POSE_MAX for pose in known for value in pose)
+            times = frame.number, frame.sampled_ns, frame.received_ns
+            fit &= all(isinstance(one, int) and abs(one) < NEVER for one in times)
             if not (fit and len(frame.poses) == len(guard.rules.names)):
-                text = "poses that no log can hold"
+                text = "a frame that no log can hold"
                 raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
                 self.frames.append(accepted)

@@ -128,7 +128,7 @@ def _conclude(loaded: "LoadedStudy", store: "Store", stopped: bool) -> int:
         print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
     wanted = len(loaded.arms) * loaded.study.trials.count
-    lacking, aborted = wanted - len(rows), sum(not row.complete for row in rows)
+    lacking, aborted = wanted - len(rows), sum(not row.outcome.complete for row in rows)
     if aborted:
         ui.tell(f"{aborted} trials aborted")
     if lacking > 0:

@@ -6,7 +6,7 @@ The folder of a study's arm contains its spec and a file with one line of JSON p
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -15,7 +15,6 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError, UsageError
-from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
@@ -66,64 +65,49 @@ class _Line(_Numbered):
     deadline_misses: Count
 
 
-OF_RESULT = {"result", "solve_ns", "deadline_misses"}
-"""The values of a line that a row has in its result."""
+OTHERWISE = {"content_digest", "result", "solve_ns", "deadline_misses"}
+"""The values of a line that a row has under another name, or in its result."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One trial of a batch.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row(ResultSummary):
+    """One finished trial of a batch; `path` is the file and line of the row, or its log.
 
-    `arm_hash` identifies the experiment, `code` and `processor` the code and the type of processor
-    that ran it. `content_digest` is that of the trial's log, `count` is the number of trials of the
-    batch, as stated in the log, and `logged` is whether the log was kept.
-    `wall_s` and `cpu_s` are wall and processor time [s], None in a row made from a log. `place`,
-    the file and line of the row or its log, is not written.
+    `arm_hash` identifies the experiment. `digest` is that of the trial's log, `count` is the number
+    of trials of the batch, as stated in the log, and `logged` is whether the log was kept.
+    `wall_s` and `cpu_s` are wall and processor time [s], None in a row made from a log.
     """
 
-    trial: int
     arm_hash: str
-    code: str
-    processor: str
-    content_digest: str
     count: int
     logged: bool
     wall_s: float | None
     cpu_s: float | None
-    warnings: int
-    result: Result
-    place: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, log: ResultSummary, known_by: str) -> Self:
         """Return the row of a whole log, whose experiment has the hash `known_by`."""
-        return cls(
-            trial=log.trial,
-            arm_hash=known_by,
-            code=log.code,
-            processor=log.processor,
-            content_digest=log.digest or "",
-            count=log.experiment.trials.count,
-            logged=True,
-            wall_s=None,
-            cpu_s=None,
-            warnings=log.warnings,
-            result=log.result,
-            place=log.path,
-        )
+        same = {one.name: getattr(log, one.name) for one in fields(log)}
+        count = log.experiment.trials.count
+        return cls(**same, arm_hash=known_by, count=count, logged=True, wall_s=None, cpu_s=None)
 
-    @property
-    def complete(self) -> bool:
-        """Whether the trial is complete: the controller ended it."""
-        return self.result.outcome.complete
-
-    def line(self, experiment: Experiment) -> str:
+    def line(self) -> str:
         """Return the row as a line of JSON."""
-        message = encode_result(self.result, experiment.units.length, self.warnings)
-        stated = {name: getattr(self, name) for name in _Line.model_fields if name not in OF_RESULT}
-        stated["result"] = MessageToDict(message, preserving_proto_field_name=True)
-        stated["solve_ns"] = self.result.solve_ns
-        stated["deadline_misses"] = self.result.deadline_misses
+        message = encode_result(self.result, self.experiment.units.length, self.warnings)
+        stated = {
+            "trial": self.trial,
+            "arm_hash": self.arm_hash,
+            "code": self.code,
+            "processor": self.processor,
+            "content_digest": self.digest,
+            "count": self.count,
+            "logged": self.logged,
+            "wall_s": self.wall_s,
+            "cpu_s": self.cpu_s,
+            "result": MessageToDict(message, preserving_proto_field_name=True),
+            "solve_ns": self.result.solve_ns,
+            "deadline_misses": self.result.deadline_misses,
+        }
         return json.dumps(stated, allow_nan=False) + "\n"
 
     @classmethod
@@ -137,26 +121,21 @@ class Row:
         end = HostEnd(solve_ns=stated.solve_ns, deadline_misses=stated.deadline_misses)
         check_counts("warnings", [message.warnings])
         return cls(
-            **stated.model_dump(exclude=OF_RESULT),
+            **stated.model_dump(
+                exclude={"result", "solve_ns", "deadline_misses", "content_digest"}
+            ),
+            **simulated(experiment),
+            path=place,
+            digest=stated.content_digest,
             warnings=message.warnings,
             result=stated_result(message, end, len(experiment.robots), experiment.units.length),
-            place=place,
         )
 
-    def summary(self, experiment: Experiment) -> ResultSummary:
-        """Return the trial's result, as `read_result` would read it from the log."""
-        return ResultSummary(
-            path=self.place,
-            experiment=experiment,
-            seed=experiment.trials.seed,
-            trial=self.trial,
-            origin=Origin.of(experiment, SIMULATED),
-            result=self.result,
-            recovered=False,
-            digest=None,
-            warnings=self.warnings,
-            processor=self.processor,
-        )
+
+def simulated(experiment: Experiment) -> dict[str, Any]:
+    """Return the values of a row that follow from its experiment, which is simulated."""
+    seed, origin = experiment.trials.seed, Origin.of(experiment, SIMULATED)
+    return {"experiment": experiment, "seed": seed, "origin": origin, "recovered": False}
 
 
 LINE_COST, ROW_COST, SOLVE_COST = 400, 5200, 80
@@ -238,7 +217,7 @@ def cut_to_lines(path: Path) -> None:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def row_results(path: Path) -> dict[int, ResultSummary | None]:
+def row_results(path: Path) -> dict[int, Row | None]:
     """Return the results in a file of rows by number of the trial, None for a damaged row.
 
     The experiment is that of the spec next to the file. Raises LogError if the file or its spec
@@ -253,5 +232,5 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
     found = read_rows(path, spec.experiment)
     for row in found.values():
         if row is not None and row.arm_hash != known_by:
-            raise LogError(f"{row.place}: belongs to another spec than that in {beside}")
-    return {trial: row and row.summary(spec.experiment) for trial, row in found.items()}
+            raise LogError(f"{row.path}: belongs to another spec than that in {beside}")
+    return found

@@ -20,7 +20,7 @@ from tetractl.log.format.channels import RESOLVED_SPEC, TEXT
 from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, ROWS, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
 from tetractl.run.folder_lock import locked, make_folder
-from tetractl.run.rows import Row, cut_to_lines, read_rows
+from tetractl.run.rows import Row, cut_to_lines, read_rows, simulated
 from tetractl.run.task import Finished, Task, log_path
 
 
@@ -71,7 +71,7 @@ class BatchFolder:
             found = read_rows(path, self.experiment)
             self.rows = {trial: row for trial, row in found.items() if row is not None}
             for row in self.rows.values():
-                self._check(row.place, row.arm_hash)
+                self._check(row.path, row.arm_hash)
             if mend and self.rows:
                 self.prepare()
         for trial in self.lacking:
@@ -117,18 +117,19 @@ class BatchFolder:
             return
         result = finished.result
         row = Row(
+            **simulated(self.experiment),
+            path=str(self.folder / ROWS),
             trial=task.trial,
             arm_hash=self.hash,
             code=self.code,
             processor=finished.processor,
-            content_digest=finished.digest,
+            digest=finished.digest,
             count=task.count,
             logged=finished.logged,
             wall_s=finished.wall_s,
             cpu_s=finished.cpu_s,
             warnings=finished.warnings,
             result=replace(result, reason=printable(result.reason, TEXT)),
-            place=str(self.folder / ROWS),
         )
         self.add_row(row)
 
@@ -139,7 +140,7 @@ class BatchFolder:
         path = self.folder / ROWS
         try:
             with path.open("a", encoding="utf-8") as file:
-                file.write(row.line(self.experiment))
+                file.write(row.line())
         except OSError as error:
             raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 

@@ -56,7 +56,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
         log = f"{arm.name}/trial-{row.trial:03d}.mcap" if row.logged else ""
         head = {"path": log, "trial": row.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
-        tail = {"content_digest": row.content_digest, "code": row.code}
+        tail = {"content_digest": row.digest, "code": row.code}
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
         trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
         times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(row))
@@ -69,7 +69,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 def _exported(arm: Arm, row: Row) -> dict[str, Any]:
     """Return a trial's values by the columns of `tetractl export`, except `path` and `trial`."""
-    table = trials_table(Batch.of([row.summary(arm.spec.experiment)]))
+    table = trials_table(Batch.of([row]))
     return {one.key: one.known[0] for one in table.columns if one.name not in ("path", "trial")}
 
 
@@ -93,7 +93,7 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
         {
             trial: row.result.total_error
             for trial, row in store.batches[arm.name].rows.items()
-            if trial < loaded.study.trials.count and counts(row.summary(arm.spec.experiment))
+            if trial < loaded.study.trials.count and counts(row)
         }
         for arm in arms
     ]
@@ -120,7 +120,7 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     arms, plants = loaded.arms[:LISTED], origins(loaded)[:LISTED]
     named = [(arm.name, group_of(loaded, store, arm.name, [arm]).error) for arm in arms]
     found = list(counted_rows(loaded, store))
-    aborted = Counter(arm.name for arm, row in found if not row.complete)
+    aborted = Counter(arm.name for arm, row in found if not row.outcome.complete)
     errors = error_table(f"{loaded.study.name}: total error [{loaded.unit}]", named, loaded.unit)
     notes = [processors_note(row.processor for _, row in found)]
     if Origin.DISTURBED in plants:

@@ -104,7 +104,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial)
     digest = content_digest(path)
-    if digest != row.content_digest:
+    if digest != row.digest:
         text = _difference(path, row)
         set_aside(folder, row.trial)
         hint, here = None, processor(host())
@@ -113,8 +113,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
         if row.code != arm.code:
             hint = "the row was computed by outdated code"
         raise LogError(
-            f"{which}: the digest of its log is {digest}, "
-            f"that of its row {row.content_digest}{text}",
+            f"{which}: the digest of its log is {digest}, that of its row {row.digest}{text}",
             hint,
         )
     batch.add_row(replace(row, logged=True))

@@ -55,7 +55,7 @@ def without_logs(folder):
 
 
 def digests(rows):
-    return {key: row.content_digest for key, row in rows.items()}
+    return {key: row.digest for key, row in rows.items()}
 
 
 def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
@@ -67,7 +67,7 @@ def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
     run_trial(alone, tmp_path, 2)
     found = read_result(log_path(tmp_path, 2))
     row = ran.rows[arm.name, 2]
-    assert row.content_digest == logged(log_path(tmp_path, 2))
+    assert row.digest == logged(log_path(tmp_path, 2))
     assert row.result.total_error == found.result.total_error
     assert row.warnings == found.warnings
     assert row.processor == found.processor != ""
@@ -80,10 +80,11 @@ def test_a_log_kept_changes_no_row(finished, tmp_path):
         other, result = without[arm, trial], row.result
         same = replace(other.result, solve_ns=result.solve_ns, verdict=result.verdict)
         assert not other.logged
-        assert replace(other, logged=True, wall_s=row.wall_s, cpu_s=row.cpu_s, result=same) == (
+        host = {"path": row.path, "wall_s": row.wall_s, "cpu_s": row.cpu_s}
+        assert replace(other, logged=True, result=same, **host) == (
             replace(row, result=replace(result, deadline_misses=same.deadline_misses))
         )
-        assert logged(log_path(finished[0] / "out" / arm, trial)) == row.content_digest
+        assert logged(log_path(finished[0] / "out" / arm, trial)) == row.digest
 
 
 def test_trials_come_first_over_all_arms(finished):
@@ -206,8 +207,8 @@ def test_a_trial_is_repeated_to_its_log(done):
         says = repeat(ran.loaded, ran.store, f"{ARM}/1")
         row = ran.rows[ARM, 1]
         assert row.logged
-        assert logged(log_path(done / "out" / ARM, 1)) == row.content_digest
-        assert row.content_digest in says
+        assert logged(log_path(done / "out" / ARM, 1)) == row.digest
+        assert row.digest in says
         with pytest.raises(UsageError, match="has a log already"):
             repeat(ran.loaded, ran.store, f"{ARM}/1")
         for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):

@@ -29,14 +29,14 @@ import cv2
 import numpy as np
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
 from tetractl_emulator.pictures.stream_side import EmulatedNetworkCamera
+from tetractl_microscope.apriltag.camera import AprilTagCamera, Tracker
+from tetractl_microscope.apriltag.detect import MODULES, refined
+from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
+from tetractl_microscope.pictures.feed import Picture
+from tetractl_microscope.pictures.source import decoded
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Grey, Poses
-from tetractl.lab.cameras.apriltag.camera import AprilTagCamera, Tracker
-from tetractl.lab.cameras.apriltag.detect import MODULES, refined
-from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
-from tetractl.lab.cameras.pictures.feed import Picture
-from tetractl.lab.cameras.pictures.source import decoded
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")

@@ -24,10 +24,10 @@ from support.film_logs import write_film
 from support.synthetic_film import FilmScript, SyntheticFilm
 from support.tampering import noticed, tamperings
 from tetractl_emulator.pictures.dish.picture import PictureLook
+from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.helix import HelixFilter
+from tetractl_microscope.cells.names import Names
 
-from tetractl.lab.cameras.cells.cell import CellTrack
-from tetractl.lab.cameras.cells.helix import HelixFilter
-from tetractl.lab.cameras.cells.names import Names
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan
 from tetractl.model.swimmers import Swimmers, bodies

@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages/tetractl-emulator/tests"))
 from scipy.optimize import linear_sum_assignment
 from support.virtual_lab import DISH, VirtualLab, virtual_dish
+from tetractl_microscope.choices import predicted, ranked
 
-from tetractl.analysis.choices import predicted, ranked
 from tetractl.analysis.closed_loop import Noise
 from tetractl.core.errors import TetractlError
 from tetractl.core.protocols import LabSupervision

@@ -35,10 +35,10 @@ from support.film_containers import CONTAINERS, folder, imagej, ome, stack  # no
 from support.hostile import bytes_like  # noqa: E402
 from support.hostile_films import BOMBS, SECONDS_MAX, outcome, small  # noqa: E402
 from support.needs_opencv import cv2, video  # noqa: E402
+from tetractl_microscope.film import decode  # noqa: E402
+from tetractl_microscope.track import track  # noqa: E402
 
-from tetractl.cli.track import track  # noqa: E402
 from tetractl.core.errors import TetractlError  # noqa: E402
-from tetractl.film import decode  # noqa: E402
 
 MEGABYTES_MAX = 500  # beyond those of the libraries
 DRAWN = 300  # one film in so many is followed with -o, which takes seconds

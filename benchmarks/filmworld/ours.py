@@ -5,12 +5,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-from tetractl.film.field_file import read_field
-from tetractl.film.fit_cell import fit_cells
-from tetractl.film.follow import follow
-from tetractl.film.pictures import open_film
-from tetractl.lab.cameras.cells.tracking import CellTracker
+from tetractl_microscope.cells.tracking import CellTracker
+from tetractl_microscope.film.field_file import read_field
+from tetractl_microscope.film.fit_cell import fit_cells
+from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.pictures import open_film
 
 from .scores import Shown
 

@@ -2,8 +2,9 @@
 
 from dataclasses import astuple
 
+from tetractl_microscope.coils import driver
+
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field import driver
 from tetractl.lab.actuators.m3pi import broadcast
 
 

@@ -205,7 +205,7 @@ def _identify(rng: random.Random) -> Case:
 
 
 def _field(rng: random.Random) -> Case:
-    from tetractl.film.field_file import read_field
+    from tetractl_microscope.film.field_file import read_field
 
     path = scratch() / "field.csv"
     path.write_bytes(bytes_like(_tables()[2].encode(), rng))

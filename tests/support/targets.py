@@ -185,8 +185,8 @@ def _dish() -> tuple[list, list[bytes]]:
 
 def pictures(data: bytes) -> None:
     """What a network camera answers, searched for cells."""
-    from tetractl.lab.cameras.cells.detect_cells import BLOBS
-    from tetractl.lab.cameras.cells.tracking import CellTracker
+    from tetractl_microscope.cells.detect_cells import BLOBS
+    from tetractl_microscope.cells.tracking import CellTracker
 
     tracker, parts = CellTracker(2.3, known=True), Multipart(BOUNDARY)
     tracker.finder.learn(_dish()[0])
@@ -228,9 +228,8 @@ TARGETS = {
 }
 if find_spec("cv2"):
     from tetractl_emulator.pictures.stream_side import BOUNDARY, coded, part
-
-    from tetractl.lab.cameras.pictures.feed import Picture
-    from tetractl.lab.cameras.pictures.multipart import Multipart
-    from tetractl.lab.cameras.pictures.source import decoded
+    from tetractl_microscope.pictures.feed import Picture
+    from tetractl_microscope.pictures.multipart import Multipart
+    from tetractl_microscope.pictures.source import decoded
 
     TARGETS["pictures"] = Target(pictures, lambda: _dish()[1])

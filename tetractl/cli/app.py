@@ -39,13 +39,10 @@ PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
 
 
 EXTRAS = {
-    "cv2": ("OpenCV", "vision"),
     "dask_jobqueue": ("dask-jobqueue", "dask"),
     "distributed": ("Dask's distributed", "dask"),
-    "geff": ("geff", "geff"),
     "pandas": ("pandas", "dataframe"),
     "pyarrow": ("pyarrow", "parquet"),
-    "pymmcore": ("pymmcore", "microscope"),
     "websockets": ("websockets", "serve"),
 }
 """For each optional module, the package's name and the extra of tetractl that installs it."""

@@ -2,12 +2,15 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, option
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.table.table_files import json_text
+
+if TYPE_CHECKING:
+    from tetractl.core.registry import Kind
 
 
 def kinds(
@@ -51,13 +54,14 @@ def kinds(
 
 
 def _list(as_json: bool) -> int:
-    from tetractl.core.registries import REGISTRIES
-    from tetractl.core.registry import Kind, PluginError
+    from tetractl.core.registries import all_registries
+    from tetractl.core.registry import PluginError
     from tetractl.experiment.packages import missing
 
     problems: dict[Kind, str] = {}
     broken: list[str] = []
-    rows = [(registry, kind) for registry in REGISTRIES for kind in registry.kinds()]
+    registries = all_registries()
+    rows = [(registry, kind) for registry in registries for kind in registry.kinds()]
     for registry, kind in rows:
         try:
             registry.load(kind.name)
@@ -84,14 +88,19 @@ def _list(as_json: bool) -> int:
         print(json_text({"kinds": listed}))
     else:
         for registry, kind in rows:
-            package = f"{kind.package} {kind.version}" if kind.package else "built in"
+            package = f"{kind.package} {kind.version}" if kind.package else _home(kind)
             line = f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}"
             print(f"{line}  [{problems[kind]}]" if kind in problems else line)
-        for registry in REGISTRIES:
+        for registry in registries:
             for name, package in sorted(missing(registry.group, registry.names())):
                 print(f"{registry.what:<17} {name:<19} {package:<22} [not installed]")
         ui.tell(*(f"error: {problem}" for problem in broken))
     return Exit.USAGE if broken else Exit.DONE
+
+
+def _home(kind: "Kind") -> str:
+    top = kind.code.partition(".")[0]
+    return "built in" if top == "tetractl" else f"built in {top.replace('_', '-')}"
 
 
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:

@@ -34,43 +34,24 @@ def check(
     plant: Lab = "lab",
     as_json: AsJson = False,
     yes: Annotated[bool, switch("Answer yes to every question.", "--yes")] = False,
-    turn: Annotated[
-        bool,
-        switch(
-            "Turn the field for `robots.seconds`, and check on which side the cells follow it.",
-            "--turn",
-        ),
-    ] = False,
 ) -> int:
     """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
-
-    With --turn, the field of a dish then turns as in a survey, and the cells must turn with it: to
-    the other side they turn if the picture is mirrored.
 
     Exit code 0 means that a run could start now. Questions that only a person can answer, such as
     the firmware of an unknown radio, are asked; without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.plants import on_plant
-    from tetractl.lab.handedness import with_handedness
     from tetractl.lab.preflight import inspect
     from tetractl.view.terminal import findings
 
     experiment = on_plant(ui.load(spec, sets), plant).experiment
-    choice = experiment.chosen
-    if turn and choice is None:
-        raise UsageError("--turn needs `robots: {choose: N, ...}` in the spec, for cells in a dish")
-    if turn and experiment.plant.real_time:
-        ui.require_confirmation(yes)
     rig = rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
     with interrupted_once(robots=True), rig:
         found = inspect(rig)
-        if turn and choice is not None and found.ready:
-            found = with_handedness(found, rig, choice, experiment.trials.seed, LabSupervision())
     if as_json:
         print(dumps(findings.as_json(found), indent=2, allow_nan=False))
     else:

@@ -58,8 +58,6 @@ CAMERAS = Registry(
     "tetractl.cameras",
     {
         "optitrack": "tetractl.lab.cameras.optitrack.section:OptitrackSection",
-        "apriltag": "tetractl.lab.cameras.apriltag.section:AprilTagSection",
-        "cells": "tetractl.lab.cameras.cells.section:CellsSection",
     },
     "tetractl.experiment.lab_section:CameraSection",
 )
@@ -67,7 +65,6 @@ ACTUATORS = Registry(
     "tetractl.actuators",
     {
         "m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection",
-        "field": "tetractl.lab.actuators.field.section:FieldSection",
     },
     "tetractl.experiment.lab_section:ActuatorSection",
 )
@@ -150,44 +147,7 @@ FIGURES = Registry(
         "timing": "tetractl.view.figures.convergence:timing_figure",
     },
 )
-CELL_FIGURES = Registry(
-    "tetractl.cell_figures",
-    {
-        "cells": "tetractl.view.figures.cells:cells_figure",
-        "paths": "tetractl.view.figures.cells:paths_figure",
-        "speeds": "tetractl.view.figures.cells:speeds_figure",
-        "turning": "tetractl.view.figures.cells:turning_figure",
-        "msd": "tetractl.view.figures.cells:msd_figure",
-        "velocities": "tetractl.view.figures.cells:velocities_figure",
-        "linearity": "tetractl.view.figures.cells:linearity_figure",
-    },
-)
-EMULATED_CAMERAS = Registry(
-    "tetractl.emulated_cameras",
-    {},  # tetractl-emulator and others provide them
-)
-EMULATED_ACTUATORS = Registry(
-    "tetractl.emulated_actuators",
-    {},
-)
-ORGANISMS = Registry(
-    "tetractl.organisms",
-    {
-        "tetrahymena": "tetractl.model.organisms:TETRAHYMENA",
-        "paramecium": "tetractl.model.organisms:PARAMECIUM",
-        "euglena": "tetractl.model.organisms:EUGLENA",
-        "helical-microrobot": "tetractl.model.organisms:HELICAL_MICROROBOT",
-    },
-)
-OTHERS = (
-    SWEEPS,
-    STATISTICS,
-    FIGURES,
-    CELL_FIGURES,
-    EMULATED_CAMERAS,
-    EMULATED_ACTUATORS,
-    ORGANISMS,
-)
+OTHERS = (SWEEPS, STATISTICS, FIGURES)
 REGISTRIES = (*SPEC_REGISTRIES, *OTHERS)
 
 COMMANDS = Registry(
@@ -213,7 +173,6 @@ COMMANDS = Registry(
         "study": "tetractl.cli.study:study",
         "design": "tetractl.cli.identify:design",
         "identify": "tetractl.cli.identify:identify",
-        "track": "tetractl.cli.track:track",
     },
 )
 LAB_COMMANDS = Registry(
@@ -222,7 +181,11 @@ LAB_COMMANDS = Registry(
         "check": "tetractl.cli.lab:check",
         "stop": "tetractl.cli.lab:stop",
         "calibrate": "tetractl.cli.lab:calibrate",
-        "survey": "tetractl.cli.lab_survey:survey",
     },
 )
 """Commands, and those of `tetractl lab`, in the order in which the help lists them."""
+
+
+def all_registries() -> list[Registry]:
+    """Return all registries, with those that other packages declare in the group of registries."""
+    return [*REGISTRIES, *Registry("tetractl.registries", {}).usable().values()]

@@ -10,7 +10,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.accepted_frame import AcceptedFrame
-from tetractl.lab.cameras.pictures.looks import rate_hz
+from tetractl.lab.frame_rate import rate_hz
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 

@@ -1,13 +1,10 @@
 """Checks what only the lab knows against the logged frames and commands: the order of times, the
 rest at the end, distances, duration and final poses, and a microscope's film.
 
-The search for cells is repeated in each logged crop, with the code that found them first: it must
-find the logged blob, and a robot's logged position must be within BLOB_NEAR_UM [um] of it. With
-another version of OpenCV than the log's, blobs may differ by a pixel: then the crops are not
-searched, and a note says so.
+Of a microscope's film, checksums must match, and a robot's logged position must be within
+BLOB_NEAR_UM [um] of its blob.
 """
 
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -27,12 +24,10 @@ from tetractl.log.format import channels
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.crop_images import checksums, decode_crops
 from tetractl.log.format.tetractl_pb2 import CellCrops
-from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import path_verdict, trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.comparison import Difference
-from tetractl.replay.recompute import TOLERANCE
 
 DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
 STOP_REPEATED_NS = 500_000_000  # longest time from a stop's first repetition to its last
@@ -168,12 +163,8 @@ def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
 BLOB_NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
 
 
-def film_differences(
-    raw: RawLog, log: TrialLog, same_host: bool, notes: list[str]
-) -> Iterator[Difference]:
-    """Yield the first difference between the logged cells and those found again, if any; add to
-    `notes` which comparisons are not possible.
-    """
+def film_differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+    """Yield the first contradiction between logged cells, pictures and poses, if there is one."""
     written_with = log.start.plant.facts.get("opencv")
     by_time = dict[tuple[int, int], list[Entry]]()
     for entry in (one for topic in channels.FILM for one in raw.by_topic[topic]):
@@ -185,30 +176,12 @@ def film_differences(
     if sorted(by_time) != sorted(times):
         yield Difference(None, channels.CELLS, "does not have one message per camera frame")
         return
-    if (here := _opencv()) != written_with:
-        text = f"film: not comparable: written with OpenCV {written_with}, read with {here}"
-        notes.append(text)
-    again, until = here == written_with, time.thread_time() + limits.seconds_limit()
     for row, at in enumerate(times):
-        if again and time.thread_time() > until:
-            again = False
-            notes.append(f"film: not searched from frame {log.frames[row]} on: too slow")
         try:
-            film = _checked(log, row, by_time[at])
-            if again:
-                _search_again(film, 0.0 if same_host else TOLERANCE)
+            _checked(log, row, by_time[at])
         except (DecodeError, ValueError) as error:
             yield Difference(None, channels.CELLS, f"frame {log.frames[row]}: {error}")
             return
-
-
-def _opencv() -> str:
-    """Return the version of OpenCV on this machine."""
-    try:
-        from cv2 import __version__ as here
-    except ImportError:
-        return "missing"
-    return here
 
 
 def _checked(log: TrialLog, row: int, entries: list[Entry]) -> CellFilm:
@@ -239,16 +212,3 @@ def _checked(log: TrialLog, row: int, entries: list[Entry]) -> CellFilm:
         if not gap <= BLOB_NEAR_UM:
             raise ValueError(f"{log.start.setup.names[robot]} is {gap:.1f} um from its blob")
     return film
-
-
-def _search_again(film: CellFilm, tolerance: float) -> None:
-    """Search each crop again; raise ValueError if a blob found differs from the logged blob by more
-    than `tolerance`.
-    """
-    from tetractl.lab.cameras.cells.crops import found_again  # needs OpenCV
-
-    rows = zip(film.crops, film.corners.tolist(), film.blobs, strict=True)
-    for i, (crop, corner, blob) in enumerate(rows):
-        found = found_again(crop, corner, blob.tolist(), film.limits)
-        if found is None or not np.allclose(found, blob, rtol=tolerance, atol=tolerance):
-            raise ValueError(f"the blob found in crop {i} differs from the logged blob")

@@ -108,7 +108,7 @@ def verify(path: Path) -> Verification:
     known, lost = len(first_steps(log)), [f"missing: {gap}" for gap in frame_gaps(log)]
     notes = lost if log.experiment.plant.loses_frames and not log.damage else []
     missing = [Difference(None, "frames", text) for text in lost if not notes]
-    film = [*film_differences(raw, log, not elsewhere, notes)]
+    film = [*film_differences(raw, log)]
     if raw.reordered:
         notes = [*notes, "the content digest is of another order of the messages: not compared"]
     file = [Difference(None, "file", text) for text in _file(raw, log, bool(elsewhere))]

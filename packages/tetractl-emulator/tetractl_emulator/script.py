@@ -8,12 +8,12 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
-from tetractl.core.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, Point
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import words
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
+from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
@@ -100,11 +100,11 @@ class Sides:
         try:
             return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
         except ModuleNotFoundError as error:
-            if error.name != "cv2":
+            if (error.name or "").partition(".")[0] not in ("cv2", "tetractl_microscope"):
                 raise
             raise AbortError(
-                f"the emulated {camera} camera needs OpenCV, which is not installed",
-                "pip install 'tetractl[vision]'",
+                f"emulating {camera} needs tetractl-microscope, which is not installed",
+                "pip install ./packages/tetractl-microscope",
             ) from error
 
     @property

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 from support.trials import THREE_M3PI, experiment
+from tetractl_microscope.choices import predicted, ranked
 
 from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
-from tetractl.analysis.choices import predicted, ranked
 from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner
 from tetractl.control.optimizers.multistart import Multistart

@@ -69,7 +69,7 @@ def _graph(
         from geff.core_io import read_to_memory
     except ModuleNotFoundError as error:
         said = f"{path}: is a folder, and GEFF graphs are read by geff, which is not installed"
-        raise AbortError(said, "pip install 'tetractl[geff]'") from error
+        raise AbortError(said, "pip install './packages/tetractl-microscope[geff]'") from error
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -70,12 +70,16 @@ def test_what_cannot_be_emulated_is_one_line(tmp_path):
             done = run(tmp_path, "out", *SMALL)
     assert done.returncode == 1
     assert "error: no C compiler found; emulated devices run the compiled firmware" in done.stderr
-    lacking = mock.Mock(side_effect=ModuleNotFoundError("No module named 'cv2'", name="cv2"))
+    lacking = mock.Mock(
+        side_effect=ModuleNotFoundError(
+            "No module named 'tetractl_microscope'", name="tetractl_microscope"
+        )
+    )
     with mock.patch("tetractl_emulator.script.EMULATED_CAMERAS.load", lacking):
         done = run(tmp_path, "out", spec=DISH)
     assert done.returncode == 1
-    assert "error: the emulated cells camera needs OpenCV, which is not installed" in done.stderr
-    assert "hint: pip install 'tetractl[vision]'" in done.stderr
+    assert "error: emulating cells needs tetractl-microscope, which is not installed" in done.stderr
+    assert "hint: pip install ./packages/tetractl-microscope" in done.stderr
 
 
 @needs_compiler

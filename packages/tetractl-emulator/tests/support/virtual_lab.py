@@ -23,12 +23,12 @@ from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING, parse_script
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_wires import LabClock, started
+from tetractl_microscope.cells.section import CellsSection
 
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec
 from tetractl.experiment.plants import lab_of, on_plant
-from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.inner_loop import InnerLoop
 from tetractl.run.checked_controller import build_controller
@@ -91,7 +91,7 @@ def joined(lab, clock):
         for name, value in (
             *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
             ("tetractl.lab.actuators.xbee.link.SerialPort", lab.wires.ports),
-            ("tetractl.lab.actuators.field.driver.SerialPort", lab.wires.ports),
+            ("tetractl_microscope.coils.driver.SerialPort", lab.wires.ports),
             ("tetractl.lab.serial_port.require_port", lambda name, device: None),
         ):
             stack.enter_context(mock.patch(name, value))

@@ -4,9 +4,9 @@ import ctypes
 import struct
 from dataclasses import astuple, dataclass
 
-from tetractl_emulator.firmware import Core, Library
+from tetractl_microscope.coils.driver import UNKNOWN_TEMPERATURE, DriverStatus
 
-from tetractl.lab.actuators.field.driver import UNKNOWN_TEMPERATURE, DriverStatus
+from tetractl_emulator.firmware import Core, Library
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
+from tetractl_microscope.coils.driver import DriverStatus, decode_command
+from tetractl_microscope.coils.section import FieldSection, Pair
+
+from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.errors import UsageError
+from tetractl.experiment.base import Finite, Model, Name, NonNegative
+from tetractl.model.swimmers import walls_of
 from tetractl_emulator.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.pictures.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
 from tetractl_emulator.sides import Stage
-
-from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.errors import UsageError
-from tetractl.experiment.base import Finite, Model, Name, NonNegative
-from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
-from tetractl.lab.actuators.field.section import FieldSection, Pair
-from tetractl.model.swimmers import walls_of
 
 
 class CurrentDriver(SerialDevice):

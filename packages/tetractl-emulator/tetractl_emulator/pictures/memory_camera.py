@@ -4,11 +4,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Self
 
-from tetractl_emulator.pictures.stream_side import BOUNDARY, EmulatedNetworkCamera, coded, part
-from tetractl_emulator.virtual_wires import LabClock
+from tetractl_microscope.pictures.multipart import Multipart
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.cameras.pictures.multipart import Multipart
+from tetractl_emulator.pictures.stream_side import BOUNDARY, EmulatedNetworkCamera, coded, part
+from tetractl_emulator.virtual_wires import LabClock
 
 
 class MemoryCamera(EmulatedNetworkCamera):

@@ -16,9 +16,7 @@ from urllib.parse import urlsplit
 
 import cv2
 from pydantic import Field
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings
-from tetractl_emulator.loop import Loop
-from tetractl_emulator.sides import Facts, Stage
+from tetractl_microscope.pictures.picture_section import MjpegSource, PictureSection
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
@@ -26,7 +24,9 @@ from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.poses import Floats, Grey
 from tetractl.core.worker import IDLE_S
 from tetractl.experiment.base import Model, NonNegative, Positive
-from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.sides import Facts, Stage
 
 BOUNDARY = "emulated-by-tetractl"
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]

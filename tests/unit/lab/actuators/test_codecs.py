@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from support.device_replies import packed_reply
 from support.lab_specs import SPEC
 from support.paths import ROOT
+from tetractl_microscope.coils import driver
+from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -17,8 +19,6 @@ from tetractl.core.errors import WireError
 from tetractl.core.poses import Pose
 from tetractl.experiment.load import parse_spec
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field import driver
-from tetractl.lab.actuators.field.driver import DriverStatus, FieldCommand, FieldReply
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, Reply, Status

@@ -13,6 +13,14 @@ from typing import Any, ClassVar, Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from tetractl_microscope.apriltag.detect import MODULES, tag_picture
+from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Grey, Poses
+from tetractl.core.setup import MM
+from tetractl.experiment.base import Model, Name, NonNegative
+from tetractl.experiment.lab_section import entry
 from tetractl_emulator.faults import Fault, Undo, Visible, fault
 from tetractl_emulator.pictures.stream_side import (
     SPARE_PX,
@@ -21,14 +29,6 @@ from tetractl_emulator.pictures.stream_side import (
     StreamSettings,
 )
 from tetractl_emulator.sides import Body, Stage
-
-from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Grey, Poses
-from tetractl.core.setup import MM
-from tetractl.experiment.base import Model, Name, NonNegative
-from tetractl.experiment.lab_section import entry
-from tetractl.lab.cameras.apriltag.detect import MODULES, tag_picture
-from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 
 VIEW = 2 * math.tan(1.1 / 2)  # a picture's width over the focal length: 63 degrees
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from tetractl_microscope.coils.section import CoilsSection, Pair
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.setup import Bounds, Setup
-from tetractl.lab.actuators.field.section import CoilsSection, Pair
 from tetractl.model.swimmers import Swimmers
 
 SWIM_NS = 2 * MILLISECOND  # time step of the cells' motion

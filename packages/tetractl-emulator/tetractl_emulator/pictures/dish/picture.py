@@ -13,10 +13,10 @@ from typing import Any, Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tetractl_emulator.pictures.stream_side import SPARE_PX
 
 from tetractl.core.poses import Bools, Floats, Grey
 from tetractl.model.swimmers import Bodies, Swimmers
+from tetractl_emulator.pictures.stream_side import SPARE_PX
 
 Shades = NDArray[np.float32]
 

@@ -7,6 +7,13 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
+from tetractl_microscope.cells.section import CellsSection
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError
+from tetractl.core.poses import Floats, Grey
+from tetractl.experiment.base import Finite, Model, NonNegative, Positive
+from tetractl.model.swimmers import Bodies, bodies
 from tetractl_emulator.faults import Fault, Undo, Visible, fault
 from tetractl_emulator.pictures.dish.live_dish import CellBody
 from tetractl_emulator.pictures.dish.picture import (
@@ -17,13 +24,6 @@ from tetractl_emulator.pictures.dish.picture import (
 )
 from tetractl_emulator.pictures.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
 from tetractl_emulator.sides import Body, Stage
-
-from tetractl.core.clock import SECOND
-from tetractl.core.errors import SpecError
-from tetractl.core.poses import Floats, Grey
-from tetractl.experiment.base import Finite, Model, NonNegative, Positive
-from tetractl.lab.cameras.cells.section import CellsSection
-from tetractl.model.swimmers import Bodies, bodies
 
 
 class MicroscopeSettings(StreamSettings):

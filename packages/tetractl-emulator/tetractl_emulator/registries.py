@@ -1,0 +1,19 @@
+"""The registries of emulated devices."""
+
+from tetractl.core.registry import Registry
+
+EMULATED_CAMERAS = Registry(
+    "tetractl.emulated_cameras",
+    {
+        "optitrack": "tetractl_emulator.optitrack.side:EmulatedOptitrack",
+        "apriltag": "tetractl_emulator.pictures.apriltag.side:EmulatedAprilTag",
+        "cells": "tetractl_emulator.pictures.dish.side:EmulatedMicroscope",
+    },
+)
+EMULATED_ACTUATORS = Registry(
+    "tetractl.emulated_actuators",
+    {
+        "m3pi-xbee": "tetractl_emulator.m3pi.side:EmulatedM3pi",
+        "field": "tetractl_emulator.pictures.field:EmulatedField",
+    },
+)

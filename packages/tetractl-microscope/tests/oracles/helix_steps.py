@@ -1,0 +1,155 @@
+"""The filter of one swimming cell with whole matrices, to be read: what the kernels `helix_steps`
+and `helix_path` compute. Derivatives of the motion are those of differences.
+"""
+
+import math
+
+import numpy as np
+from tetractl_microscope.cells.kernels import helix_path, helix_steps
+from tetractl_microscope.cells.kernels.helix_steps import (
+    BIAS,
+    DELAY,
+    FLOW_X,
+    FLOW_Y,
+    HEADING,
+    LEAD,
+    ODD,
+    RATE,
+    SLOWEST,
+    SPEED,
+    STATES,
+    SWAY,
+    TAIL,
+    TURN,
+    TURN_S,
+    WAY,
+    A,
+    C,
+    S,
+    X,
+    Y,
+)
+
+
+def torque(m, field):
+    """The turning rate for a = 1 by equation (3)."""
+    dipole = m[HEADING] + m[BIAS]
+    return field[1] * math.cos(dipole) - field[0] * math.sin(dipole)
+
+
+def switched(m, before, field, slowest):
+    """The state after a field that changes later by the state DELAY."""
+    m = m.copy()
+    if m[SPEED] > slowest:
+        m[HEADING] += m[DELAY] * m[A] * (torque(m, before) - torque(m, field))
+    return m
+
+
+def moved(m, p, seconds, field, slowest):
+    """The state after a piece of constant field, by the heading halfway, and to second order in its
+    error.
+    """
+    m, resting = m.copy(), m[SPEED] < slowest
+    dipole = p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]
+    a, middle = 0.0 if resting else m[A] * math.exp(-dipole / 2), m.copy()
+    middle[HEADING] += (a * torque(m, field) + m[TURN]) * seconds / 2
+    ahead = np.array([math.cos(middle[HEADING]), math.sin(middle[HEADING])])
+    ahead *= math.exp(-p[HEADING, HEADING] / 2)
+    m[[X, Y]] += (m[SPEED] * ahead + m[[FLOW_X, FLOW_Y]]) * seconds
+    m[HEADING] += (a * torque(middle, field) + m[TURN]) * seconds
+    swing = complex(m[C], m[S]) * np.exp((1j * m[RATE] - 1 / helix_steps.HELIX_S) * seconds)
+    m[C], m[S] = swing.real, swing.imag
+    m[TURN] *= math.exp(-seconds / TURN_S)
+    m[WAY] += m[SPEED] * seconds
+    return m
+
+
+def body(m, slowest):
+    """The body's x, y and axis of a state."""
+    left = m[C] * np.array([-math.sin(m[HEADING]), math.cos(m[HEADING])])
+    across = m[RATE] * (m[SWAY] * m[S] + m[LEAD] * m[C])
+    return np.array([*(m[:2] + left), m[HEADING] - math.atan2(across, max(m[SPEED], slowest))])
+
+
+def slopes(function, m):
+    """The derivatives of a function of the state, by differences."""
+    step = 1e-6 * np.maximum(1.0, np.abs(m)) * np.eye(STATES)
+    return np.array([(function(m + one) - function(m - one)) / (2 * one.sum()) for one in step]).T
+
+
+def noise(m, model, walled, seconds):
+    """The covariance (n, n) that a time adds, but that of turning."""
+    found, slowest = np.zeros(STATES), model[SLOWEST]
+    found[:TURN] = model[:TURN] ** 2
+    found[WAY] = model[X] ** 2
+    if m[SPEED] < slowest:
+        found[HEADING] += helix_steps.RESTING_HEADING**2
+        found[SPEED] += (helix_steps.RESTING_SPEED * slowest) ** 2
+    found[HEADING] += helix_steps.WALL_TURN**2 * walled
+    return np.diag(found * seconds)
+
+
+def move(m, p, model, walled, seconds, field):
+    """State, covariance and derivatives after a piece of constant field: half of the noise comes
+    before the motion.
+    """
+    half, slowest = noise(m, model, walled, seconds / 2), model[SLOWEST]
+    p = p + half
+    f = slopes(lambda state: moved(state, p, seconds, field, slowest), m)
+    if walled:
+        f[:, [A, BIAS]] = np.eye(STATES)[:, [A, BIAS]]
+    after = f @ p @ f.T + half
+    after[TURN, TURN] += model[TURN] ** 2 * (1 - math.exp(-2 * seconds / TURN_S))
+    return moved(m, p, seconds, field, slowest), after, f
+
+
+def correct(m, p, model, measured, deviation):
+    """State and covariance after a measurement, ln of its likelihood, and its squared distance:
+    one number after the other, each with the less weight the farther it is beyond ODD.
+    """
+    first, before, slowest = m, body(m, model[SLOWEST]), model[SLOWEST]
+    h, distance, likelihood = slopes(lambda state: body(state, slowest), m), 0.0, 0.0
+    for i, row in enumerate(h):
+        off = measured[i] - before[i]
+        if i == 2:
+            off = (off + math.pi / 2) % math.pi - math.pi / 2
+        off -= row @ (m - first)
+        variance = row @ p @ row + deviation[i] ** 2
+        distance += off**2 / variance
+        likelihood -= math.log(variance) / 2
+        variance *= max(off**2 / variance / ODD, 1.0)
+        gain = p @ row / variance
+        m, p = m + gain * off, p - variance * np.outer(gain, gain)
+    likelihood -= (TAIL + 3) / 2 * math.log1p(distance / TAIL)
+    if m[SPEED] < -slowest:
+        signs = np.ones(STATES)
+        signs[[SPEED, C, S]] = -1
+        m, p = signs * m, signs[:, None] * signs * p
+        m[HEADING] += math.pi
+    return m, p, likelihood, distance
+
+
+def smooth(m, p, model, measured, deviation, pieces):
+    """The states of all pictures given all measurements, by the smoother of Rauch, Tung and
+    Striebel; `pieces` is one piece before each picture but the first.
+    """
+    filtered, predicted = [], []
+    for k, values in enumerate(measured):
+        f = np.eye(STATES)
+        if k:
+            if k > 1 and pieces[k - 1][1:] != pieces[k - 2][1:]:
+                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SLOWEST]
+                f = slopes(lambda state, change=change: switched(state, *change), m)
+                m, p = switched(m, *change), f @ p @ f.T
+            seconds, *field = pieces[k - 1]
+            m, p, last = move(m, p, model, False, seconds, field)
+            f = last @ f
+        predicted.append((m, p, f))
+        if np.isfinite(values[0]):
+            m, p, _, distance = correct(m, p, model, values, deviation[k])
+            assert distance < helix_path.ODD_DISTANCE
+        filtered.append((m, p))
+    found = [filtered[-1][0]]
+    for (m, p), (ahead, spread, f) in zip(filtered[-2::-1], predicted[:0:-1], strict=True):
+        found.append(m + p @ f.T @ np.linalg.pinv(spread, hermitian=True) @ (found[-1] - ahead))
+    return np.array(found[::-1])

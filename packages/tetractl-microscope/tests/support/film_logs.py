@@ -1,0 +1,92 @@
+"""Logs with the film of a dish: frames and crops of a synthetic film, and no control step."""
+
+from dataclasses import replace
+
+import numpy as np
+from support.needs_opencv import cv2
+from support.recorder import Recorder
+from tetractl_microscope.cells.camera import CellCamera
+
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import Command, PlantInfo, Sample, Stop
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.tour import TourMeasure
+from tetractl.core.trial import Result
+from tetractl.experiment.load import parse_spec, start_of
+from tetractl.experiment.plants import on_plant
+from tetractl.log.read.reader import path_verdict, trial_path
+from tetractl.log.write.writer import LogWriter
+
+SPEC = """
+name: dish
+units: {{length: um}}
+arena: {{left: -1000, bottom: -1000, width: 9000, height: 9000}}
+robots: {robots}
+lab:
+  camera: {{type: cells, source: {{type: file, path: film.avi}}, um_px: {um_px}, learning: 0.5}}
+  actuator:
+    type: field
+    port: nowhere
+    strength_mt: 2.0
+    coils: {{x: {{gain_mt_a: 2, offset_mt: 0}}, y: {{gain_mt_a: 2, offset_mt: 0}}, rotation: 0}}
+    current_max_a: 2.0
+    slew_max_a_s: 100
+"""
+
+
+def samples_of(made, robots: int):
+    """The loaded spec, and what its camera makes of a film: samples with crops."""
+    starts = made.body[20, :robots, :2]
+    listed = [
+        f"{{name: c{i}, start: [{x:.1f}, {y:.1f}], target: [600, 600], a: 4, speed: 300}}"
+        for i, (x, y) in enumerate(np.nan_to_num(starts, nan=500.0))
+    ]
+    text = SPEC.format(robots="[" + ", ".join(listed) + "]", um_px=made.look.um_px)
+    loaded = on_plant(parse_spec(text, "dish.yaml"), "lab")
+    setup = loaded.experiment.setup
+    camera = CellCamera(loaded.experiment.plant.camera, setup, VirtualClock())
+    last, found = setup.starts.array(), []
+    for k, picture in enumerate(made.pictures()):
+        exposed = round(1e9 * k / made.script.rate)
+        seen = camera._see(picture, exposed)
+        if seen is None:
+            continue
+        (film,) = camera.films()
+        valid = np.array([pose is not None for pose in seen.poses])
+        for i, pose in enumerate(seen.poses):
+            if pose is not None:
+                last[i] = pose.x, pose.y, pose.heading
+        at = Observation(k, exposed, exposed + 9_000_000, Poses.of(last.copy()), valid)
+        found.append(Sample(at, None, film))
+    return loaded, found
+
+
+def write_film(made, path, robots: int = 2):
+    """Write a log of a film; return the samples in it."""
+    loaded, samples = samples_of(made, robots)
+    look = made.look
+    facts = {"opencv": cv2.__version__, "resolution": f"{look.width}x{look.height}", "halts": "no"}
+    info = PlantInfo("lab", False, float(made.script.rate), facts)
+    start = start_of(loaded, 0, info, 1_790_000_000_123_456_789)
+    stop = Command(Stop(), samples[-1].observation.received_ns, (True,) * robots)
+    recorder = Recorder()
+    with LogWriter(path) as writer:
+        for observer in (writer, recorder):
+            observer.on_start(start)
+            observer.on_samples(samples)
+        setup = start.setup
+        log = replace(recorder.trial, commands=(stop,))
+        track, known = trial_path(log)
+        result = Result.of(
+            setup,
+            path_verdict(log, track, known, samples[-1].observation.poses),
+            outcome=Outcome.INTERRUPTED,
+            reason="interrupted before the first step",
+            duration_s=stop.sent_ns / 1e9 - samples[0].observation.received_ns / 1e9,
+            solve_ns=(),
+            deadline_misses=0,
+            tour=TourMeasure(setup.legs, None),
+        )
+        writer.on_stop(stop, result)
+    return samples

@@ -1,0 +1,16 @@
+"""Skips the tests that import it where OpenCV is not installed, and writes films with it."""
+
+import pytest
+
+cv2 = pytest.importorskip("cv2", reason="pip install ./packages/tetractl-microscope")
+
+
+def video(path, pictures, rate=30.0, codec="MJPG"):
+    """Write grey pictures as a film; return its path."""
+    writer = None
+    for picture in pictures:
+        code = cv2.VideoWriter.fourcc(*codec)
+        writer = writer or cv2.VideoWriter(str(path), code, rate, picture.shape[::-1])
+        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path

@@ -1,0 +1,231 @@
+"""The whole camera: a film in virtual time, and an emulated network camera over loopback."""
+
+import threading
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
+from tetractl_emulator.pictures.stream_side import EmulatedNetworkCamera
+from tetractl_microscope.apriltag.camera import AprilTagCamera
+from tetractl_microscope.apriltag.section import FloorTag
+
+from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Poses
+
+PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
+
+
+SETUP = SimpleNamespace(names=NAMES, metres=MM)
+
+
+class Woken:
+    """Counts frames and waits for one that a test looks for."""
+
+    def __init__(self):
+        self.count = 0
+        self.changed = threading.Condition()
+
+    def __call__(self):
+        with self.changed:
+            self.count += 1
+            self.changed.notify_all()
+
+    def wait(self, done):
+        with self.changed:
+            assert self.changed.wait_for(done, PATIENCE_S)
+
+
+def standing(t_ns):
+    return STANDING
+
+
+def built(source, clock=None, **changes):
+    woken = Woken()
+    made = section(source, **{"connect": PATIENCE_S, **changes})
+    return AprilTagCamera(made, SETUP, clock or VirtualClock(), woken), woken
+
+
+def pictures(renderer, count, poses_at=standing):
+    return [renderer.picture(poses_at, k * SECOND // 30) for k in range(count)]
+
+
+def test_every_picture_of_a_film_is_a_frame(tmp_path):
+    def driving(t_ns):
+        return replace(STANDING, x=STANDING.x + 200e-9 * t_ns)
+
+    source = film(tmp_path / "film.avi", pictures(rendered(), 12, driving))
+    camera, woken = built(source, latency=0.1)
+    with camera:
+        woken.wait(lambda: woken.count == 12)
+        frames = camera.frames()
+        assert camera.frames() == []
+    assert [frame.number for frame in frames] == list(range(1, 13))
+    for k, frame in enumerate(frames):
+        assert frame.received_ns == pytest.approx(k * SECOND / 30, abs=1)
+        assert frame.sampled_ns == frame.received_ns - SECOND // 10
+        assert frame.fault == ""
+        truth = driving(k * SECOND // 30)
+        found = [pose.x for pose in frame.poses if pose is not None]
+        assert found == pytest.approx(truth.x, abs=2.5)
+    assert camera.damaged == 0
+
+
+def test_the_health_of_a_good_camera_tells_its_facts(tmp_path):
+    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 8)))
+    with camera:
+        woken.wait(lambda: woken.count == 8)
+        health = camera.check()
+    assert [line for line in health.problems if "has ended" not in line] == []
+    assert health.facts["resolution"] == "640x480"
+    assert health.facts["rate"] == "30.0 Hz"
+    assert health.facts["latency"] == "0.05 s, as the spec says"
+    assert float(health.facts["floor_error"].removesuffix(" mm")) < 1.0
+    assert health.facts["focal_length"].endswith(", estimated")
+
+
+def checked(tmp_path, renderer, rate=30.0, **changes):
+    """What the camera says of pictures of a renderer, as lines."""
+    camera, woken = built(film(tmp_path / "film.avi", pictures(renderer, 4), rate), **changes)
+    with camera:
+        woken.wait(lambda: woken.count == 4)
+        health = camera.check()
+    ended, *problems = health.problems
+    assert ended.endswith("film.avi has ended")
+    return problems, list(health.warnings)
+
+
+def turned(heading):
+    """Floor tags of which the first lies otherwise than the spec says."""
+    return (FLOOR[0].model_copy(update={"heading": heading}), *FLOOR[1:])
+
+
+TWINS = [
+    FloorTag(tag=100, at=(1300, 700), size_mm=120),
+    FloorTag(tag=586, at=(1900, 900), size_mm=100),
+]
+SMALLER = (ROBOTS[0].model_copy(update={"size_mm": 90.0}), *ROBOTS[1:])
+DOWN = {"tilt": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("shown", "facing", "changes", "problems", "warning"),
+    [
+        (
+            {"hidden": {101, 103, 7}},
+            {},
+            {},
+            ["floor tags 101, 103 are not seen; tags seen: 0, 100, 102, 586", "blue: tag 7 is not"],
+            "",
+        ),
+        (
+            {"strays": TWINS},
+            {},
+            {},
+            [
+                "floor tag 100 is seen twice: each",
+                "red: tag 586 is seen twice, so the robot is not",
+            ],
+            "",
+        ),
+        ({}, {}, {"floor": turned(0.06)}, [], "the floor tags are up to "),
+        ({}, {}, {"floor": turned(1.5)}, ["the floor tags are up to "], ""),
+        ({}, DOWN, {}, ["the floor tags do not determine the lens well: robots may be "], ""),
+        ({}, DOWN, {"lens": {"focal_px": rendered(facing=DOWN).optics.focal_px}}, [], ""),
+        ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11 % smaller than it should: are"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warning):
+    renderer = rendered(facing=facing)
+    for name, value in shown.items():
+        setattr(renderer, name, value)
+    found, warnings = checked(tmp_path, renderer, **changes)
+    assert len(found) == len(problems)
+    assert all(line.startswith(start) for line, start in zip(found, problems, strict=True))
+    assert any(line.startswith(warning) for line in warnings) or not warning
+
+
+def test_a_slow_and_a_blurred_camera_are_warned_of(tmp_path):
+    _, warnings = checked(tmp_path, rendered((1280, 720), blur_px=1.6), rate=10.0)
+    assert any(line.startswith("only 10 pictures per second come") for line in warnings)
+    assert any(line.startswith("tags are too small or blurred") for line in warnings)
+
+
+def test_pictures_of_another_size_are_damaged(tmp_path, monkeypatch):
+    from tetractl_microscope.pictures import picture_camera as module
+
+    shots = pictures(rendered(), 3)
+    shots[1] = np.ascontiguousarray(shots[1][:100])
+    feed = iter(shots)
+    monkeypatch.setattr(module, "decoded", lambda picture, size: next(feed))
+    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 3)))
+    with camera:
+        woken.wait(lambda: woken.count == 2)
+        assert [frame.number for frame in camera.frames()] == [1, 3]
+        assert camera.damaged == 1
+
+
+# Over loopback, on the host's clock.
+
+
+class Served:
+    """An emulated network camera and the camera that watches it."""
+
+    def __init__(self, rate_hz=40.0, **changes):
+        clock = MonotonicClock()
+        draw = partial(rendered().picture, standing)
+        self.server = EmulatedNetworkCamera(draw, clock, rate_hz, latency_s=0.02)
+        source = {"type": "mjpeg", "url": self.server.url}
+        self.camera, self.woken = built(source, clock, **{"latency": 0.02, **changes})
+
+    def __enter__(self):
+        self.server.__enter__()
+        self.camera.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        self.camera.__exit__(*error)
+        self.server.__exit__(*error)
+
+
+def test_exposure_times_are_right_to_a_few_milliseconds():
+    """A robot that moves by known speed tells when a frame was really exposed."""
+    speed = 300.0
+    clock = MonotonicClock()
+
+    def driving(t_ns):
+        return Poses(STANDING.x + 1e-9 * t_ns * speed, STANDING.y, np.zeros(3))
+
+    draw = partial(rendered().picture, driving)
+    with EmulatedNetworkCamera(draw, clock, 30.0, latency_s=0.04) as server:
+        source = {"type": "mjpeg", "url": server.url}
+        camera, woken = built(source, clock, latency=0.04)
+        with camera:
+            woken.wait(lambda: woken.count >= 15)
+    late = []
+    for frame in camera.frames():
+        if frame.poses[0] is not None:
+            exposed_ns = (frame.poses[0].x - STANDING.x[0]) / speed * SECOND
+            late.append((frame.sampled_ns - exposed_ns) / 1e6)
+    assert -5.0 < min(late) < 20.0  # ms; a loaded host sends later, but none earlier
+
+
+def test_a_camera_that_stops_sending_is_told():
+    with Served(connect=0.7) as it:
+        it.woken.wait(lambda: it.woken.count >= 3)
+        it.server.frozen.set()
+        problems = it.camera.check().problems
+        assert problems == (f"no picture comes from {it.server.url} any more",)
+
+
+def test_a_camera_without_pictures_is_no_camera():
+    clock = MonotonicClock()
+    with EmulatedNetworkCamera(partial(rendered().picture, standing), clock) as server:
+        server.frozen.set()
+        camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
+        with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
+            camera.__enter__()
+        camera.__exit__(None, None, None)  # again: nothing happens

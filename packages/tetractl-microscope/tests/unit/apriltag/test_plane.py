@@ -1,0 +1,54 @@
+"""Height and tilt of a tag from its corners, by a camera that is known exactly."""
+
+import math
+
+import numpy as np
+import pytest
+from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
+from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
+from tetractl_microscope.apriltag.floor import SQUARE, Plane
+
+OPTICS = Optics.facing(FLOOR, MM, *LARGE)
+SIDE = 0.12
+
+
+def plane():
+    axes = OPTICS.axes
+    return Plane(OPTICS.matrix, np.zeros(5), axes, -axes @ np.array(OPTICS.position))
+
+
+def corners(height, tilt, about=0.7, at=(1.2, 1.4)):
+    """Pixels of a tag at a height [m], turned by `tilt` about a horizontal axis."""
+    flat = np.column_stack([SIDE * SQUARE, np.zeros(4)])
+    axis = np.array([math.cos(about), math.sin(about), 0.0])
+    turned = (
+        flat * math.cos(tilt)
+        + np.cross(axis, flat) * math.sin(tilt)
+        + np.outer(flat @ axis, axis) * (1 - math.cos(tilt))
+    )
+    return OPTICS.project(turned + np.array([*at, height]))
+
+
+@pytest.mark.parametrize("height", [0.0, 0.09, 0.5, 1.45])
+@pytest.mark.parametrize("at", [(0.5, 0.4), (1.2, 1.4), (2.1, 2.0)])
+def test_a_flat_tag_is_flat_at_its_height(height, at):
+    found, tilt = plane().stance(corners(height, 0.0, at=at), SIDE)
+    assert found == pytest.approx(height, abs=1e-4)
+    assert tilt == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("tilt", [0.7, 0.9, 1.2])
+@pytest.mark.parametrize("about", [0.0, 1.0, 2.0, 3.0])
+def test_a_tilted_tag_does_not_look_flat(tilt, about):
+    _, found = plane().stance(corners(0.1, tilt, about), SIDE)
+    assert 0.5 < found <= tilt + 1e-3
+
+
+@pytest.mark.parametrize("higher_mm", [0, 80, 250])
+def test_pictures_show_the_height_of_a_tag(higher_mm):
+    lifted = [r.model_copy(update={"height_mm": r.height_mm + higher_mm}) for r in ROBOTS]
+    before = rendered(LARGE)
+    seen = look(tracker(), Renderer(lifted, FLOOR, MM, before.optics))
+    for pose, robot in zip(seen.poses, lifted, strict=True):
+        assert pose.height == pytest.approx(robot.height_mm, abs=12.0)
+        assert pose.tilt < 0.1

@@ -1,0 +1,178 @@
+"""Poses from rendered pictures against the emulated truth."""
+
+import math
+
+import numpy as np
+import pytest
+from support.tag_scene import (
+    FLOOR,
+    LARGE,
+    NAMES,
+    ROBOTS,
+    SMALL,
+    STANDING,
+    errors,
+    look,
+    rendered,
+    section,
+    tracker,
+)
+from tetractl_microscope.apriltag.camera import Tracker
+from tetractl_microscope.apriltag.section import FloorTag
+
+from tetractl.core.poses import Poses
+
+OVERHEAD = {"tilt": 0.0}
+
+
+def off(seen, i=0, truth=STANDING):
+    pose = seen.poses[i]
+    return math.hypot(pose.x - truth.x[i], pose.y - truth.y[i])
+
+
+@pytest.mark.parametrize(
+    ("size", "mm", "mm_95", "rad", "rad_95"),
+    [(SMALL, 0.6, 1.5, 0.005, 0.02), (LARGE, 0.3, 0.7, 0.002, 0.006)],
+)
+def test_poses_are_right(size, mm, mm_95, rad, rad_95):
+    distances, angles, lost = errors(tracker(), rendered(size), pictures=40)
+    assert lost <= 0.02
+    assert np.median(distances) < mm
+    assert np.quantile(distances, 0.95) < mm_95
+    assert np.median(angles) < rad
+    assert np.quantile(angles, 0.95) < rad_95
+
+
+def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
+    renderer = rendered(LARGE, gain=0.5, noise=4.0, exposure_s=0.01)
+    speed = np.array([180.0, 200.0, 150.0])
+
+    def moving(t_ns):
+        t = t_ns * 1e-9
+        x = STANDING.x + t * speed * np.cos(STANDING.heading)
+        y = STANDING.y + t * speed * np.sin(STANDING.heading)
+        return Poses(x, y, STANDING.heading + 2.0 * t)
+
+    mine, distances = tracker(), []
+    for k in range(10):
+        at = k * 33_000_000
+        seen = mine.see(renderer.picture(moving, at))
+        distances += [off(seen, i, moving(at)) for i in range(3)]
+    assert np.median(distances) < 1.0
+    assert max(distances) < 3.0
+
+
+def test_the_height_of_the_tags_is_accounted_for():
+    flat = tuple(robot.model_copy(update={"height_mm": 0.0}) for robot in ROBOTS)
+    right, _, _ = errors(tracker(), rendered(SMALL), pictures=5)
+    wrong, _, _ = errors(tracker(robots=flat), rendered(SMALL), pictures=5)
+    assert right.max() < 3.0
+    assert np.median(wrong) > 15.0
+
+
+def test_straight_down_a_known_focal_length_is_needed():
+    renderer = rendered(LARGE, facing=OVERHEAD)
+    lens = {"focal_px": renderer.optics.focal_px}
+    blind, known = tracker(), tracker(lens=lens)
+    guessed, _, _ = errors(blind, renderer, pictures=5)
+    right, _, _ = errors(known, renderer, pictures=5)
+    assert np.median(right) < 0.3
+    assert np.median(guessed) > 1.0
+    assert blind.floor.plane.doubt_mm > guessed.max()
+    assert known.floor.plane.doubt_mm == 0.0
+
+
+def test_tilted_the_focal_length_is_found():
+    renderer, mine = rendered(LARGE), tracker()
+    look(mine, renderer, times=8)
+    assert mine.floor.plane.focal_px == pytest.approx(renderer.optics.focal_px, rel=0.005)
+    assert mine.floor.plane.doubt_mm < 1.5
+
+
+def test_a_calibrated_lens_is_straightened():
+    bent = (-0.3, 0.15, 0.004, -0.003, 0.0)
+    renderer = rendered(LARGE, distortion=bent)
+    lens = {"focal_px": renderer.optics.focal_px, "distortion": bent}
+    right, _, _ = errors(tracker(lens=lens), renderer, pictures=10)
+    wrong, _, _ = errors(tracker(), renderer, pictures=10)
+    assert np.median(right) < 0.5
+    assert np.median(wrong) > 3 * np.median(right)
+
+
+@pytest.mark.parametrize("bend", [-0.2, 0.05])
+def test_the_bend_of_a_simple_lens_is_found_from_the_floor(bend):
+    renderer, mine = rendered(LARGE, distortion=(bend, 0.0, 0.0, 0.0)), tracker()
+    right, _, _ = errors(mine, renderer, pictures=10)
+    assert np.median(right) < 0.5
+    assert mine.floor.plane.distortion[0] == pytest.approx(bend, abs=0.02)
+    straight = {"focal_px": renderer.optics.focal_px}
+    wrong, _, _ = errors(tracker(lens=straight), renderer, pictures=10)
+    assert np.median(wrong) > 2.0
+
+
+def test_nothing_is_tracked_before_all_floor_tags_were_seen_at_once():
+    mine, renderer = tracker(), rendered()
+    renderer.hidden = {102}
+    assert look(mine, renderer).poses == (None, None, None)
+    renderer.hidden = {101}
+    assert look(mine, renderer).poses == (None, None, None)
+    renderer.hidden = set()
+    assert None not in look(mine, renderer).poses
+    renderer.hidden = {100, 101, 102, 103}
+    seen = look(mine, renderer)
+    assert None not in seen.poses
+    assert off(seen) < 2.0
+
+
+def test_a_camera_that_is_moved_is_calibrated_again_but_not_by_part_of_the_floor():
+    mine, renderer = tracker(), rendered()
+    look(mine, renderer, times=3)
+    x, y, z = renderer.optics.position
+    moved = rendered(position=(x + 0.1, y, z))
+    moved.hidden = {103}
+    assert look(mine, moved).poses == (None, None, None)
+    moved.hidden = set()
+    assert off(look(mine, moved)) < 2.0
+
+
+def test_a_floor_that_does_not_fit_the_spec_is_not_used():
+    crossed = (FLOOR[0], FLOOR[2].model_copy(update={"tag": 101}), FLOOR[1], FLOOR[3])
+    crossed = (*crossed[:2], crossed[2].model_copy(update={"tag": 102}), crossed[3])
+    mine = tracker(floor=crossed)
+    assert look(mine, rendered()).poses == (None, None, None)
+    assert mine.floor.misfit.worst_mm > 10.0
+
+
+def test_a_number_seen_twice_is_no_robot_and_no_stranger():
+    mine, renderer = tracker(), rendered()
+    renderer.strays = [FloorTag(tag=0, at=(1900, 900), size_mm=100)]
+    seen = look(mine, renderer)
+    assert seen.poses[0] is None
+    assert seen.poses[1] is not None
+    assert seen.strangers == ()
+    assert seen.tags.count(0) == 2
+
+
+def test_unknown_tags_are_strangers():
+    mine, renderer = tracker(), rendered()
+    renderer.strays = [FloorTag(tag=55, at=(1900, 900), size_mm=100, heading=1.0)]
+    (stranger,) = look(mine, renderer).strangers
+    assert (stranger.x, stranger.y) == pytest.approx((1900, 900), abs=2.0)
+    assert stranger.heading == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_tag_of_another_size_is_not_believed():
+    big = (ROBOTS[0].model_copy(update={"size_mm": 110.0}), *ROBOTS[1:])
+    seen = look(tracker(robots=big), rendered())
+    assert seen.poses[0] is None
+    assert seen.sizes[0] == pytest.approx(80 / 110, abs=0.03)
+    assert seen.sizes[1] == pytest.approx(1.0, abs=0.03)
+
+
+def test_lengths_are_in_the_unit_of_the_spec():
+    floor = tuple(
+        tag.model_copy(update={"at": (tag.at[0] / 1000, tag.at[1] / 1000)}) for tag in FLOOR
+    )
+    mine = Tracker(section(floor=floor), NAMES, metres=1.0)
+    pose = look(mine, rendered()).poses[0]
+    assert (pose.x, pose.y) == pytest.approx((0.9, 0.8), abs=0.002)

@@ -1,0 +1,141 @@
+"""The `cells` camera on synthetic films, in virtual time: frames, robots, health."""
+
+import math
+
+import numpy as np
+import pytest
+from support.dish_films import film
+from support.needs_opencv import video
+from tetractl_microscope.cells.cells_health import SeenDish, dish_lines
+from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.pictures.looks import Look
+
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import Steer, Stop, Transmission
+from tetractl.experiment.load import parse_spec
+from tetractl.lab.inner_loop import InnerLoop
+
+SPEC = """
+name: dish
+units: {{length: um}}
+arena: {{left: 0, bottom: 0, width: 1200, height: 1200}}
+robots:
+  - {{name: first, start: [{0}, {1}], target: [600, 600], a: 4, speed: 300}}
+  - {{name: second, start: [{2}, {3}], target: [500, 600], a: 3, speed: 300}}
+lab:
+  camera: {{type: cells, source: {{type: file, path: '{4}'}}, um_px: 2.3, learning: 0.5{5}}}
+  actuator:
+    type: field
+    port: nowhere
+    strength_mt: 2.0
+    coils: {{x: {{gain_mt_a: 2, offset_mt: 0}}, y: {{gain_mt_a: 2, offset_mt: 0}}, rotation: 0}}
+    current_max_a: 2.0
+    slew_max_a_s: 100
+"""
+
+
+def dish(folder, picture=lambda each: each):
+    """A film of two cells and a file of it."""
+    made = film(seed=52, side=512, cells=2, crossings=False, seconds=3.0)
+    path = video(folder / "dish.avi", map(picture, made.pictures()))
+    return made, path
+
+
+def camera(path, starts, extra="", clock=None):
+    text = SPEC.format(*np.round(starts, 1).ravel(), path, extra)
+    experiment = parse_spec(text, "dish").experiment
+    made = experiment.lab.camera.build(experiment.setup, clock or VirtualClock(), lambda: None)
+    return experiment, made
+
+
+def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path):
+    made, path = dish(tmp_path)
+    starts = made.body[25, [1, 0], :2]  # the other way round
+    _, cells = camera(path, starts)
+    with cells:
+        assert cells._wait(lambda: bool(cells._ended), 120.0)
+        found = cells.frames()
+        health = cells.check()
+    checked = 0
+    for frame in found:
+        truth = made.body[frame.number - 1]
+        for pose, cell in zip(frame.poses, (1, 0), strict=True):
+            if pose is not None:
+                assert math.dist((pose.x, pose.y), truth[cell, :2]) < 15
+                checked += 1
+    assert checked > 60
+    assert health.emulated  # a film shows no cells of this moment
+    assert any("has ended" in line for line in health.problems)
+    assert health.facts["scale"] == "2.3 um/px"
+
+
+def test_places_and_headings_are_in_the_specs_axes(tmp_path):
+    _, cells = camera(tmp_path / "none.avi", np.zeros((2, 2)), ", corner: [100, 50], rotation: 0.5")
+    assert cells.section.placed(10.0, 0.0, 1e-6) == pytest.approx(
+        (100 + 10 * math.cos(0.5), 50 + 10 * math.sin(0.5))
+    )
+
+
+def test_the_camera_knows_the_directions_that_were_sent(tmp_path):
+    _, cells = camera(tmp_path / "none.avi", np.zeros((2, 2)), ", rotation: 0.5")
+    cells.steered(0.5, 1_000_000_000)
+    cells.steered(0.5, 1_100_000_000)  # the same again
+    cells.steered(None, 2_000_000_000)
+    pieces = np.array(cells._field(0.5, 2.5))
+    assert pieces == pytest.approx(np.array([(0.5, 0, 0), (1.0, 1, 0), (0.5, 0, 0)]))
+
+
+def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
+    """Whatever is sent, stops too, reaches a camera that wants to know."""
+    heard = []
+
+    class Listener:
+        def steered(self, direction, sent_ns):
+            heard.append((direction, sent_ns))
+
+    class Calm:
+        def sent(self, *_):
+            pass
+
+    loop = InnerLoop(Listener(), None, Calm(), VirtualClock(), None, None)
+    for action in (Steer(1.0), Stop()):
+        loop._note(Transmission(action, 5, (True,), np.zeros(1), np.zeros(1)))
+    assert heard == [(1.0, 5), (None, 5)]
+
+
+LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)
+
+
+def looks(**changes):
+    from tetractl.core.poses import Pose
+
+    values = {
+        "poses": (Pose(0, 0, 0), Pose(1, 1, 0)),
+        "strangers": (),
+        "light": LIGHT,
+        "level": 120.0,
+        "sharpness": 0.3,
+        "sure": 1.0,
+    } | changes
+    return [Look(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "width_px", "says"),
+    [
+        ({}, 11.0, ""),
+        ({"level": 3.0}, 11.0, "black"),
+        ({"level": 252.0}, 11.0, "saturated"),
+        ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
+        ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, 2"),
+        ({"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)}, 11.0, "by 9 grey levels, hardly"),
+        ({"light": Light(1, 3.0, None, 0.0, False, limit=7.0)}, 11.0, "no object differs"),
+        ({"sharpness": 0.05}, 11.0, "focus"),
+        ({"sure": 0.6}, 11.0, "it is uncertain which is which"),
+        ({}, 5.2, "a cell is 5 px wide; 8 px"),
+    ],
+)
+def test_health_says_what_is_wrong_in_words(changes, width_px, says):
+    problems, warnings = dish_lines(("first", "second"), looks(**changes), width_px)
+    lines = [*problems, *warnings]
+    assert (lines == []) if not says else any(says in line for line in lines)

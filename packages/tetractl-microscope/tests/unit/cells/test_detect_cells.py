@@ -1,0 +1,160 @@
+"""Blobs of pictures drawn here, by other means than the emulated dish."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from tetractl_microscope.cells.detect_cells import BlobFinder
+
+SIDE, LIGHT = 320, 160.0
+BODY = 11.3, 5.7  # half the length and half the width of a cell [px]
+
+
+def step(beyond):
+    """1 inside, 0 outside, smooth between."""
+    return 1 / (1 + np.exp(np.clip(beyond, -30, 30)))
+
+
+class Dish:
+    """A dish with specks and a bubble, and cells at x, y [px], axis [rad]."""
+
+    def __init__(self, contrast=-0.17, noise=8.0, rim=0.0):
+        self.random = np.random.default_rng(5)
+        self.contrast, self.noise, self.rim = contrast, noise, rim
+        self.down, self.across = np.mgrid[0:SIDE, 0:SIDE].astype(float)
+        self.specks = self.random.uniform((10, 10, 1.5), (SIDE - 10, SIDE - 10, 5), (12, 3))
+
+    def body(self, x, y, axis):
+        """How far pixels are from a body's middle; its outline is at 1."""
+        across, down = self.across - x, self.down - y
+        along = across * math.cos(axis) + down * math.sin(axis)
+        aside = down * math.cos(axis) - across * math.sin(axis)
+        return np.hypot(along / BODY[0], aside / BODY[1])
+
+    def picture(self, cells, shift=(0.0, 0.0), light=1.0):
+        """A grey picture; the content is shifted by columns and rows."""
+        drawn = np.zeros((SIDE, SIDE))
+        for x, y, radius in self.specks:
+            away = np.hypot(self.across - x - shift[0], self.down - y - shift[1])
+            drawn -= 0.3 * step(2 * (away - radius))
+        away = np.hypot(self.across - 90 - shift[0], self.down - 230 - shift[1])
+        drawn += 0.5 * np.exp(-((away - 40) ** 2) / 4)
+        for x, y, axis in cells:
+            far = self.body(x + shift[0], y + shift[1], axis)
+            drawn += self.contrast * step(8 * (far - 1))
+            drawn += self.rim * np.exp(-((far - 1.25) ** 2) / 0.02)
+        grey = light * (LIGHT * (1 + drawn) + self.random.normal(0, self.noise, drawn.shape))
+        return np.clip(grey + 0.5, 0, 255).astype(np.uint8)
+
+
+def cells_at(k, count=8):
+    """Cells that swim to the right, far from each other."""
+    return [(20.3 + (37 * i + 9 * k) % 280, 22.6 + 38 * i, 0.3 * math.sin(i)) for i in range(count)]
+
+
+def finder(dish, **options):
+    found = BlobFinder(90, 2800, **options)
+    found.learn([dish.picture(cells_at(k)) for k in range(15)])
+    return found
+
+
+def matched(blobs, cells, shift=(0.0, 0.0)):
+    """The blob nearest to each cell within 8 px, or None."""
+    pairs = []
+    for x, y, _ in cells:
+        gaps = [math.dist((b.x, b.y), (x + shift[0], y + shift[1])) for b in blobs]
+        pairs.append(blobs[int(np.argmin(gaps))] if min(gaps, default=9) < 8 else None)
+    return pairs
+
+
+@pytest.mark.parametrize("contrast", [-0.17, 0.17, -0.035])
+def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
+    dish = Dish(contrast)
+    found, shifts, missed = finder(dish), [], 0
+    for k in range(15, 45):
+        shift = (6.0, -5.0) if k >= 30 else (0.0, 0.0)
+        blobs = found.find(dish.picture(cells_at(k), shift))
+        found.follow([])
+        shifts.append(found.light.shift_px)
+        missed += matched(blobs, cells_at(k), shift).count(None)
+    assert missed <= 0.02 * 30 * 8
+    assert found.bright is (contrast > 0)
+    assert shifts[15] == pytest.approx((6.0, -5.0), abs=0.5)
+    assert [each for k, each in enumerate(shifts) if k != 15] == [(0.0, 0.0)] * 29
+
+
+@pytest.mark.parametrize(("contrast", "rim"), [(0.2, -0.3), (-0.2, 0.3), (0.05, -0.35)])
+def test_a_body_and_its_rim_are_one_blob(contrast, rim):
+    dish = Dish(contrast, noise=4.0, rim=rim)
+    found, off, turned = finder(dish), [], []
+    for k in range(15, 30):
+        blobs, cells = found.find(dish.picture(cells_at(k))), cells_at(k)
+        for (x, y, axis), blob in zip(cells, matched(blobs, cells), strict=True):
+            assert blob is not None
+            assert sum(math.dist((b.x, b.y), (x, y)) < 20 for b in blobs) == 1
+            off.append(math.dist((blob.x, blob.y), (x, y)))
+            turned.append((blob.axis - axis + math.pi / 2) % math.pi - math.pi / 2)
+    assert np.sqrt(np.mean(np.square(off))) < 0.4
+    assert np.sqrt(np.mean(np.square(turned))) < 0.06
+
+
+def test_positions_are_finer_than_pixels():
+    dish = Dish(-0.4, noise=3.0)
+    found, off, turned = finder(dish), [], []
+    for k in range(15, 30):
+        cells = cells_at(k)
+        pairs = matched(found.find(dish.picture(cells)), cells)
+        for (x, y, axis), blob in zip(cells, pairs, strict=True):
+            off.append(math.dist((blob.x, blob.y), (x, y)))
+            turned.append((blob.axis - axis + math.pi / 2) % math.pi - math.pi / 2)
+    assert np.median(off) < 0.07
+    assert np.median(np.abs(turned)) < 0.015
+
+
+def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
+    dish, found = Dish(-0.4, noise=3.0), BlobFinder(90, 2800)
+    rested, gone = (160.0, 160.0, 0.4), (260.0, 160.0, 0.4)
+    found.learn([dish.picture([rested])] * 9)
+    found.find(dish.picture([gone]))
+    blobs = found.find(dish.picture([gone]))
+    assert [math.dist((b.x, b.y), gone[:2]) < 1 for b in blobs] == [True]
+    assert len(found.find(dish.picture([rested]))) == 1  # it is not in the background any more
+
+
+def test_a_cell_that_rests_stays_as_long_as_it_is_kept():
+    dish = Dish(-0.4, noise=3.0)
+    found = finder(dish)
+    rests = (200.0, 100.0, 0.4)
+    for _ in range(150):
+        found.find(dish.picture([rests]))
+        found.follow([(180, 80, 220, 120)])
+    assert matched(found.find(dish.picture([rests])), [rests]) != [None]
+    found.find(dish.picture([]))
+    assert len(found.find(dish.picture([]))) == 0
+
+
+def test_a_dish_that_was_exchanged_is_learned_again():
+    dish, other = Dish(-0.4, noise=3.0), Dish(-0.4, noise=3.0)
+    found = finder(dish)
+    other.down, other.across = other.across, other.down
+    shade = np.where(other.down > 150, 0.5, 1.0)
+    lost = []
+    for k in range(15, 75):
+        found.find((other.picture(cells_at(k)) * shade).astype(np.uint8))
+        found.follow([])
+        lost.append(found.light.lost)
+    assert lost[0] and not lost[-1]
+    blobs = found.find((other.picture(cells_at(75)) * shade).astype(np.uint8))
+    places = [(y, x, 0.0) for x, y, _ in cells_at(75)]
+    assert matched(blobs, places).count(None) <= 1
+
+
+@pytest.mark.parametrize("size", [(2, 2), (3, 900), (40, 40), (900, 12)])
+def test_pictures_of_any_size_are_searched(size):
+    random = np.random.default_rng(2)
+    found = BlobFinder(2, 50)
+    found.learn([random.integers(90, 110, size).astype(np.uint8) for _ in range(3)])
+    picture = cv2.GaussianBlur(random.integers(0, 255, size).astype(np.uint8), (0, 0), 2)
+    assert all(math.isfinite(blob.x + blob.axis) for blob in found.find(picture))
+    found.follow([(0, 0, 5, 5)])

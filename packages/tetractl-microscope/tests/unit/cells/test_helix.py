@@ -1,0 +1,252 @@
+"""The filter of swimming cells: it learns headings, turning rates and speeds, with their doubt."""
+
+import math
+
+import numpy as np
+import pytest
+from oracles import helix_steps as oracle
+from support.dish_films import film, record
+from tetractl_microscope.cells.helix import (
+    WALL_UM,
+    HelixFilter,
+    new_cell,
+    open_water,
+)
+from tetractl_microscope.cells.kernels.helix_path import smooth
+from tetractl_microscope.cells.kernels.helix_steps import (
+    DELAY,
+    HEADING,
+    LEAD,
+    RATE,
+    SLOWEST,
+    SPEED,
+    STATES,
+    TURN,
+    A,
+    C,
+    S,
+    X,
+    Y,
+)
+from tetractl_microscope.organisms import TETRAHYMENA, named
+
+from tetractl.core.setup import Bounds
+from tetractl.model.swimmers import Swimmers, bodies
+
+POSITION, AXIS = 0.5, 0.03
+
+
+def followed(seed, known=True, seconds=6.0, cells=8):
+    """A filter after a film of which positions and axes are known but for noise."""
+    made = film(seed=seed, seconds=seconds, cells=cells)
+    random = np.random.default_rng(seed)
+    seen = made.body + random.normal(0, 1, made.body.shape) * (POSITION, POSITION, AXIS)
+    bank, field = HelixFilter(known), record(made).pieces
+    rows = []
+    for i in range(cells):
+        vx, vy = np.polyfit(made.times[:6], seen[:6, i, :2], 1)[0]
+        rows.append(bank.add(*seen[5, i, :2], math.atan2(vy, vx), math.hypot(vx, vy)))
+    rows = np.array(rows)
+    deviation = np.tile((POSITION, POSITION, AXIS), (cells, 1))
+    for k in range(6, len(made.times)):
+        step = (made.times[k - 1], made.times[k])
+        bank.predict(field(*step) if known else [(step[1] - step[0], 0.0, 0.0)])
+        bank.update(rows, seen[k], deviation)
+    return made, bank, rows
+
+
+def wrapped(angle):
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(known):
+    off, sway = [], []
+    for seed in range(3):
+        made, bank, rows = followed(seed, known)
+        off.append(wrapped(bank.mean[rows, HEADING] - made.heading[-1]))
+        sway.append(wrapped(made.body[..., 2] - made.heading).std())
+    assert np.mean(sway) > 0.15
+    assert np.sqrt(np.mean(np.square(off))) < (0.05 if known else 0.12)
+
+
+def test_turning_rates_and_speeds_are_within_their_intervals():
+    errors = []
+    for seed in range(4):
+        made, bank, rows = followed(seed)
+        deviation = np.sqrt(np.diagonal(bank.covariance[rows], axis1=1, axis2=2))
+        for state, truth in ((A, made.cells.a), (SPEED, made.cells.speed)):
+            errors.append((bank.mean[rows, state] - truth) / deviation[:, state])
+            assert np.all(deviation[:, state] < 0.1 * np.abs(truth))
+    assert np.mean(np.abs(errors) < 1.96) >= 0.92
+
+
+def test_a_heading_that_was_the_wrong_way_round_is_turned():
+    bank = HelixFilter(known=False)
+    row = bank.add(0.0, 0.0, math.pi, 300.0)  # it swims the other way
+    rows = np.array([row])
+    for k in range(1, 60):
+        bank.predict([(1 / 30, 0.0, 0.0)])
+        if k % 3 == 0:
+            bank.loosen([row])
+        bank.update(rows, np.array([[10.0 * k, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]]))
+    assert abs(wrapped(bank.mean[row, HEADING])) < 0.3
+    assert bank.mean[row, SPEED] > 200
+
+
+def test_rows_are_used_again_and_an_outlier_moves_little():
+    bank = HelixFilter()
+    first = bank.add(0.0, 0.0, 0.0, 300.0)
+    bank.drop(first)
+    row = bank.add(0.0, 0.0, 0.0, 300.0)
+    assert row == first
+    bank.covariance[row] *= 0.01
+    likelihood, far = bank.update(
+        np.array([row, row])[:1], np.array([[400.0, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]])
+    )
+    assert far[0] > 1000 and bank.mean[row, 0] < 40
+    assert np.isfinite(likelihood).all()
+
+
+def test_a_long_gap_is_moved_over_in_steps():
+    long, short = HelixFilter(), HelixFilter()
+    for bank in (long, short):
+        bank.mean[bank.add(0.0, 0.0, 0.0, 400.0), [A, TURN]] = 5.0, 0.0
+        bank.covariance[0, :, :] *= 1e-6
+    long.predict([(0.5, 0.0, 1.0)])  # a picture is missing for half a second
+    for _ in range(100):
+        short.predict([(0.005, 0.0, 1.0)])
+    assert math.dist(long.mean[0, :2], short.mean[0, :2]) < 0.5
+    assert long.mean[0, HEADING] == pytest.approx(short.mean[0, HEADING], abs=0.01)
+
+
+def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
+    """A cell is kept at a wall for a second by a field that it would follow in open water."""
+
+    def learned(near_wall):
+        random = np.random.default_rng(3)
+        cells = Swimmers.drawn(random, 12)
+        cells.x[:], cells.y[:], cells.heading[:] = -250.0, 300.0 * np.arange(12), 0.0
+        bank = HelixFilter(near_wall=near_wall)
+        rows = np.array([bank.add(x, y, 0.0, 400.0) for x, y in zip(cells.x, cells.y, strict=True)])
+        deviation = np.tile((POSITION, POSITION, AXIS), (12, 1))
+        for k in range(150):
+            angle = (0.8, -0.8, 0.8, 2.5, 3.8)[k // 30]  # to and along the wall, and away from it
+            ux, uy = math.cos(angle), math.sin(angle)
+            for _ in range(8):
+                cells.swim((ux, uy), 1 / 240, random, walls=Bounds(-1e6, -1e6, 0.0, 1e6))
+            bank.predict([(1 / 30, ux, uy)])
+            body = bodies(cells)
+            seen = np.column_stack([body.x, body.y, body.axis])
+            bank.update(rows, seen + random.normal(0, 1, seen.shape) * deviation, deviation)
+        return (bank.mean[rows, A] - cells.a) / np.sqrt(bank.covariance[rows, A, A])
+
+    assert np.abs(learned(open_water)).max() > 5
+    assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 2.0
+
+
+def test_a_heading_that_walks_does_not_lower_a():
+    """The heading's walk takes a cell with it within a step: its way does not say where the cell
+    headed before.
+    """
+    random, count, sd = np.random.default_rng(4), 24, np.array((0.1, 0.1, 0.012))
+    cells, seen = Swimmers.drawn(random, count), []
+    cells.walk[:] = 0.15
+    mean, start, model = new_cell(TETRAHYMENA, known=True)
+    model[[X, Y, C, S]], model[HEADING], model[SPEED] = 0.2, 0.15, 5.0
+    first = cells.copy()
+    angles = np.repeat(random.uniform(-math.pi, math.pi, 12), 20)
+    pieces = np.column_stack([np.full(len(angles), 1 / 30), np.cos(angles), np.sin(angles)])
+    for _, *field in pieces.tolist():
+        for _ in range(4):
+            cells.swim(field, 1 / 120, random)
+        body = bodies(cells)
+        pose = np.column_stack([body.x, body.y, body.axis])
+        seen.append(pose + random.normal(0, sd, (count, 3)))
+    ratios, pictures = [], np.arange(len(angles) + 1)
+    for i in range(count):
+        m, states = mean.copy(), np.empty((len(seen), STATES))
+        m[[HEADING, SPEED]] = first.heading[i], first.speed[i]
+        given = np.array(seen)[:, i], np.tile(sd, (len(seen), 1)), pieces, pictures
+        smooth(m, start, model, *given, states, np.empty((len(seen), 3)))
+        ratios.append(m[A] / cells.a[i])
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.015)  # 0.98 with noise after steps only
+
+
+def test_a_new_cell_is_like_those_of_its_organism():
+    for name in ("tetrahymena", "paramecium", "euglena", "helical-microrobot"):
+        organism = named(name)
+        bank = HelixFilter(organism=organism)
+        row = bank.add(0.0, 0.0, 0.0, organism.speed_um_s[0])
+        mean, covariance = bank.mean[row], bank.covariance[row]
+        assert mean[RATE] == pytest.approx(2 * math.pi * organism.helix_hz[0])
+        radius = math.sqrt(covariance[C, C] + covariance[S, S])  # of c and s together
+        assert radius == pytest.approx(math.hypot(*organism.helix_um))
+        bank.predict([(1.0, 0.0, 0.0)])  # at its lowest speed it swims, and does not rest
+        assert bank.covariance[row, HEADING, HEADING] < 0.5
+
+
+@pytest.mark.parametrize(("speed", "walled"), [(300.0, False), (300.0, True), (20.0, False)])
+def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
+    random = np.random.default_rng(5)
+    bank = HelixFilter(near_wall=lambda x, y: np.full(len(x), walled))
+    row = bank.add(3.0, -2.0, 0.4, speed)
+    pieces = [(0.02, 0.6, 0.8), (0.013, -0.8, 0.6)]
+    bank.mean[row, [C, S, TURN, DELAY, LEAD]] = 4.0, -3.0, 0.1, 0.01, 0.2
+    root = random.normal(0, 0.3, (STATES, STATES))
+    bank.covariance[row] += root @ root.T
+    m, p = bank.mean[row].copy(), bank.covariance[row].copy()
+    *_, model = new_cell(TETRAHYMENA, known=True)
+    bank.predict(pieces)
+    for k, (seconds, *field) in enumerate(pieces):
+        if k and not walled:
+            change = (0.6, 0.8), (-0.8, 0.6), model[SLOWEST]
+            f = oracle.slopes(lambda state, change=change: oracle.switched(state, *change), m)
+            m, p = oracle.switched(m, *change), f @ p @ f.T
+        m, p, _ = oracle.move(m, p, model, walled, seconds, field)
+    assert bank.mean[row] == pytest.approx(m, rel=1e-8)
+    assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
+    for near in (1.0, 60.0):  # and an outlier
+        bank.mean[row], bank.covariance[row] = m, p
+        measured = oracle.body(m, model[SLOWEST]) + np.array([near, 0.5, 0.1])
+        deviation = np.array([1.0, 1.0, 0.05])
+        *found, likelihood, distance = oracle.correct(m, p, model, measured, deviation)
+        ours = bank.update(np.array([row]), measured[None], deviation[None])
+        assert np.ravel(ours) == pytest.approx([likelihood, distance], rel=1e-6)
+        assert bank.mean[row] == pytest.approx(found[0], rel=1e-6, abs=1e-6)
+        assert bank.covariance[row] == pytest.approx(found[1], rel=1e-5, abs=1e-4)
+
+
+def test_the_smoother_is_that_of_rauch_tung_and_striebel():
+    _, bank, rows = followed(2, seconds=1.5, cells=1)
+    random, count = np.random.default_rng(1), 30
+    pieces = [(1 / 30, 0.6, 0.8)] * 15 + [(1 / 30, -0.8, 0.6)] * 14
+    m, p = bank.mean[rows[0]].copy(), bank.covariance[rows[0]].copy()
+    *_, model = new_cell(TETRAHYMENA, known=True)
+    truth, measured = m.copy(), []
+    for k in range(count):
+        if k:
+            seconds, *field = pieces[k - 1]
+            truth = oracle.moved(truth, 0 * p, seconds, field, model[SLOWEST])
+        body = oracle.body(truth, model[SLOWEST])
+        measured.append(body + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
+    measured, deviation = np.array(measured), np.tile((POSITION, POSITION, AXIS), (count, 1))
+    measured[12:16] = np.nan
+    wanted = oracle.smooth(m, p, model, measured, deviation, pieces)
+    found, first = np.empty((count, STATES)), np.maximum(np.arange(count + 1) - 1, 0)
+    bodies = np.empty((count, 3))
+    smooth(m.copy(), p, model, measured, deviation, np.array(pieces), first, found, bodies)
+    assert bodies[3] == pytest.approx(oracle.body(found[3], model[SLOWEST]))
+    assert found[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
+    assert found[:, A] == pytest.approx(wanted[:, A], abs=2e-3)
+
+
+def test_a_row_may_be_any_of_several():
+    bank = HelixFilter(known=True)
+    rows = np.array([bank.add(x, 0.0, heading, 400.0) for x, heading in ((0.0, 0.1), (30.0, 6.3))])
+    width = bank.covariance[rows[0], 0, 0]
+    bank.mix(int(rows[0]), rows, np.array([2 / 3, 1 / 3]))
+    assert bank.mean[rows[0], X] == pytest.approx(10.0)
+    assert bank.covariance[rows[0], 0, 0] == pytest.approx(width + 30.0**2 * 2 / 9)
+    # both head to the right: angles a full turn apart are the same
+    assert bank.mean[rows[0], HEADING] == pytest.approx(0.1 + (6.3 - 2 * np.pi - 0.1) / 3)

@@ -1,0 +1,162 @@
+"""Which cell is which after cells met, was lost or came out of another one's blob."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.helix import HelixFilter
+from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
+from tetractl_microscope.cells.names import ASSERTED, LOST_S, Names
+from tetractl_microscope.cells.questions import Known, Question, orders
+
+RARE = 0.3 / 2355**2  # density [1/um^2] with which other cells appear
+
+
+class Dish:
+    """Tracks in a filter, and the names of their cells."""
+
+    def __init__(self, splits=False):
+        self.bank = HelixFilter(known=True)
+        self.numbers = itertools.count(1)
+        self.names = Names(self.bank, lambda: next(self.numbers), 52.3, splits)
+        self.tracks = itertools.count(1)
+
+    def track(self, x, y, size=(50.0, 25.0), heading=0.0):
+        track = CellTrack(next(self.tracks), [], self.bank.add(x, y, heading, 400.0))
+        track.identity, (track.long, track.wide) = next(self.numbers), size
+        track.last = np.array([x, y])
+        return track
+
+    def lose(self, track, at_s, for_s):
+        self.names.give_up(track, at_s, may_return=True)
+        self.bank.predict([(for_s, 0.0, 0.0)])
+
+    def appear(self, x, y, seconds, size=(51.0, 25.0), expected=RARE):
+        new = self.track(x, y, size)
+        self.names.appear(new, np.array([x, y, 0.0]), seconds, expected, True)
+        return new
+
+
+@pytest.mark.parametrize("place", [(505.0, 490.0), (900.0, 500.0)])
+def test_a_lost_cell_is_found_where_it_rested_and_where_the_signal_led_it(place):
+    dish = Dish()
+    cell = dish.track(500.0, 500.0)
+    dish.lose(cell, 10.0, 1.0)
+    found = dish.appear(*place, 11.0)
+    assert found.identity == cell.identity
+    assert 0.5 < dish.names.probabilities([found])[0] < 1.0
+    assert dish.appear(*place, 11.0).identity not in (cell.identity, found.number)  # taken once
+
+
+@pytest.mark.parametrize(
+    ("place", "size", "expected", "seconds"),
+    [
+        ((505.0, 490.0), (35.0, 38.0), RARE, 11.0),  # another size
+        ((505.0, 1600.0), (51.0, 25.0), RARE, 11.0),  # too far away
+        ((505.0, 490.0), (51.0, 25.0), 0.1, 11.0),  # where many others appear
+        ((505.0, 490.0), (51.0, 25.0), RARE, 10.2 + LOST_S),  # forgotten
+    ],
+)
+def test_another_cell_is_not_taken_for_a_lost_one(place, size, expected, seconds):
+    dish = Dish()
+    cell = dish.track(500.0, 500.0)
+    dish.lose(cell, 10.0, 1.0)
+    dish.names.answer(seconds)
+    new = dish.appear(*place, seconds, size, expected)
+    assert new.identity != cell.identity
+
+
+def test_cells_that_the_places_tell_apart_keep_their_names_without_a_question():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 560.0)]
+    dish.names.meet(tracks, 1.0, False)
+    places = {1: np.array([500.0, 500.0, 0.0]), 2: np.array([500.0, 560.0, 0.0])}
+    dish.names.part(places, [], 1.1)
+    assert [track.question for track in tracks] == [None, None]
+    assert dish.names.probabilities([tracks[0]])[0] == 1.0
+    assert dish.bank.used.sum() == 2
+
+
+@pytest.mark.parametrize("splits", [False, True])
+def test_a_name_that_may_be_wrong_is_said_or_split(splits):
+    dish = Dish(splits)
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    dish.names.meet(tracks, 1.0, False)
+    assert dish.names.probabilities([tracks[0]])[0] == pytest.approx(0.5, abs=0.1)
+    places = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    dish.names.part(places, [], 1.1)
+    assert all(track.question is not None for track in tracks)
+    dish.names.answer(1.1 + 11.0)
+    (answer,) = dish.names.answers
+    assert answer.asked == (1, 2) and answer.probability < ASSERTED
+    assert {track.identity for track in tracks} == ({3, 4} if splits else {1, 2})
+    assert (dish.names.probabilities([tracks[0]])[0] < ASSERTED) is not splits
+    assert dish.bank.used.sum() == 2
+
+
+@pytest.mark.parametrize("met", [False, True])
+def test_a_name_is_uncertain_where_something_unknown_may_have_taken_its_place(met):
+    dish = Dish(splits=True)
+    track = dish.track(500.0, 500.0)
+    dish.names.meet([track], 1.0, met)
+    dish.bank.mean[track.row, :2] = 500.0, 560.0  # a body aside from where the cell swims
+    dish.names.part({1: np.array([500.0, 560.0, 0.0])}, [], 2.0)
+    assert (track.identity == 1) is not met
+
+
+@pytest.mark.parametrize("merged", [False, True])
+def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
+    dish = Dish(splits=True)
+    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 503.0)]
+    dish.names.meet(tracks, 1.0, False)
+    tracks[0].merged = merged
+    uncertain, name = dish.names.probabilities(tracks)[0], tracks[0].identity
+    assert uncertain < ASSERTED
+    dish.names.give_up(tracks[1], 1.5, may_return=False)
+    assert tracks[0].identity != name and dish.bank.used.sum() == 1
+
+
+def test_a_cell_is_uncertain_where_something_unknown_is_likelier():
+    dish = Dish()
+    track = dish.track(500.0, 500.0)
+    dish.names.meet([track], 1.0, met=True)
+    assert dish.names.probabilities([track])[0] > ASSERTED
+    dish.bank.mean[track.row, Y] += 150.0  # its row has followed another cell
+    assert dish.names.probabilities([track])[0] < 0.5
+
+
+def test_each_meeting_lowers_the_certainty_of_who_is_who():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    places = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    found = []
+    for seconds in (20.0, 40.0):
+        for track in tracks:
+            dish.bank.mean[track.row, [X, Y, C]] = 501.0, 500.0, 0.0
+        dish.names.meet(tracks, seconds, False)
+        dish.names.part(places, [], seconds + 0.1)
+        dish.names.answer(seconds + 12.0)
+        found += [answer.probability for answer in dish.names.answers]
+        dish.names.answers = []
+    assert max(found) < ASSERTED
+    assert tracks[0].certainty == tracks[1].certainty == pytest.approx(math.prod(found))
+
+
+def test_cells_of_other_sizes_are_distinguished_by_them():
+    tracks = CellTrack(1, []), CellTrack(2, [])
+    sizes = (60.0, 26.0), (48.0, 29.0)
+    cells = tuple(Known(name, None, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
+    question = Question(tracks, cells, np.zeros((2, 2), int), np.zeros(2), np.ones((2, 2)), 0.0)
+    assert question.probabilities() == pytest.approx([0.5, 0.5])
+    for _ in range(20):
+        for track, size in zip(tracks, sizes[::-1], strict=True):
+            question.add(track, np.zeros(2), size, 1.0)
+    assert question.best()[0] == (1, 0)
+    assert 0.95 < question.probabilities().max() < 0.9999
+    assert not question.ends(0.1)
+
+
+def test_every_assignment_of_cells_to_tracks_is_counted():
+    assert orders(2).tolist() == [[0, 1], [1, 0]]

@@ -1,0 +1,165 @@
+"""Blobs and cells of synthetic pictures against their truth."""
+
+import math
+
+import numpy as np
+import pytest
+from support.dish_films import Score, film, followed
+from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
+from tetractl_microscope.cells.readings import note_size, own_path
+from tetractl_microscope.cells.tracking import CellTracker
+from tetractl_microscope.film.field_file import no_field
+
+
+@pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
+def test_poses_of_swimming_cells(seed, known):
+    made = film(seed=seed, side=512, cells=5)
+    found = Score().add(made, followed(made, known))
+    assert found.f1 > 0.98
+    assert np.percentile(np.abs(found.position), 95) < 1.5
+    assert np.median(np.abs(found.axis)) < 0.03
+    assert np.median(np.abs(found.heading)) < 0.05
+
+
+def test_cells_are_followed_at_ten_pictures_a_second():
+    made = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
+    assert Score().add(made, followed(made)).f1 > 0.98
+
+
+def test_numbers_are_kept_through_crossings():
+    made = film(seed=12, side=512, cells=4, seconds=4.0)
+    for numbers in Score().add(made, followed(made)).numbers.values():
+        assert max(numbers.count(n) for n in set(numbers)) >= 0.9 * len(numbers)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
+def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
+    times = np.arange(12) / rate_hz
+    path = np.zeros((12, 6))
+    path[:, 0], path[:, 1], path[:, 4:] = times, 330 * times, (50.0, 25.0)
+    assert len(own_path(path, 50.0, 25.0, 52.3)) == 12
+    path[:5, 2] = 60.0  # on the way of another cell
+    assert len(own_path(path, 50.0, 25.0, 52.3)) == 6
+    path[7, 4] = 90.0  # too large
+    assert len(own_path(path, 50.0, 25.0, 52.3)) == 4
+
+
+@pytest.mark.parametrize("bright", [False, True])
+def test_the_polarity_is_found_and_specks_are_no_cells(bright):
+    look = {"bright": bright, "light": 50.0 if bright else 160.0}
+    made = film(seed=6, side=384, look=look, cells=3, crossings=0.0)
+    found = followed(made)
+    assert found.bright is bright
+    assert Score().add(made, found).f1 > 0.97
+
+
+def test_a_resting_cell_is_not_lost_in_the_background():
+    made = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=0.0)
+    resting = np.flatnonzero((made.times > 0.42 * 6) & (made.times < 0.58 * 6))[10:]
+    if not made.seen[resting, 3].all():
+        pytest.fail("the film does not show what it is for")
+    places = {}
+    for path in followed(made).paths:
+        for k, cell in zip(path.frames.tolist(), path.seen, strict=True):
+            places.setdefault(k, []).append((cell.x, cell.y))
+    gaps = [
+        min(math.dist(place, made.body[k, 3, :2]) for place in places.get(k, [(1e9, 1e9)]))
+        for k in resting.tolist()
+    ]
+    assert np.mean(np.array(gaps) < 15) > 0.95
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [
+        np.zeros((200, 240), np.uint8),
+        np.full((200, 240), 255, np.uint8),
+        np.random.default_rng(1).integers(0, 256, (200, 240)).astype(np.uint8),
+        (255 * (np.indices((200, 240)).sum(axis=0) % 2)).astype(np.uint8),
+        np.kron(np.random.default_rng(2).integers(0, 2, (20, 24)), np.full((10, 10), 255)).astype(
+            np.uint8
+        ),
+    ],
+    ids=["black", "saturated", "noise", "checkerboard", "blobs"],
+)
+def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
+    made = film(seed=1, side=240, cells=2, seconds=1.0)
+    pictures = [each[:200] for each in made.pictures()]
+    tracker = CellTracker(2.3, known=False)
+    tracker.finder.learn(pictures)
+    for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
+        shown = tracker.see(picture, k / 30, no_field)
+        assert len(tracker.finder.find(absurd)) <= BLOBS
+        assert all(np.isfinite((c.x, c.y, c.heading)).all() for c in shown)
+        if 20 < k < 30:
+            assert shown == []
+
+
+def test_light_that_changes_makes_no_blobs():
+    flat = np.full((128, 128), 120, np.uint8)
+    finder = BlobFinder(20, 2000)
+    finder.learn([flat] * 3)
+    for level in (60, 100, 150, 200):
+        assert finder.find(np.full((128, 128), level, np.uint8)) == []
+        assert finder.light.gain == pytest.approx(level / 120, rel=0.02)
+
+
+def drawn(cells, size):
+    """Return a picture of ellipses: column, row, half length and half width [px]."""
+    rows, columns = np.indices(size)
+    level = np.full(size, 120.0)
+    for column, row, long, wide in cells:
+        level[np.square((columns - column) / long) + np.square((rows - row) / wide) < 1] = 60.0
+    return level.astype(np.uint8)
+
+
+def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
+    halves = [(12.0, 6.0)] * 6 + [(16.0, 9.0)]
+    rows, since = 40.0 + 40 * np.arange(7), [0] * 6 + [20]
+
+    def picture(k):
+        seen = [i for i in range(7) if k >= since[i]]
+        return drawn([(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in seen], (320, 600))
+
+    tracker, stated = CellTracker(2.3, known=False), []
+    tracker.finder.learn([picture(12 * k) for k in range(9)])
+    for k in range(80):
+        seen = [c for c in tracker.see(picture(k), k / 30, no_field) if c.wide_um > 34]
+        stated += [(k, cell.probability) for cell in seen]
+    assert {p for k, p in stated if k < 50} == {0.5}
+    assert {p for k, p in stated if k > 60} == {1.0}
+
+
+def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
+    def picture(k):  # a cell leaves the picture where another one enters
+        return drawn([(380 - abs(300 - 6 * k), 100.0, 12.0, 6.0)], (200, 380))
+
+    tracker = CellTracker(2.3, known=True, splits=True)
+    tracker.finder.learn([picture(10 * k) for k in range(10)])
+    before = {c.identity for k in range(40) for c in tracker.see(picture(k), k / 30, no_field)}
+    seen = [tracker.see(picture(k), k / 30, no_field) for k in range(40, 90)]
+    after = {cell.identity for cells in seen[-10:] for cell in cells}
+    assert len(before) == len(after) == 1 and before.isdisjoint(after)
+
+
+@pytest.mark.parametrize(
+    ("long", "wide", "large"),
+    [(66, 30, False), (90, 28, True), (70, 45, True)],
+    ids=["one", "two in a row", "two abreast"],
+)
+def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
+    cell = CellTrack(1, [], long=60.0, wide=32.0)
+    note_size(cell, np.array([0.0, 0.0, 0.0, long, wide]), 1.0)
+    assert cell.large is large
+
+
+def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
+    def picture(k):  # a cell comes near another, swims next to it, and is not seen any more
+        middle, aside = 30 + 5 * k, [0, max(40 - 2 * k, 9)] if k < 25 else [0]
+        return drawn([(middle, 60 + each, 12, 6) for each in aside], (140, 600))
+
+    tracker = CellTracker(2.3, known=False, splits=True)
+    tracker.finder.learn([picture(12 * k) for k in range(9)])
+    counts = [len(tracker.see(picture(k), k / 30, no_field)) for k in range(100)]
+    assert counts[20:60] == [2] * 40 and counts[-1] == 1

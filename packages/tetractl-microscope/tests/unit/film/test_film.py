@@ -1,0 +1,354 @@
+"""Films: their pictures, what is found of each cell, and how sure that is."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.dish_films import Reel, film, followed, record, who
+from support.needs_opencv import cv2, video
+from tetractl_microscope.cells.cell import SeenCell
+from tetractl_microscope.cells.kernels.helix_steps import HEADING
+from tetractl_microscope.film.field_file import read_field
+from tetractl_microscope.film.film_tables import LISTED, as_items, notes
+from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
+from tetractl_microscope.film.follow import CellPath, _faded_line, _flagged, _paths, _split, follow
+from tetractl_microscope.film.pictures import open_film
+from tetractl_microscope.organisms import TETRAHYMENA
+from tetractl_microscope.results.kinematics import velocities
+
+from tetractl.core.errors import TetractlError, UsageError
+
+
+def test_a_speeds_and_biases_are_within_their_intervals():
+    inside, found = [], 0
+    for seed in (31, 33, 35, 39):
+        made = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
+        seen, cells = fit_cells(followed(made), record(made))
+        for path, cell in zip(seen.paths, cells, strict=True):
+            i = who(made, path)
+            if cell.a is None or cell.seconds < 3 or i is None:
+                continue
+            found += 1
+            truth = made.cells.a[i], made.cells.speed[i]
+            pairs = zip((cell.a, cell.speed), truth, strict=True)
+            inside += [each.low < value < each.high for each, value in pairs]
+            assert cell.speed.high - cell.speed.value < 0.05 * truth[1]
+            assert cell.magnetised is bool(truth[0] > 0)
+            assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
+    assert found >= 4
+    assert np.mean(inside) >= 0.85
+
+
+def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
+    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    before = followed(made)
+    path = max(before.paths, key=lambda path: len(path.seen))
+    path = replace(path, times=path.times[:60], frames=path.frames[:60], seen=path.seen[:60])
+    seen, (cell,) = fit_cells(replace(before, paths=(path,)), record(made))
+    i, (path,) = who(made, path), seen.paths
+    assert cell.pictures == 60
+    assert cell.seconds == pytest.approx(2.0)
+    assert cell.speed.low < made.cells.speed[i] < cell.speed.high
+    assert cell.spread < 0.05 * cell.speed.value  # this film's cells swim steadily
+    assert np.median(np.linalg.norm(path.places - made.body[path.frames, i, :2], axis=1)) < 1.0
+
+
+def test_no_cell_responds_to_a_field_that_was_off():
+    made = film(seed=32, side=512, cells=0, strangers=6, crossings=False, seconds=4.0)
+    cells = fit_cells(followed(made), record(made))[1]
+    fitted = [cell for cell in cells if cell.a is not None]
+    assert fitted and not any(cell.magnetised for cell in fitted)
+    assert all(cell.a.low < 0 < cell.a.high for cell in fitted)
+
+
+def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
+    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    before = followed(made)
+
+    def turned(cell):  # as that of a round cell, or of one far out of focus
+        x, y, axis, *deviations = cell.measured
+        return replace(cell, measured=(x, y, axis + np.pi / 2, *deviations))
+
+    paths = tuple(
+        replace(path, seen=tuple(turned(c) if c.measured else c for c in path.seen))
+        for path in before.paths
+    )
+    off = []
+    for path in fit_cells(replace(before, paths=paths), record(made))[0].paths:
+        truth = made.body[path.frames, who(made, path), 2]
+        off += np.abs(np.sin(np.array([cell.axis for cell in path.seen]) - truth)).tolist()
+    assert np.mean(off) < 0.2
+
+
+@pytest.mark.parametrize(("seed", "turned"), [(0, 1.5), (1, 2.1), (7, 2.1), (8, 1.5)])
+def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed, turned):
+    random, times, begun = np.random.default_rng(seed), np.arange(160) / 30, 160 / 60
+    backs = (times > begun) & (times < begun + 0.5)
+    heading = random.normal(0, 0.07 / 30**0.5, 160).cumsum() + turned * (times > begun + 0.25)
+    way = np.where(backs, -150.0, 330.0) / 30 * np.exp(1j * heading)
+    turn = 6 * np.pi * times  # of a helix of 8 um
+    places = 1000 * (1 + 1j) + way.cumsum() + 8j * np.cos(turn) * np.exp(1j * heading)
+    places += random.normal(0, 0.5, (160, 2)) @ (1, 1j)
+    swing = np.arctan(0.8 * 8 * 6 * np.pi * np.sin(turn) / 330)
+    axes = heading + swing + random.normal(0, 0.02, 160)
+    state, seen = np.zeros(15), []
+    for x, y, axis in zip(places.real.tolist(), places.imag.tolist(), axes.tolist(), strict=True):
+        own = (x, y, axis, 0.86, 0.86, 0.04), None
+        seen.append(
+            SeenCell(1, x, y, axis, 0.0, state, state, 1.0, True, False, 50.0, 25.0, 1, *own)
+        )
+    path = CellPath(1, times, np.arange(160), tuple(seen))
+    made = SimpleNamespace(organism=TETRAHYMENA, size=(2000, 2000), um_px=2.3)
+    fit = _Fit.of(_Measured.of(path, made, None), np.ones(3))
+    off = np.angle(np.exp(1j * (fit.states[:, HEADING] - heading)))
+    assert (np.abs(off) > 0.8).sum() < 17  # it backs in 15 pictures
+
+
+def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
+    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    sure = followed(made)
+    doubtful = tuple(
+        replace(path, seen=tuple(replace(cell, probability=0.5) for cell in path.seen))
+        for path in sure.paths
+    )
+    before, after = (
+        fit_cells(each, record(made))[1] for each in (sure, replace(sure, paths=doubtful))
+    )
+    speeds = [cell.speed.value for cell in before if cell.speed]
+    for narrow, wide in zip(before, after, strict=True):
+        if narrow.speed is not None:
+            assert wide.speed.value == narrow.speed.value
+            assert wide.speed.high - wide.speed.value > 0.5 * 1.96 * np.std(speeds) * 0.9
+
+
+def test_cells_that_fade_are_said():
+    state = np.zeros(12)
+    shown = [
+        {
+            7: SeenCell(
+                1, *[0.0] * 4, state, state, 1.0, k % 10 > 0, False, 50.0, 25.0, 7, None, None
+            )
+        }
+        for k in range(100)
+    ]
+    assert "10 %" in str(_faded_line(shown))
+    assert _faded_line(shown[1:10]) is None and _faded_line([{}]) is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        (range(60), []),
+        ([k for k in range(60) if k % 8 != 5], ["pictures are lost"]),
+        ([k - (k % 8 == 5) for k in range(60)], ["pictures are doubled"]),
+    ],
+)
+def test_pictures_that_are_lost_or_doubled_are_said(numbers, said):
+    made = film(seed=31, side=512, cells=5, crossings=False, seconds=2.0)
+    pictures = list(made.pictures())
+    found = follow(Reel(made, [pictures[k] for k in numbers]), 2.3, None, TETRAHYMENA)
+    lines = [line for line in found.remarks if "pictures are" in line]
+    assert len(lines) == len(said) and all(map(str.__contains__, lines, said))
+
+
+def test_of_many_uncertain_meetings_a_few_are_listed():
+    seen = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
+    for count, more in ((LISTED, []), (LISTED + 3, ["warning: 3 more"])):
+        lines = notes(replace(seen, doubtful=((1, 2),) * count), ())
+        assert sum("cells 1, 2 met" in line for line in lines) == LISTED
+        assert [line[:15] for line in lines if "more meetings" in line] == more
+
+
+def test_without_a_field_there_is_no_a():
+    made = film(seed=34, side=512, cells=3, crossings=False)
+    seen = followed(made, known=False)
+    seen, cells = fit_cells(seen, None)
+    assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
+    assert as_items("reel", seen, cells)["cells"][0]["a_rad_s"] is None
+
+
+def test_the_scale_is_guessed_from_bodies(tmp_path):
+    made = film(seed=35, side=512, cells=6, crossings=False, seconds=2.0)
+    for k, picture in enumerate(made.pictures()):
+        cv2.imwrite(str(tmp_path / f"picture-{k}.png"), picture)
+    found = follow(open_film(tmp_path, 30.0), None, None)
+    assert found.guessed_scale
+    assert found.um_px == pytest.approx(2.3, rel=0.25)
+    assert len(found.paths) >= 3
+
+
+def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
+    for k in (2, 10, 1):
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.full((80, 90), k, np.uint8))
+    (tmp_path / "p3.jpg").write_bytes(b"\xff\xd8 no picture")
+    cv2.imwrite(str(tmp_path / "p4.png"), np.zeros((10, 10), np.uint8))
+    (tmp_path / "notes.txt").write_text("not a picture")
+    film_ = open_film(tmp_path, 30.0)
+    assert [(k, int(picture[0, 0])) for k, picture in film_] == [(0, 1), (1, 2), (4, 10)]
+    assert film_.damaged == 2
+
+
+@pytest.mark.parametrize("name", ["film.avi", "film.mp4", "film.mjpeg"])
+def test_films_are_read_by_their_own_rate(tmp_path, name):
+    path = tmp_path / name
+    if name.endswith("mjpeg"):
+        picture = cv2.imencode(".jpg", np.full((96, 128), 90, np.uint8))[1].tobytes()
+        path.write_bytes(picture * 8)
+    else:
+        codec = "MJPG" if name.endswith("avi") else "mp4v"
+        video(path, [np.full((96, 128), 90, np.uint8)] * 8, 15.0, codec)
+    if name.endswith("mjpeg"):
+        with pytest.raises(UsageError, match="states no rate"):
+            open_film(path)
+    else:
+        assert open_film(path).rate_hz == pytest.approx(15.0)
+    found = open_film(path, 15.0)
+    assert len(list(found)) == len(list(found)) >= 7
+    assert open_film(path, 60.0).rate_hz == 60.0
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"RIFF" + bytes(100), bytes(range(256)) * 40, b"\xff\xd8\xff\xe0 cut"]
+)
+def test_what_is_no_film_is_one_clear_error(tmp_path, content):
+    path = tmp_path / "film.avi"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match="OpenCV cannot read this film"):
+        open_film(path)
+
+
+def test_a_film_without_cells_has_no_scale(tmp_path):
+    for k in range(40):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((64, 64), 100, np.uint8))
+    with pytest.raises(TetractlError, match="the scale is unknown"):
+        follow(open_film(tmp_path, 30.0), None, None)
+
+
+def test_the_field_is_that_of_the_last_row_before(tmp_path):
+    path = tmp_path / "field.csv"
+    path.write_text("time_s,direction_rad,strength\n1.0,0,1\n2.0,1.5707963,0.5\n")
+    field = read_field(path)
+    assert field.pieces(0.0, 0.5) == [(0.5, 0.0, 0.0)]
+    cut = np.array(field.pieces(0.5, 2.5))
+    assert cut == pytest.approx(np.array([(0.5, 0, 0), (1.0, 1, 0), (0.5, 0, 0.5)]), abs=1e-6)
+    assert read_field(path, upside_down=True).pieces(2.0, 2.5)[-1][2] == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a,b\n1,2\n", "line 2: has no finite number in column time_s"),
+        ("time_s,direction_rad\n1,north\n", "line 2: has no finite number in column direction_rad"),
+        ("time_s,direction_rad\n1,nan\n", "line 2: has no finite number in column direction_rad"),
+        ("time_s,direction_rad\n2,0\n1,0\n", "line 3: the time is earlier"),
+        ("time_s,direction_rad\n", "has no rows"),
+        ("time_s,direction_rad,strength\n0,0,1\n1,0,-1e38\n", "line 3: strength: -1e\\+38 is too"),
+    ],
+)
+def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):
+    path = tmp_path / "field.csv"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=says):
+        read_field(path)
+
+
+def test_velocities_are_those_of_casa():
+    times = np.arange(91) / 30.0
+    wave = 20 * np.sin(2 * np.pi * 2.5 * times)  # um; a turn takes 12 pictures
+    line = velocities(times, np.column_stack([300 * times, wave]), 2.5)
+    assert line["vsl_um_s"] == pytest.approx(300)
+    assert line["vap_um_s"] == pytest.approx(300, rel=0.03)
+    assert line["vcl_um_s"] == pytest.approx(374, rel=0.02)  # the mean of sqrt(300^2 + wave'^2)
+    assert line["lin"] == pytest.approx(line["vsl_um_s"] / line["vcl_um_s"])
+    angle = np.pi * times  # half a turn of 100 um in each part of one second
+    circle = velocities(times, 100 * np.column_stack([np.cos(angle), np.sin(angle)]), np.nan)
+    assert circle["vcl_um_s"] == pytest.approx(100 * np.pi, rel=0.01)
+    assert circle["vsl_um_s"] == pytest.approx(200)
+    assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
+    assert set(velocities(times[:1], np.zeros((1, 2)), 2.5).values()) == {None}
+
+
+@pytest.mark.parametrize(
+    ("likely", "large", "tracks", "sure"),
+    [
+        ([1.0, 1.0, 0.4, 0.4, 1.0, 1.0], [], "777777", [True] * 6),  # certain before and after
+        ([1.0, 1.0, 1.0, 0.97, 0.97, 0.97], [], "777777", [True] * 3 + [False] * 3),
+        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [], "777777", [True] * 6),
+        ([0.9] * 6, [], "777777", [False] * 6),
+        ([1.0] * 6, [2, 3], "777777", [True] * 6),  # in its blob may be something unknown
+        ([1.0] * 6, [4, 5], "777777", [True] * 4 + [False] * 2),  # the same at the end
+        ([1.0] * 6, [], "777788", [True] * 4 + [False] * 2),  # lost and found again
+    ],
+)
+def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tracks, sure):
+    state, body = np.zeros(12), (0.0,) * 6
+    seen = tuple(
+        SeenCell(3, 9.0, 9.0, 0, 0, state, state, p, True, k in large, 50.0, 25.0, t, body, None)
+        for k, (p, t) in enumerate(zip(likely, tracks, strict=True))
+    )
+    flagged = _flagged(CellPath(3, np.arange(6) / 30, np.arange(6), seen))
+    assert [cell.sure for cell in flagged.seen] == sure
+
+
+def test_a_cell_is_in_a_picture_once():
+    """A lost cell that is found again has its name in pictures before, where it may be in use."""
+
+    def cell(x, track, probability=1.0):
+        return SimpleNamespace(
+            identity=7, x=x, y=0.0, track=track, probability=probability, found=True
+        )
+
+    pictures = [{1: cell(9.0 * k, 1)} for k in range(30)]
+    pictures[20][2], pictures[21][2] = cell(-500.0, 2), cell(-500.0, 2, 0.3)
+    (path,) = _paths(pictures, range(30), np.arange(30) / 30.0, TETRAHYMENA)
+    assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
+
+
+def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
+    def seen(k):
+        places = {
+            "moves": (4.0 * k, 0),
+            "stays": (5, 5),
+            "drifts": (k, 50),
+            "jumps": (4.0 * k + 9 * (k % 2), 90),
+            "fades": (4.0 * k, 30),
+            "brief": (90.0 * k, 9),
+        }
+        cells = [
+            SimpleNamespace(
+                identity=name,
+                x=x,
+                y=y,
+                track=track,
+                probability=1.0,
+                found=name != "fades" or k % 5 < 3,
+            )
+            for track, (name, (x, y)) in enumerate(places.items())
+        ]
+        return {cell.identity: cell for cell in cells[: 6 if k < 3 else 5]}
+
+    found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, TETRAHYMENA)
+    assert [path.identity for path in found] == ["moves"]
+
+
+@pytest.mark.parametrize(
+    ("after", "rate_hz", "merged", "names"),
+    [
+        (4, 2.0, False, [3, 5, 5, 5, 5, 4]),  # seconds of doubt between two names
+        (4, 2.0, True, [3, 3, 3, 5, 5, 4]),  # the same in a shared blob: once 3 is unlikely
+        (4, 12.0, False, [3, 3, 3, 4, 4, 4]),  # too brief for a cell: until 4 is likelier
+        (3, 2.0, False, [3, 3, 3, 3, 3, 3]),
+    ],
+)
+def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
+    after, rate_hz, merged, names
+):
+    state, likely = np.zeros(12), [1.0, 0.6, 0.5, 0.4, 0.4, 1.0]
+    shown = [
+        {7: SeenCell(name, *[0.0] * 4, state, state, p, True, merged, 50.0, 25.0, 7, None, None)}
+        for name, p in zip([3, 3, 3, 3, 3, after], likely, strict=True)
+    ]
+    _split(shown, np.arange(6) / rate_hz)
+    assert [at[7].identity for at in shown] == names
+    assert [at[7].probability for at in shown] == likely

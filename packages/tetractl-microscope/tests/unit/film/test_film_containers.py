@@ -1,0 +1,208 @@
+"""Films as microscopes write them: pictures, scale, rate and times are those that were written."""
+
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+from support.film_containers import (
+    CONTAINERS,
+    RATE_HZ,
+    UM_PX,
+    folder,
+    imagej,
+    micro_manager,
+    ome,
+    ome_split,
+    stack,
+)
+from support.hostile_films import BOMBS, outcome
+from support.needs_opencv import cv2
+from tetractl_microscope.film.film_source import FilmSource, grey_levels, grey_scale, nd2_film
+from tetractl_microscope.film.pictures import open_film
+
+from tetractl.core.errors import TetractlError, UsageError
+
+COUNT = 6
+SLOW = {"many large pictures", "fifo named by tags", "deflate bomb"}
+
+
+def made(count=COUNT, side=64):
+    """Pictures that all differ."""
+    return np.random.default_rng(count).integers(0, 256, (count, side, side + 16), np.uint8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_every_container_gives_the_pictures_that_were_written(tmp_path, name):
+    write, has_scale, has_rate = CONTAINERS[name]
+    pictures = made()
+    film = open_film(
+        write(tmp_path / name, pictures),
+        None if has_rate else RATE_HZ,
+        None if has_scale else UM_PX,
+    )
+    found = [picture for _, picture in film]
+    assert np.array_equal(found, pictures) and film.damaged == 0
+    assert (film.rate_hz, film.um_px) == pytest.approx((RATE_HZ, UM_PX))
+    assert film.seconds(COUNT - 1) == pytest.approx((COUNT - 1) / RATE_HZ)
+    assert film.remarks == []
+
+
+@pytest.mark.slow
+def test_a_value_of_the_user_beats_the_tags_and_a_difference_is_said(tmp_path):
+    film = open_film(imagej(tmp_path / "a.tif", made()), 25.0, 2.0)
+    assert (film.rate_hz, film.um_px) == (25.0, 2.0)
+    assert film.remarks == [
+        "--rate 25 is used; the film states 30",
+        "--scale 2 is used; the film states 2.3",
+    ]
+    assert film.seconds(1) == pytest.approx(1 / 25)
+    assert open_film(imagej(tmp_path / "b.tif", made()), RATE_HZ, UM_PX).remarks == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("write", [folder, stack])
+def test_a_film_without_a_rate_needs_one(tmp_path, write):
+    with pytest.raises(UsageError, match="states no rate") as error:
+        open_film(write(tmp_path / "film", made()))
+    assert "--rate" in error.value.hint
+
+
+@pytest.mark.slow
+def test_a_folder_may_have_a_file_of_times(tmp_path):
+    path, file = folder(tmp_path / "film", made(3)), tmp_path / "film" / "times.csv"
+    file.write_text("time_s\n5.0\n5.5\n5.6\n")
+    film = open_film(path)
+    assert [film.seconds(number) for number, _ in film] == [5.0, 5.5, 5.6]
+    assert film.rate_hz == pytest.approx(2 / 0.6)
+    for text, says in (
+        ("time_s\n1\n2\n", "has 2 times for 3 pictures"),
+        ("time_s\n1\n1\n2\n", "line 3: the time is not after that before"),
+        ("t\n1\n2\n3\n", "line 2: has no finite number in column time_s"),
+    ):
+        file.write_text(text)
+        with pytest.raises(UsageError, match=says):
+            open_film(path)
+
+
+@pytest.mark.slow
+def test_uneven_times_of_the_tags_are_those_of_the_pictures(tmp_path, monkeypatch):
+    uneven = [0.0, 40.0, 70.0, 150.0]
+    monkeypatch.setattr("support.film_containers.times_ms", lambda count: uneven[:count])
+    for write in (ome, ome_split):
+        film = open_film(write(tmp_path / write.__name__, made(4)), um_px=1.0)
+        assert [film.seconds(k) for k in range(4)] == pytest.approx([0, 0.04, 0.07, 0.15])
+    path = micro_manager(tmp_path / "mm", made(8)[:2]) / "dish_MMStack_1.tif"
+    film = open_film(path, 10.0)
+    assert film.um_px == UM_PX
+
+
+@pytest.mark.slow
+def test_a_film_that_was_stopped_early_ends_with_its_last_picture(tmp_path):
+    path = ome_split(tmp_path / "film", made(8))
+    (path / "dish_MMStack_Pos0_1.ome.tif").unlink()
+    film = open_film(path, RATE_HZ)
+    assert len(list(film)) == 4 and film.damaged == 0
+
+
+@pytest.mark.slow
+def test_of_channels_the_first_is_read_and_that_is_said(tmp_path):
+    pictures = made(8)
+    meta = {"axes": "TCYX", "finterval": 0.1}
+    film = open_film(
+        stack(
+            tmp_path / "a.tif", pictures.reshape(4, 2, *pictures.shape[1:]),
+            imagej=True, metadata=meta,
+        )
+    )  # fmt: skip
+    assert np.array_equal([p for _, p in film], pictures[::2])
+    assert film.remarks == ["the first of 2 channels is read"]
+
+
+def test_what_has_no_height_and_width_is_no_picture():
+    shapes = [(8,), (0, 8), (8, 0), (2, 2, 2, 2), (8, 9), (8, 9, 3)]
+    source = FilmSource(lambda index: np.zeros(shapes[index], np.uint8), len(shapes))
+    assert [picture is None for picture in source.pictures()] == [True] * 4 + [False] * 2
+
+
+def test_films_of_any_depth_use_their_own_range():
+    dim = np.random.default_rng(3).normal(30_000, 60, (4, 64, 64)).astype(np.uint16)
+    low, step = grey_scale(dim)
+    grey = grey_levels(dim[0], low, step)
+    assert np.ptp(grey) > 150
+    signed = dim.astype(np.float32) - 30_000
+    signed[0, 0, 0] = np.nan
+    assert np.ptp(grey_levels(signed[1], *grey_scale(signed))) > 150
+    hot = (made(8).astype(np.uint16) << 4) % 4096
+    hot[0, 0, 0] = 65535  # a defective pixel
+    assert np.ptp(grey_levels(hot[1], *grey_scale(hot))) > 190
+    flat = np.full((1, 8, 8), 700, np.uint16)
+    assert np.all(grey_levels(flat[0], *grey_scale(flat)) == 175)
+
+
+def test_nd2_is_read_through_its_library(tmp_path, monkeypatch):
+    """No library writes ND2; the stand-in has the attributes of `nd2.ND2File` 0.12."""
+
+    class ND2File:
+        sizes = {"T": 3, "Z": 2, "C": 2, "Y": 4, "X": 5}  # noqa: RUF012
+
+        def __init__(self, path):
+            pass
+
+        def read_frame(self, index):
+            return np.full((2, 4, 5), [[[index]], [[99]]], np.uint16)
+
+        def voxel_size(self):
+            return SimpleNamespace(x=0.65, y=0.65, z=1.0)
+
+        def frame_metadata(self, index):
+            time = SimpleNamespace(relativeTimeMs=200.0 + 25.0 * index)
+            return SimpleNamespace(channels=[SimpleNamespace(time=time)])
+
+    module = ModuleType("nd2")
+    module.ND2File = ND2File
+    monkeypatch.setitem(sys.modules, "nd2", module)
+    film = nd2_film(tmp_path / "film.nd2")
+    assert [int(picture[0, 0]) for picture in film.pictures()] == [0, 2, 4]
+    assert film.um_px == 0.65 and film.times == pytest.approx([0, 0.05, 0.1])
+    assert film.remarks == ["the first of 2 slices is read", "the first of 2 channels is read"]
+
+
+@pytest.mark.slow
+def test_a_missing_library_is_named_with_its_extra(tmp_path):
+    path = tmp_path / "film.nd2"
+    path.write_bytes(b"\xda\xce\xbe\n" + bytes(100))
+    with pytest.raises(TetractlError) as error:
+        open_film(path)
+    assert "nd2, which is not installed" in str(error.value) or "cannot be read" in str(error.value)
+
+
+@pytest.mark.slow
+def test_a_picture_is_measured_before_it_is_decoded(tmp_path):
+    large = np.zeros((4097, 4096), np.uint8)
+    for name in ("1.png", "1.tif"):
+        path = tmp_path / name[2:]
+        path.mkdir()
+        cv2.imwrite(str(path / name), large)
+        with pytest.raises(UsageError, match="at most 4096 x 4096 px are read"):
+            open_film(path, 30.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(set(BOMBS) - SLOW))
+def test_a_hostile_film_ends_with_one_line(tmp_path, name):
+    """Those that take seconds are among the films of `benchmarks/hostile_films.py`."""
+    BOMBS[name](tmp_path / "film")
+    how, said, _ = outcome(tmp_path, tmp_path / "film")
+    assert how in ("ended with 1", "ended with 2"), said
+    told = [line for line in said.splitlines() if "is used; the film" not in line]
+    assert len([line for line in told if not line.startswith("hint: ")]) == 1
+
+
+@pytest.mark.slow
+def test_the_decoder_has_no_more_memory_than_it_says(tmp_path):
+    """400 MB of zeros in a strip of 0.4 MB are one picture that cannot be read."""
+    BOMBS["deflate bomb"](tmp_path / "film.tif")
+    film = open_film(tmp_path / "film.tif", 30.0)
+    assert list(film) == [] and film.damaged == 1

@@ -1,0 +1,121 @@
+"""The organism of a film is recognised by what swims in it, and what is not followed is said."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.needs_opencv import cv2
+from tetractl_microscope.film.organism_of import recognised
+from tetractl_microscope.organisms import (
+    EUGLENA,
+    HELICAL_MICROROBOT,
+    PARAMECIUM,
+    TETRAHYMENA,
+    named,
+)
+from tetractl_microscope.registries import ORGANISMS
+
+from tetractl.core.errors import TetractlError
+
+SIDE, RATE_HZ, COUNT = 400, 30.0, 6
+
+
+@dataclass
+class Ellipses:
+    """A film of COUNT ellipses, `long` by `wide` [px], that swim along their axes."""
+
+    long: float
+    wide: float
+    speed_px_s: float
+    path: Path = Path("ellipses.avi")
+    rate_hz: float = RATE_HZ
+
+    def __iter__(self):
+        for number in range(120):
+            picture = np.full((SIDE, SIDE), 200, np.uint8)
+            way = self.speed_px_s * self.seconds(number)
+            for i in range(COUNT):
+                angle = 0.3 * i - 0.8
+                x, y = 70 + way * math.cos(angle), 60 + 55 * i + way * math.sin(angle)
+                centre, axes = (round(16 * x), round(16 * y)), (8 * self.long, 8 * self.wide)
+                size = tuple(round(axis) for axis in axes)
+                turned = math.degrees(angle)
+                cv2.ellipse(picture, centre, size, turned, 0, 360, 90, -1, cv2.LINE_AA, 4)
+            yield number, picture
+
+    def seconds(self, number):
+        return number / self.rate_hz
+
+
+def swimming(kind, um_px):
+    """A film of the organism's usual size and speed."""
+    (long, wide), speed = kind.body_um, math.sqrt(math.prod(kind.speed_um_s))
+    return Ellipses(long / um_px, wide / um_px, speed / um_px)
+
+
+@pytest.mark.parametrize("name", ORGANISMS.names())
+def test_an_organism_is_recognised_by_its_size_and_speed(name):
+    kind = named(name)
+    um_px = kind.body_um[1] / 9
+    film = swimming(kind, um_px)
+    found = recognised(film, um_px)
+    assert found.organism is kind and found.um_px == um_px and not found.guessed
+    assert found.remarks[0].startswith(f"cells are taken for {name}: ")
+    assert len(found.remarks) == 1
+
+
+def test_other_swimmers_than_those_chosen_are_counted_and_named():
+    film = swimming(PARAMECIUM, 6.0)
+    said, coarse = recognised(film, 6.0, TETRAHYMENA).remarks
+    assert "tetrahymena is 4.4 px wide at 6 um/px; 8 px or more are needed" in coarse
+    assert "objects that move have not the size and speed of tetrahymena" in said
+    assert said.endswith("--organism paramecium follows them, if they swim and do not drift")
+    assert recognised(film, 6.0, PARAMECIUM).remarks == ()
+
+
+def test_small_cells_that_seem_large_in_coarse_pictures_are_not_taken_for_others():
+    film = Ellipses(7.0, 2.0, 35.0)  # seem 164 um long and 96 um wide
+    found = recognised(film, 16.0)
+    assert found.organism is TETRAHYMENA
+    assert not any("paramecium" in line for line in found.remarks)
+    assert "tetrahymena is 1.6 px wide" in found.remarks[-1]
+
+
+def test_pictures_too_rare_to_tell_cells_apart_are_said():
+    film = swimming(TETRAHYMENA, 2.3)
+    film.rate_hz = 5.0
+    (said,) = recognised(film, 2.3, TETRAHYMENA).remarks
+    assert "5 pictures a second are too few" in said and said.endswith("film at 8 or more")
+    film.rate_hz = 10.0
+    assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
+
+
+def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():
+    film = swimming(EUGLENA, 1.5)
+    found = recognised(film, None, EUGLENA)
+    assert found.guessed and found.um_px == pytest.approx(1.5, rel=0.1)
+    assert "the scale is a guess" in found.remarks[0] and "euglena of 48 um" in found.remarks[0]
+    unknown = recognised(film, None)
+    assert unknown.organism is TETRAHYMENA and "tetrahymena" in unknown.remarks[0]
+
+
+def test_if_nothing_swims_the_scale_cannot_be_guessed_and_the_organism_is_said():
+    still = Ellipses(20.0, 8.0, 0.0)
+    with pytest.raises(TetractlError, match="nothing swims"):
+        recognised(still, None)
+    found = recognised(still, 2.0)
+    assert found.organism is TETRAHYMENA and "nothing that swims" in found.remarks[0]
+
+
+def test_drifting_specks_do_not_outvote_the_cells_that_swim():
+    cells, specks = swimming(TETRAHYMENA, 2.3), swimming(HELICAL_MICROROBOT, 2.3)
+
+    class Both(Ellipses):
+        def __iter__(self):
+            for (number, one), (_, two) in zip(cells, specks, strict=True):
+                yield number, np.minimum(one, two[::-1])
+
+    both = Both(0, 0, 0)
+    assert recognised(both, 2.3).organism is TETRAHYMENA

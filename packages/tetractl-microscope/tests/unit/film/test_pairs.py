@@ -1,0 +1,96 @@
+"""Cells that were in another cell's blob before they were first seen."""
+
+import math
+
+import numpy as np
+import pytest
+from tetractl_microscope.cells.cell import SeenCell
+from tetractl_microscope.film.pairs import Shown, fill_pairs
+
+BODY_UM, LONG, WIDE = 50.0, 52.0, 26.0
+APART_AT = 30  # the picture in which the second cell has a blob of its own
+TIMES = [k / 30 for k in range(45)]
+
+
+def seen(track: int, x: float, y: float, long: float = LONG, wide: float = WIDE) -> SeenCell:
+    return SeenCell(
+        identity=track,
+        x=x,
+        y=y,
+        axis=0.0,
+        heading=0.0,
+        mean=np.zeros(12),
+        covariance=np.zeros((12, 12)),
+        probability=1.0,
+        found=True,
+        merged=False,
+        long_um=LONG,
+        wide_um=WIDE,
+        track=track,
+        measured=None,
+        blob_um=np.array((x, y, 0.0, long, wide)),
+    )
+
+
+def film(apart_um: list[float]) -> Shown:
+    """Return pictures of two cells, one above the other by `apart_um`, in one blob until they are
+    36 um apart, and of a third one far away.
+    """
+    shown: Shown = []
+    for k, apart in enumerate(apart_um):
+        x = 300.0 + 10 * k
+        shown.append({3: seen(3, x, 900.0)})
+        if k < APART_AT:  # the second moment of two bodies: their own, and that of the distance
+            wide = math.sqrt(WIDE**2 + 4 * apart**2)
+            shown[k][1] = seen(1, x, 100.0 + apart / 2, LONG, wide)
+        else:
+            shown[k] |= {1: seen(1, x, 100.0), 2: seen(2, x, 100.0 + apart)}
+    return shown
+
+
+def test_both_cells_of_a_large_blob_are_in_the_pictures_before_they_part() -> None:
+    shown = film([24.0] * APART_AT + [36.0] * 15)
+    assert fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM) == {2}
+    for at in shown[:APART_AT]:
+        assert (at[2].y, at[1].y) == pytest.approx((124.0, 100.0))
+        assert at[2].x == at[1].x
+        assert at[1].probability == at[2].probability == 0.5
+    names = {(at[1].identity, at[2].identity) for at in shown[:APART_AT]}
+    assert len(names) == 1
+    assert len({*names.pop(), 1, 2, 3}) == 5
+    assert [at[1].identity for at in shown[APART_AT:]] == [1] * 15
+
+
+def test_a_blob_that_was_large_once_has_shown_both_since_then() -> None:
+    shown = film([20.0] * 5 + [0.0] * 25 + [36.0] * 15)
+    assert fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM)
+    assert all(2 in at for at in shown)
+
+
+def test_cells_that_one_covers_the_other_have_other_names_before() -> None:
+    shown = film([24.0] * 14 + [0.0] * 3 + [24.0] * 13 + [36.0] * 15)
+    assert fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM)
+    assert shown[13][1].identity == shown[0][1].identity != shown[17][1].identity
+    assert shown[13][2].identity == shown[0][2].identity != shown[17][2].identity
+
+
+@pytest.mark.parametrize(
+    ("apart_um", "why"),
+    [
+        ([0.0] * APART_AT + [36.0] * 15, "its blob was never too large for one: it has divided"),
+        ([0.0] * 25 + [24.0] * 5 + [36.0] * 15, "they were together for too short a time"),
+        ([0.0] * 10 + [24.0] * 2 + [0.0] * 18 + [36.0] * 15, "two large blobs may be an error"),
+    ],
+)
+def test_a_cell_is_not_added_where_blobs_do_not_say_so(apart_um: list[float], why: str) -> None:
+    shown = film(apart_um)
+    assert not fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM), why
+    assert not any(2 in at for at in shown[:APART_AT])
+
+
+def test_a_large_blob_says_nothing_where_sizes_vary_as_much() -> None:
+    shown = film([24.0] * APART_AT + [36.0] * 15)
+    longer = np.exp(np.random.default_rng(1).normal(0.0, 0.4, (len(shown), 4)))
+    for at, each in zip(shown, longer, strict=True):
+        at |= {3 + i: seen(3 + i, 300.0, 500.0 + 100 * i, LONG * each[i]) for i in range(4)}
+    assert not fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM)

@@ -1,0 +1,32 @@
+"""What a camera says of its stream of pictures."""
+
+import pytest
+from tetractl_microscope.pictures.looks import Look, stream_lines
+
+from tetractl.core.clock import SECOND
+
+GOOD = {"ended": "", "now": 0.7, "declared": 30.0, "damaged": 0, "every": 1, "hz": 30.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem", "warning"),
+    [
+        ({}, None, None),
+        ({"ended": "the stream ended"}, "the stream ended", None),
+        ({"now": 1.2}, "no picture comes from film any more", None),
+        ({"declared": 60.0}, None, "30 pictures per second come instead of 60: is there"),
+        ({"hz": 10.0, "declared": None, "now": 2.0}, None, "only 10 pictures per second come"),
+        ({"every": 2}, None, "19 of the last 39 pictures were not searched: searching one takes"),
+        ({"damaged": 3}, None, "3 pictures were damaged"),
+    ],
+)
+def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
+    given = GOOD | changes
+    every, hz = given["every"], given["hz"]
+    looks = [Look(k * every, round(k * every * SECOND / hz), 5_000_000, None) for k in range(20)]
+    now_ns = round(given["now"] * SECOND) + (every - 1) * 19 * SECOND // 30
+    problems, warnings = stream_lines(
+        looks, "film", given["ended"], now_ns, given["declared"], given["damaged"]
+    )
+    assert problems == ([] if problem is None else [problem])
+    assert [line.startswith(warning) for line in warnings] == ([] if warning is None else [True])

@@ -1,0 +1,216 @@
+"""Sources of pictures: files, devices and what a network camera may answer."""
+
+import socket
+import struct
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL.JpegImagePlugin import JpegImageFile
+from support.needs_opencv import cv2
+from support.tag_scene import film, jpeg
+from tetractl_microscope.pictures.feed import Picture, SourceEndedError
+from tetractl_microscope.pictures.picture_section import DeviceSource, FileSource, MjpegSource
+from tetractl_microscope.pictures.source import decoded, open_feed
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.errors import AbortError
+
+PICTURE = np.tile(np.arange(0, 240, 2, dtype=np.uint8), (90, 1))
+
+
+def test_a_film_plays_at_its_own_rate(tmp_path):
+    source = FileSource(**film(tmp_path / "film.avi", [PICTURE] * 5, rate=20.0))
+    clock = VirtualClock()
+    clock.sleep_until(3 * SECOND)
+    feed = open_feed(source, clock, 1.0)
+    assert feed.rate_hz == pytest.approx(20.0)
+    assert feed.emulated  # a film shows no robot that could be steered
+    times = [feed.read().received_ns for _ in range(5)]
+    assert times == [3 * SECOND + i * SECOND // 20 for i in range(5)]
+    with pytest.raises(SourceEndedError, match="has ended"):
+        feed.read()
+    feed.close()
+
+
+def test_no_file_and_no_film_are_told_apart(tmp_path):
+    with pytest.raises(AbortError, match="there is no file"):
+        open_feed(FileSource(type="file", path=str(tmp_path / "no.avi")), VirtualClock(), 1.0)
+    text = tmp_path / "text.avi"
+    text.write_text("no film")
+    with pytest.raises(AbortError, match="not a video that OpenCV can read"):
+        open_feed(FileSource(type="file", path=str(text)), VirtualClock(), 1.0)
+
+
+class Capture:
+    """Stands in for cv2.VideoCapture: a camera of one size that delivers three pictures."""
+
+    opened, size, left = True, (640, 480), 3
+
+    def __init__(self, index, system):
+        self.settings, self.released = {}, False
+        Capture.last = self
+
+    def isOpened(self):  # noqa: N802
+        return self.opened
+
+    def set(self, what, value):
+        self.settings[what] = value
+
+    def get(self, what):
+        return self.size[0] if what == cv2.CAP_PROP_FRAME_WIDTH else self.size[1]
+
+    def grab(self):
+        self.left -= 1
+        return self.left >= 0
+
+    def retrieve(self):
+        return True, np.full((480, 640, 3), 7, np.uint8)
+
+    def release(self):
+        self.released = True
+
+
+DEVICE = DeviceSource(type="device", index=2, width=640, height=480, rate=30)
+
+
+def test_a_device_is_set_up_read_and_released(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    feed = open_feed(DEVICE, VirtualClock(), 1.0)
+    assert Capture.last.settings[cv2.CAP_PROP_FPS] == 30
+    assert not feed.emulated
+    assert Capture.last.settings[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
+    assert all((decoded(feed.read()) == 7).all() for _ in range(3))
+    with pytest.raises(SourceEndedError, match="camera 2 delivers no more"):
+        feed.read()
+    feed.close()
+    assert Capture.last.released
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "line"),
+    [
+        ("opened", False, "camera 2 cannot be opened"),
+        ("size", (320, 240), "gives 320x240, not 640x"),
+    ],
+)
+def test_a_device_that_cannot_be_used_says_so(monkeypatch, attribute, value, line):
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    monkeypatch.setattr(Capture, attribute, value)
+    with pytest.raises(AbortError, match=line):
+        open_feed(DEVICE, VirtualClock(), 1.0)
+
+
+def answering(status, kind, body=b""):
+    """A server on loopback that gives one answer."""
+
+    class Answer(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(status)
+            self.send_header("Content-Type", kind)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *args):
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Answer)
+    threading.Thread(target=server.handle_request, daemon=True).start()
+    return server, MjpegSource(type="mjpeg", url=f"http://127.0.0.1:{server.server_port}/video")
+
+
+@pytest.mark.parametrize(
+    ("status", "kind"),
+    [
+        (404, "text/html"),
+        (200, "image/jpeg"),
+        (200, "multipart/x-mixed-replace"),
+        (503, "multipart/x-mixed-replace; boundary=b"),
+    ],
+)
+def test_an_answer_that_is_no_stream_is_told(status, kind):
+    server, source = answering(status, kind)
+    with pytest.raises(AbortError, match=f"is not an MJPEG stream: it answers {status}"):
+        open_feed(source, VirtualClock(), 5.0)
+    server.server_close()
+
+
+def test_nobody_answers():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]  # free again after this block
+    with pytest.raises(AbortError, match=r"does not answer: .*refused"):
+        open_feed(MjpegSource(type="mjpeg", url=f"http://127.0.0.1:{port}"), VirtualClock(), 5.0)
+
+
+def test_a_stream_is_read_to_its_end():
+    part = b"--b\r\nContent-Type: image/jpeg\r\n\r\n" + jpeg(PICTURE) + b"\r\n"
+    server, source = answering(200, 'multipart/x-mixed-replace; boundary="b"', 3 * part + b"--b--")
+    feed = open_feed(source, VirtualClock(), 5.0)
+    assert not feed.emulated  # though it is on loopback
+    assert all(decoded(feed.read()).shape == PICTURE.shape for _ in range(3))
+    with pytest.raises(SourceEndedError, match="closed the stream"):
+        feed.read()
+    feed.close()
+    server.server_close()
+
+
+@given(st.integers(0, 10_000), st.binary(max_size=20))
+def test_a_jpeg_cut_short_is_none_and_a_spoiled_one_does_no_harm(cut, spoil):
+    whole = jpeg(PICTURE)
+    cut %= len(whole)
+    assert decoded(Picture(whole[:cut], 0)) is None
+    spoiled = whole[:cut] + spoil + whole[cut + len(spoil) :]
+    grey = decoded(Picture(spoiled, 0))
+    assert grey is None or grey.dtype == np.uint8
+
+
+def test_what_is_no_jpeg_is_no_picture():
+    for content in (b"", b"hello", b"\xff\xd8\xff\xd9", b"\xff\xd8" + bytes(100) + b"\xff\xd9"):
+        assert decoded(Picture(content, 0)) is None
+
+
+def claiming(width, height, content):
+    """A JPEG whose header claims another size than its data have."""
+    at = content.index(b"\xff\xc0") + 5
+    return content[:at] + struct.pack(">HH", height, width) + content[at + 4 :]
+
+
+@pytest.mark.parametrize("size", [None, PICTURE.shape])
+def test_a_jpeg_that_claims_to_be_huge_is_not_decoded(size, monkeypatch):
+    """Regression: 335 bytes took 2 GB and 12 s."""
+    monkeypatch.setattr(JpegImageFile, "load", lambda self: pytest.fail("it is decoded"))
+    bomb = claiming(32767, 32767, jpeg(np.zeros((8, 8), np.uint8)))
+    assert len(bomb) < 400
+    assert decoded(Picture(bomb, 0), size) is None
+
+
+def test_a_jpeg_of_another_size_than_the_first_is_not_decoded(monkeypatch):
+    other = Picture(jpeg(PICTURE[:80]), 0)
+    assert decoded(other).shape == (80, 120)
+    monkeypatch.setattr(JpegImageFile, "load", lambda self: pytest.fail("it is decoded"))
+    assert decoded(other, PICTURE.shape) is None
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("restarts", [0, 4])
+def test_a_jpeg_cut_short_before_an_end_marker_is_damaged(colour, restarts):
+    """Regression: it was decoded into a picture that is partly grey."""
+    pixels = np.dstack([PICTURE, PICTURE[::-1], PICTURE]) if colour else PICTURE
+    whole = jpeg(pixels, restarts=restarts)
+    assert np.abs(decoded(Picture(whole, 0)).astype(int) - cv2grey(whole)).max() == 0
+    start = whole.index(b"\xff\xda") + 10
+    for cut in range(start, len(whole) - 24):
+        assert decoded(Picture(whole[:cut] + b"\xff\xd9", 0)) is None
+
+
+def test_bytes_behind_the_end_marker_are_no_damage():
+    whole = jpeg(PICTURE)
+    padded = decoded(Picture(whole + bytes(30), 0))
+    assert (padded == decoded(Picture(whole, 0))).all()
+
+
+def cv2grey(content):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)

@@ -1,0 +1,98 @@
+"""The figures of a film's cells."""
+
+import numpy as np
+import pytest
+from tetractl_microscope.figures.cells import turns
+from tetractl_microscope.figures.draw_cells import draw_cells
+from tetractl_microscope.film.track_log import TrackLog
+from tetractl_microscope.registries import CELL_FIGURES
+
+from tetractl.core.errors import UsageError
+
+RATE_HZ, A, SPEED = 30.0, 3.0, 400.0
+FIELD = {"time_s": [0.0, 2.0, 4.0], "x": [1.0, 0.0, -0.5], "y": [0.0, 1.0, 0.0]}
+
+
+def swum(heading):
+    """Poses of a cell that turns by equation (3) in FIELD."""
+    times, state, rows = np.arange(180) / RATE_HZ, np.array([500.0, 500.0, heading]), []
+    for t in times:
+        rows.append(state.copy())
+        k = np.searchsorted(FIELD["time_s"], t, side="right") - 1
+        x, y = FIELD["x"][k], FIELD["y"][k]
+        turn = A * (y * np.cos(state[2]) - x * np.sin(state[2]))
+        state += np.array([SPEED * np.cos(state[2]), SPEED * np.sin(state[2]), turn]) / RATE_HZ
+    return times, np.array(rows)
+
+
+def film(cells=6, field=True):
+    """A film of some cells."""
+    made = [swum(0.5 * k) for k in range(cells)]
+    listed = [
+        {
+            "cell": k + 1, "vcl_um_s": 400.0 + k, "vap_um_s": 390.0, "vsl_um_s": 300.0, "lin": 0.75,
+            "speed_um_s": {"value": 380.0 + 9 * k, "ci95": [370.0 + 9 * k, 390.0 + 9 * k]},
+            "magnetised": True, "a_rad_s": {"value": A, "ci95": [2.9, 3.1]},
+            "since_s": 0.0, "duration_s": 6.0,
+        }
+        for k in range(cells)
+    ]  # fmt: skip
+    record = {
+        "film": "dish.avi", "pictures": 180, "rate_hz": RATE_HZ, "um_per_px": 4.0, "width": 640,
+        "height": 480, "scale_guessed": False, "cells": listed, "field": FIELD if field else None,
+    }  # fmt: skip
+    return TrackLog(
+        path="track.mcap",
+        record=record,
+        time=np.concatenate([times for times, _ in made]) if made else np.zeros(0),
+        cell=np.repeat(np.arange(1, cells + 1), 180),
+        poses=np.concatenate([poses for _, poses in made]) if made else np.zeros((0, 3)),
+        picture=np.tile(np.arange(640, dtype=np.uint8), (480, 1)),
+        contents=None,
+        damage=(),
+    )
+
+
+@pytest.mark.parametrize("kind", CELL_FIGURES.names())
+def test_each_figure_is_drawn_and_states_the_film(kind):
+    figure = draw_cells(kind, [film()])
+    words = [text.get_text() for text in figure.texts]
+    assert any("dish.avi: 6 tracks, 6 s, 4 µm/px" in text for text in words)
+    assert len(figure.axes) == (6 if kind == "cells" else 1)
+
+
+def test_a_film_without_a_field_or_without_cells_has_the_other_figures():
+    titles = [axes.get_title(loc="left") for axes in draw_cells("cells", [film(field=False)]).axes]
+    assert len(titles) == 5 and not any("turning" in title for title in titles)
+    assert len(draw_cells("cells", [film(0)]).axes) == 1
+    with pytest.raises(UsageError, match="has no data for the figure 'turning'"):
+        draw_cells("turning", [film(field=False)])
+    with pytest.raises(UsageError, match="one film, not 2"):
+        draw_cells("cells", [film(), film()])
+    with pytest.raises(UsageError, match="no figure of a film's cells is called 'error'"):
+        draw_cells("error", [film()])
+
+
+def test_the_turning_stated_is_that_of_the_cells_that_respond():
+    log = film(7)
+    log.record["cells"][6] |= {"magnetised": None, "a_rad_s": None}  # a piece of 0.4 s
+    log.record["cells"][5] |= {"magnetised": False, "a_rad_s": {"value": 0.1, "ci95": [-1, 1]}}
+    (axes,) = draw_cells("turning", [log]).axes
+    assert "a = 3.00 [3.00, 3.00], n = 5 cells" in axes.get_xlabel()
+    squares, curve = (line.get_data()[1] for line in axes.lines[-2:])
+    assert np.nanmax(np.abs(squares)) == pytest.approx(np.abs(curve).max(), rel=0.1)
+
+
+def test_the_rate_of_turning_is_that_of_the_model_at_any_strength():
+    times, poses = swum(1.0)
+    angle, rate = turns(times, poses[:, 2], FIELD)
+    assert len(angle) > 100
+    assert np.abs(rate - A * np.sin(angle)).max() < 0.2
+
+
+def test_the_displacement_of_a_straight_path_is_the_square_of_the_lag():
+    log = film(1, field=False)
+    log.poses[:, :2] = np.column_stack([SPEED * log.time, 0 * log.time])
+    (axes,) = draw_cells("msd", [log]).axes
+    lags, squares = axes.lines[0].get_data()
+    assert np.asarray(squares, float) == pytest.approx((SPEED * np.asarray(lags)) ** 2)

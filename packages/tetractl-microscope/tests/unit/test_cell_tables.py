@@ -1,0 +1,36 @@
+"""Means over the cells of a film count cells, not the pieces of their paths."""
+
+import numpy as np
+import pytest
+from tetractl_microscope.results.cell_tables import cell_mean, cell_tables, known_values
+
+
+def cell(number, since, seconds, speed, a=None, magnet=None):
+    return {
+        "cell": number, "since_s": since, "duration_s": seconds, "speed_um_s": speed,
+        "a_rad_s": a, "magnetised": magnet, "sure": number != 2,
+    }  # fmt: skip
+
+
+CELLS = [
+    cell(1, 0.0, 8.0, 400.0, 4.0, True),
+    cell(2, 0.0, 2.0, 300.0, 0.2, False),
+    cell(3, 2.0, 6.0, 500.0, 5.0, True),  # the same cell as 2 under another number
+    cell(4, 0.0, 8.0, 450.0, 4.0, True),
+]
+
+
+def test_a_cell_in_pieces_counts_once_and_by_its_time():
+    found = cell_mean(*known_values(CELLS, "speed_um_s"))
+    assert found.n == 3
+    assert found.mean == pytest.approx(np.average([400, 300, 500, 450], weights=[8, 2, 6, 8]))
+    assert found.ci95.low < found.mean < found.ci95.high
+    assert cell_mean(CELLS[:1], [400.0]).n == 1 and not cell_mean(CELLS[:1], [400.0]).ci95.known
+
+
+def test_the_mean_of_a_is_of_the_cells_that_respond():
+    table, means = cell_tables({"cells": CELLS, "notes": []})
+    rows = dict(zip(means.columns[0].values, means.columns[2].values, strict=True))
+    assert rows["a [rad/s] of those that respond"] == "4.27"
+    (number,) = (column for column in table.columns if column.name == "number")
+    assert list(number.values) == ["sure", "may be another", "sure", "sure"]

@@ -1,0 +1,216 @@
+"""The `apriltag` camera: tracks robots by their tags and reports problems, warnings and facts."""
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.core.clock import Clock
+from tetractl.core.commands import Health
+from tetractl.core.poses import Floats, Grey, Pose
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import entry
+from tetractl_microscope.apriltag.detect import Detector, Sighting
+from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
+from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
+from tetractl_microscope.pictures.looks import Look
+from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
+
+# a tag whose size differs by this fraction is a different tag, or at a different height
+ODD_SIZE = 0.2
+_MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
+    `strangers` are the poses of unknown tags, computed as if on the floor. Poses are in the spec's
+    length unit. `tags` are the numbers of all tags, repeated if seen several times. `sizes` are
+    each robot's ratio of the tag's measured side to `size_mm`, None if not seen. Of the robots' and
+    floor tags, `blur` is the largest blur of an edge [modules: eighths of the tag's side] and
+    `side_px` the shortest side [px]; both are None if no such tag is seen.
+    """
+
+    poses: tuple[Pose | None, ...]
+    strangers: tuple[Pose, ...]
+    tags: tuple[int, ...]
+    sizes: tuple[float | None, ...]
+    blur: float | None
+    side_px: float | None
+
+
+class Tracker:
+    """Finds the robots' and floor tags in pictures; `metres` is the spec's length unit [m]."""
+
+    def __init__(self, section: AprilTagSection, names: Sequence[str], metres: float) -> None:
+        self.robots = [entry(section.robots, name) for name in names]
+        self._on_floor = {tag.tag for tag in section.floor}
+        self._wanted = self._on_floor | {robot.tag for robot in self.robots}
+        self._metres = metres
+        self._detector = Detector()
+        highest = max(robot.height_mm for robot in self.robots)
+        self.floor = Floor(section.floor, metres, section.lens, highest)
+
+    def see(self, picture: Grey) -> Seen:
+        """Return the tags and poses found in a grey picture (height, width).
+
+        If a number is seen on two tags, both are ignored: the robot with this tag is not tracked,
+        or the floor tag is not used.
+        """
+        sightings = self._detector.find(picture)
+        counts = Counter(each.tag for each in sightings)
+        once = {each.tag: each for each in sightings if counts[each.tag] == 1}
+        corners = {number: once[number].corners for number in once if number in self._on_floor}
+        self.floor.see(corners, (picture.shape[1], picture.shape[0]))
+        found = [self._robot(robot, once.get(robot.tag)) for robot in self.robots]
+        wanted = [each for each in sightings if each.tag in self._wanted]
+        return Seen(
+            tuple(pose for pose, _ in found),
+            self._strangers(sightings),
+            tuple(sorted(each.tag for each in sightings)),
+            tuple(size for _, size in found),
+            max((8 * each.blur_px / each.side_px for each in wanted), default=None),
+            min((each.side_px for each in wanted), default=None),
+        )
+
+    def _robot(
+        self, robot: RobotTag, sighting: Sighting | None
+    ) -> tuple[Pose | None, float | None]:
+        plane = self.floor.plane
+        if sighting is None or plane is None:
+            return None, None
+        corners = plane.locate(sighting.corners, robot.height_mm * MM)
+        pose, side = self._posed(corners, robot.heading_offset)
+        size = side / (robot.size_mm * MM)
+        if abs(size - 1) >= ODD_SIZE:
+            return None, size
+        if (stance := plane.stance(sighting.corners, robot.size_mm * MM)) is not None:
+            height, tilt = stance
+            pose = replace(pose, height=height / self._metres, tilt=tilt)
+        return pose, size
+
+    def _strangers(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
+        plane = self.floor.plane
+        if plane is None:
+            return ()
+        unknown = (each for each in sightings if each.tag not in self._wanted)
+        return tuple(self._posed(plane.locate(each.corners), 0.0)[0] for each in unknown)
+
+    def _posed(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
+        """Return pose and side [m] of the square that fits the corners (4, 2) [m] best."""
+        x, y = corners.mean(axis=0) / self._metres
+        fit = np.vdot(_MODEL, corners[:, 0] + 1j * corners[:, 1]) / np.vdot(_MODEL, _MODEL).real
+        heading = math.atan2(fit.imag, fit.real) + heading_offset
+        return Pose(float(x), float(y), heading), float(abs(fit))
+
+
+BLURRED = 0.36  # blur [modules] above which some tags cannot be read
+ODD = 0.03  # relative difference from the spec's tag size above which a warning is given
+MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, that is reported
+
+
+Finding = tuple[bool, str]
+"""A problem (True) or a warning (False), and its text."""
+
+
+def _findings(
+    section: AprilTagSection, tracker: Tracker, looks: Sequence[Look[Seen]]
+) -> Iterator[Finding]:
+    counts = Counter(tag for look in looks for tag in set(look.seen.tags))
+    # a tag seen in fewer than half of the pictures counts as not seen
+    seen = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(looks))
+    twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
+    others = f"; tags seen: {_listed(seen)}"
+    floor = [tag.tag for tag in section.floor]
+    if missing := [tag for tag in floor if tag not in seen]:
+        yield True, f"floor {_tags(missing)} not seen{others}"
+    if double := [tag for tag in floor if tag in twice]:
+        yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
+    plane = tracker.floor.plane or tracker.floor.misfit
+    if plane is not None and not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
+        yield (
+            not plane.worst_mm <= MISFIT_MM,
+            f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
+            "lab.camera.floor: measure the fields at, size_mm and heading again",
+        )
+    if plane is not None and section.lens is None and plane.doubt_mm > MISPLACED_MM:
+        yield (
+            plane.doubt_mm > MISFIT_MM,
+            f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
+            "off; tilt the camera more or set lab.camera.lens",
+        )
+    for i, robot in enumerate(tracker.robots):
+        sizes = [size for look in looks if (size := look.seen.sizes[i]) is not None]
+        if robot.tag in twice:
+            yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
+        elif robot.tag not in seen:
+            yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
+        elif sizes and abs(off := statistics.median(sizes) - 1) > ODD:
+            yield (
+                abs(off) >= ODD_SIZE,
+                f"{robot.name}: its tag looks {abs(100 * off):.0f} % "
+                f"{'larger' if off > 0 else 'smaller'} than it should: are size_mm and height_mm "
+                "right?",
+            )
+
+
+def _tags(numbers: Sequence[int]) -> str:
+    return f"tag{'s' * (len(numbers) > 1)} {_listed(numbers)} {'are' if len(numbers) > 1 else 'is'}"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers)) or "none"
+
+
+class AprilTagCamera(PictureCamera[Seen]):
+    """Tracks N robots by their tags; a `Camera`.
+
+    A robot is not tracked (None) while its tag is not seen, is seen twice, or has the wrong size.
+    No robot is tracked before the floor tags have calibrated the camera.
+    """
+
+    def __init__(
+        self,
+        section: AprilTagSection,
+        setup: Setup,
+        clock: Clock,
+        wake: Callable[[], None] = lambda: None,
+        join: Join | None = None,
+    ) -> None:
+        super().__init__(section, clock, wake, join)
+        self.section = section
+        self._tracker = Tracker(section, setup.names, setup.metres)
+
+    def check(self) -> Health:
+        """Examine some pictures; return problems, warnings and facts of source, floor and tags."""
+        looks, section, floor = self._look(), self.section, self._tracker.floor
+        problems, warnings = self._stream_lines(looks)
+        plane = floor.plane or floor.misfit
+        for refuses, text in _findings(section, self._tracker, looks):
+            (problems if refuses else warnings).append(text)
+        blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
+        sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+        if blurs and statistics.median(blurs) > BLURRED:
+            warnings.append(
+                f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "
+                "lens, use larger tags or more pixels, or shorten the exposure"
+            )
+        facts = {
+            "source": section.source_name,
+            "latency": f"{section.latency:g} s, as the spec says",
+            **self._stream_facts(looks),
+        }
+        if plane is not None:
+            origin = "the spec's" if section.lens is not None else "estimated"
+            facts["floor_error"] = f"{plane.error_mm:.2f} mm"
+            facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
+        if sides:
+            facts["smallest_tag"] = f"{min(sides):.0f} px"
+        facts |= {"damaged": str(self.damaged), "skipped": str(self._skipped)}
+        return Health(tuple(problems), tuple(warnings), facts, emulated=self.emulated)
+
+    def _see(self, picture: Grey, exposed_ns: int) -> Seen:
+        return self._tracker.see(picture)

@@ -1,0 +1,235 @@
+"""Calibrates the camera by the floor tags, and converts pixels to positions above the floor.
+
+The camera is a pinhole with square pixels: it shows the point X at the pixel x = K (R X + t), up to
+scale. Once distortion is removed, a pixel defines a ray; a tag at height h is where its ray meets
+the plane z = h. On the floor, this mapping is the homography; above the floor it corrects the
+parallax.
+
+A lens in the spec is used unchanged. If the spec has no lens, the principal point is the picture's
+middle, and the focal length f and one coefficient of distortion, k1, are fitted together with the
+camera's pose. The usual values of lenses are priors of the fit: if the camera looks straight down,
+every f fits equally well, and the prior decides.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from tetractl.core.poses import Floats
+from tetractl.core.setup import MM
+from tetractl_microscope.apriltag.section import FloorTag, Lens
+
+# corners of a tag of side 1: top left first, clockwise; x is the direction of reading
+SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """A calibrated camera over the floor.
+
+    `matrix` is K (3, 3), `distortion` OpenCV's coefficients, `rotation` R (3, 3) and `shift` t (3,)
+    [m]. Of the distances between the floor tags' corners as measured and as given in the spec,
+    `error_mm` is the root mean square and `worst_mm` the largest. `doubt_mm` is the position error,
+    at the height of the highest robot's tag, that results if the estimated lens is wrong by two
+    standard deviations; 0 if the lens is given.
+    """
+
+    matrix: Floats
+    distortion: Floats
+    rotation: Floats
+    shift: Floats
+    error_mm: float = 0.0
+    worst_mm: float = 0.0
+    doubt_mm: float = 0.0
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length [px]."""
+        return float(self.matrix[0, 0])
+
+    def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
+        """Return the positions (..., 2) [m] of pixels (..., 2) at a `height` above the floor [m].
+
+        `height` is broadcast against the leading dimensions of `pixels`.
+        """
+        flat = pixels.reshape(-1, 1, 2)
+        rays = cv2.undistortPoints(flat, self.matrix, self.distortion).reshape(pixels.shape)
+        ahead = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) @ self.rotation
+        camera = -self.rotation.T @ self.shift
+        reach = (height - camera[2]) / ahead[..., 2]
+        return camera[:2] + reach[..., None] * ahead[..., :2]
+
+    def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
+        """Return a tag's height above the floor [m] and its tilt against the floor [rad]; None if
+        no pose fits.
+
+        `pixels` (4, 2) are the tag's corners and `side` its side [m]. Two tilts may fit a small or
+        distant tag equally well: the smaller tilt is returned.
+        """
+        square = np.column_stack([side * SQUARE, np.zeros(4)])
+        _, turns, shifts, errors = cv2.solvePnPGeneric(
+            square, pixels, self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        misfits = np.ravel(errors)
+        found = [
+            self._upright(np.asarray(turn, float), np.asarray(shift, float))
+            for turn, shift, misfit in zip(turns, shifts, misfits, strict=True)
+            # fits that differ by less than 0.1 px cannot be distinguished
+            if misfit <= misfits.min() + 0.1
+        ]
+        return min(found, key=lambda each: each[1], default=None)
+
+    def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
+        """Return a tag's height above the floor [m] and tilt [rad] from its pose in camera axes."""
+        place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
+        upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
+        return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
+
+
+def placed(tag: FloorTag, metres: float) -> Floats:
+    """Return the corners of a floor tag in the spec's axes, (4, 2) [m]."""
+    cos, sin = np.cos(tag.heading), np.sin(tag.heading)
+    turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
+    return tag.size_mm * MM * turned + metres * np.array(tag.at)
+
+
+def calibrated(
+    pixels: Floats,
+    places: Floats,
+    size: tuple[int, int],
+    lens: Lens | None = None,
+    highest: float = 0.0,
+) -> Plane:
+    """Return the camera that sees the corners of F floor tags, which are at `places` (F, 4, 2) [m],
+    in `pixels` (F, 4, 2).
+
+    `size` is the picture's width and height [px]; `highest` is the height of the highest robot's
+    tag [m], for which `doubt_mm` is computed.
+    """
+    points, spots = pixels.reshape(-1, 2), places.reshape(-1, 2)
+    middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    doubt = 0.0
+    if lens is not None:
+        matrix = _matrix(lens.focal_px, lens.centre or middle)
+        plane = _posed(matrix, np.array(lens.distortion, float), points, spots)
+    else:
+        usual, deviations = _fitted(points, spots, size[0], middle)
+        plane = _posed(*_lens(usual, size[0], middle), points, spots)
+        centres = pixels.mean(axis=1)
+        # points between the tags, where robots may be
+        between = (centres[:, None] + centres[None]) / 2
+        here = plane.locate(between, highest)
+        for deviation in deviations:
+            # a lens that is wrong by two standard deviations
+            other = _posed(*_lens(usual + 2.0 * deviation, size[0], middle), points, spots)
+            gaps = np.linalg.norm(other.locate(between, highest) - here, axis=-1)
+            doubt = math.hypot(doubt, float(gaps.max()) / MM)
+    off = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
+    error = float(np.sqrt(np.mean(off**2)))
+    return replace(plane, error_mm=error, worst_mm=float(off.max()), doubt_mm=doubt)
+
+
+def _matrix(focal: float, centre: Sequence[float]) -> Floats:
+    return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
+
+
+def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
+    """Return K and the distortion for `usual` (2,): log(f / width) and k1, each divided by its
+    prior's standard deviation.
+    """
+    # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
+    focal, bend = width * math.exp(0.35 * usual[0]), 0.15 * usual[1]
+    return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
+
+
+def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
+    """Return the camera with a known lens that sees floor positions `spots` (M, 2) [m] in pixels
+    `points` (M, 2).
+    """
+    _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
+    rotation, _ = cv2.Rodrigues(turn)
+    return Plane(matrix, distortion, rotation.astype(float), shift.ravel().astype(float))
+
+
+def _fitted(
+    points: Floats, spots: Floats, width: int, middle: Sequence[float]
+) -> tuple[Floats, Floats]:
+    """Return the most probable log(f / width) and k1 (2,), and their standard deviations (2, 2),
+    for a camera that sees floor positions `spots` (M, 2) [m] in pixels `points` (M, 2).
+
+    All are divided by the priors' standard deviations. Each row of the second array is one standard
+    deviation along an axis of the error ellipse.
+    """
+    start = _posed(*_lens(np.zeros(2), width, middle), points, spots)
+    turn, _ = cv2.Rodrigues(start.rotation)
+
+    def misfit(x: Floats) -> Floats:
+        """Return the errors of the spots' pixels for pose and lens x (8,), and the lens's own, all
+        in standard deviations.
+        """
+        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens(x[6:], width, middle))
+        corner_px = 0.1  # standard deviation of a detected corner
+        return np.append((pixels.reshape(-1, 2) - points).ravel() / corner_px, x[6:])
+
+    first = np.concatenate([turn.ravel(), start.shift, np.zeros(2)])
+    fit = least_squares(misfit, first, method="lm", x_scale="jac")
+    variances, axes = np.linalg.eigh(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:])
+    return fit.x[6:], np.sqrt(variances)[:, None] * axes.T
+
+
+def _flat(spots: Floats) -> Floats:
+    """Return points on the floor (M, 2) as points in space (M, 3)."""
+    return np.column_stack([spots, np.zeros(len(spots))])
+
+
+MOVED_PX = 3.0  # a floor tag this far from its mean position, or the camera, has been moved
+AVERAGED = 32  # largest number of pictures over which corners are averaged
+MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in the spec is wrong
+
+
+class Floor:
+    """Keeps the camera calibrated by the floor tags.
+
+    Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If a
+    corner moves by more than `MOVED_PX`, the calibration is discarded until a picture shows all
+    floor tags again. A calibration by which a floor tag is more than `MISFIT_MM` away from its
+    position in the spec is not used; it is kept in `misfit`.
+    """
+
+    def __init__(
+        self, tags: Sequence[FloorTag], metres: float, lens: Lens | None, highest_mm: float
+    ) -> None:
+        self.plane: Plane | None = None
+        self.misfit: Plane | None = None
+        self._numbers = [tag.tag for tag in tags]
+        self._places = np.array([placed(tag, metres) for tag in tags])  # (F, 4, 2) m
+        self._lens, self._highest = lens, highest_mm * MM
+        self._mean: Floats | None = None
+        self._count = 0
+
+    def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
+        """Take the corners (4, 2) [px], by tag number, of the floor tags seen exactly once in one
+        picture.
+
+        `size` is the picture's width and height [px].
+        """
+        seen = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
+        if self._mean is not None and any(
+            np.abs(each - self._mean[i]).max() > MOVED_PX for i, each in seen.items()
+        ):
+            self._mean = self.plane = self.misfit = None
+        if len(seen) < len(self._numbers):
+            return
+        now = np.array([seen[i] for i in range(len(seen))])
+        if self._mean is None:
+            self._mean, self._count = now, 0
+        self._count += 1
+        self._mean = self._mean + (now - self._mean) / min(self._count, AVERAGED)
+        if self._count % AVERAGED == 0 or self._count.bit_count() == 1:
+            plane = calibrated(self._mean, self._places, size, self._lens, self._highest)
+            fits = plane.worst_mm <= MISFIT_MM
+            self.plane, self.misfit = (plane, None) if fits else (None, plane)

@@ -1,0 +1,102 @@
+"""Problems and warnings about a microscope's pictures of cells; no I/O."""
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tetractl.core.cell_film import SURE
+from tetractl.core.poses import Pose
+from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.pictures.looks import Look
+
+DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
+FAINT = 1.5  # ratio of cells' contrast to the least contrast, below which some are missed
+BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
+SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
+
+
+@dataclass(frozen=True, slots=True)
+class SeenDish:
+    """The results of one picture: the robots' poses, other cells, light and sharpness.
+
+    `sure` is the least probability of the identity of a robot in view, 0 if none is in view.
+    `level` is the median of the picture's grey levels. `sharpness` is the median, over cells, of
+    the steepest slope at the rim divided by the contrast [1/px]; None without cells.
+    """
+
+    poses: tuple[Pose | None, ...]
+    strangers: tuple[Pose, ...]
+    light: Light
+    level: float
+    sharpness: float | None
+    sure: float
+
+
+def dish_lines(
+    names: Sequence[str], looks: Sequence[Look[SeenDish]], width_px: float
+) -> tuple[list[str], list[str]]:
+    """Return problems and warnings about light, focus and cells in the last pictures, which are
+    given oldest first, for cells `width_px` wide; two empty lists without pictures.
+    """
+    if not looks:
+        return [], []
+    newest, problems, warnings = looks[-1].seen, list[str](), list[str]()
+    level = statistics.median(look.seen.level for look in looks)
+    if level < DARK:
+        problems.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
+    elif level > SATURATED:
+        problems.append(
+            f"the picture is saturated (median {level:.0f} of 255): use less light or a shorter "
+            "exposure"
+        )
+    if newest.light.lost:
+        problems.append(
+            f"{100 * newest.light.changed:.0f} % of the picture differs from the "
+            "background: was the stage or the lamp moved? Start again"
+        )
+    lost = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
+    if lost:
+        problems.append(
+            f"{', '.join(lost)} not tracked: {cell_count(looks)} cells are in view, {len(names)} "
+            "are needed"
+        )
+    elif newest.sure < SURE:
+        warnings.append(
+            "cells have met, and it is uncertain which is which: let the field turn a few times"
+        )
+    contrasts = [c for look in looks if (c := look.seen.light.contrast) is not None]
+    contrast = statistics.median(contrasts) if contrasts else None
+    if not newest.light.lost and (line := faint_line(contrast, newest.light.limit)):
+        warnings.append(line)
+    sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
+    if sharp and statistics.median(sharp) < BLURRED:
+        warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
+    if width_px < SMALL_PX:
+        warnings.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
+    return problems, warnings
+
+
+def faint_line(contrast: float | None, limit: float) -> str | None:
+    """Return a line if objects have so little `contrast` that cells may be missed; None if not.
+
+    `contrast` is the median over objects, None without objects, and `limit` the least contrast
+    at which one is found [grey levels].
+    """
+    if contrast is None:
+        said = f"no object differs from the medium by the {limit:.0f} grey levels"
+    elif contrast < FAINT * limit:
+        said = (
+            f"objects differ from the medium by {contrast:.0f} grey levels, hardly the {limit:.0f}"
+        )
+    else:
+        return None
+    return f"{said} that are needed: use more light, a smaller aperture or phase contrast"
+
+
+def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
+    """Return the median, over one or more pictures, of the number of cells in view."""
+    counts = [
+        sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
+        for look in looks
+    ]
+    return round(statistics.median(counts))

@@ -1,0 +1,366 @@
+"""Finds blobs in a grey picture: regions that differ from a slowly updated background.
+
+Steps: blur; subtract the background, scaled to the picture's light; average the difference, of
+either sign, over a square as small as the smallest cell, so that a body and its halo are one; take
+what exceeds the noise of these averages; compute the moments of each body.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.poses import Floats, Grey
+from tetractl_microscope.cells.knocks import moved, shift_of
+
+STRIPES = 16  # number of stripes of the background; each picture updates one
+LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
+RELEARNING = 0.5  # the weight where the picture keeps differing from the background
+SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
+ROWS_PX = 300_000  # most pixels of each picture that a median takes at a time
+BOX = 1.2  # side of the averaged squares, relative to a square of the least area
+LOW, HIGH = 3.0, 4.5  # thresholds of averaged differences, in standard deviations of their noise
+LEAST = 0.33  # least standard deviation of that noise: pictures have whole grey levels
+NOISY = 4.0  # growth of the noise at which the background no longer applies
+NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
+BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
+CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
+EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
+GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
+RAMP = 0.2, 0.6  # differences with the weights 0 and 1, relative to the body's greatest mean
+BODIES, NEXT = 4, 0.5  # bodies in a region; least peak of each, relative to the first's
+KNOCK = 1.3, 0.002  # factor and fraction by which a knock makes more of the picture change
+LOST, EVERY, AGAIN = 5, 3, 9  # pictures lost until learning begins again, of every third, from 9
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """A region of a picture that differs from the background; x, y [px] is its middle, `axis` [rad]
+    its direction mod pi.
+
+    `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` is the mean
+    difference [grey levels]. `body` is a mask of the blob, in a rectangle whose upper left pixel is
+    at `corner`. `at_edge`: the picture's edge cuts the blob.
+    """
+
+    x: float
+    y: float
+    axis: float
+    long: float
+    wide: float
+    strength: float
+    body: Grey
+    corner: tuple[int, int]
+    at_edge: bool
+
+    @property
+    def pixels(self) -> Floats:
+        """Columns and rows of the blob's pixels (M, 2)."""
+        rows, columns = np.nonzero(self.body)
+        return np.column_stack([columns + self.corner[0], rows + self.corner[1]]).astype(float)
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """Properties of a picture: `gain` is its light relative to the background's, `noise` the
+    standard deviation of its noise [grey levels].
+
+    `contrast` [grey levels] is the median strength of the blobs, None without blobs. `changed` is
+    the fraction of pixels that differ from the background; `lost` is True if cells cannot explain
+    that fraction. `shift_px` is by how much the stage was moved since the picture before: columns
+    to the right, rows down. `limit` [grey levels] is the least contrast of a cell that is found.
+    """
+
+    gain: float
+    noise: float
+    contrast: float | None
+    changed: float
+    lost: bool
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    limit: float = 0.0
+
+
+@dataclass(slots=True)
+class BlobFinder:
+    """Finds blobs that cover `least_px2` to `most_px2` pixels once differences were averaged over
+    squares a little larger than the least; either are brighter or darker than the background.
+
+    `learn` computes the background from pictures taken over a second or more. `follow` updates it
+    by later pictures, except around the cells, so that the background shows no resting cells. After
+    a knock the background is moved by the picture's shift; where a cell rested while the background
+    was learned, it is mended once the cell has left; it is learned again if it does not apply.
+    """
+
+    least_px2: float
+    most_px2: float
+    bright: bool = field(default=False, init=False)
+    """Whether most of what moves is brighter than the background."""
+    light: Light = field(default=Light(1.0, 0.0, None, 0.0, False), init=False)
+    limits: tuple[float, ...] = field(default=(), init=False)
+    """Limits of the newest search: low and high threshold [grey levels], least and most area
+    [px^2].
+    """
+    background: Grey | None = field(default=None, init=False)
+    """The learned picture without cells."""
+    searched: Grey = field(init=False)
+    """The newest picture minus its background; blobs are searched for in this difference."""
+    _fine: NDArray[np.float32] = field(init=False)  # the background in fractions of grey levels
+    _smooth: Grey = field(init=False)  # the newest picture, blurred
+    _mean: NDArray[np.float32] = field(  # averaged differences
+        default_factory=lambda: np.empty(0, np.float32), init=False
+    )
+    _mask: Grey = field(init=False)  # those above the lower limit
+    _was: Grey = field(init=False)  # the mask when the background was updated last
+    _stripe: int = field(default=0, init=False)
+    _usual: float | None = field(default=None, init=False)  # usual fraction of changed pixels
+    _noise: float = field(default=0.0, init=False)  # of the first picture after learning
+    _lost: int = field(default=0, init=False)  # successive pictures that were lost
+    _again: list[Grey] = field(default_factory=list, init=False)  # of them, for a new background
+
+    def learn(self, pictures: Sequence[Grey]) -> None:
+        """Compute the background as the median of pictures (height, width), each shifted and scaled
+        to fit the middle one; determine whether most cells are brighter or darker than it.
+        """
+        levels = np.array([max(float(np.median(_sparse(each))), 1.0) for each in pictures])
+        gains, half = np.median(levels) / levels, len(pictures) // 2
+        near = slice(max(0, half - 2), half + 3)
+        usual = _grey(cv2.convertScaleAbs(_median(pictures[near], gains[near])))
+        still = [
+            moved(each, shift_of(cv2.convertScaleAbs(each, alpha=gain), usual))
+            for each, gain in zip(pictures, gains, strict=True)
+        ]
+        self._fine = _median(still, gains)
+        _blurred(self._fine, np.empty_like(self._fine), self._fine)
+        self.background = _grey(cv2.convertScaleAbs(self._fine))
+        apart = [g * _sparse(e) - _sparse(self._fine) for e, g in zip(still, gains, strict=True)]
+        self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
+        self._usual, self._lost, self._again = None, 0, []
+
+    def find(self, picture: Grey) -> list[Blob]:
+        """Return the blobs of a picture (height, width), largest first."""
+        assert self.background is not None, "learn() comes first"
+        if self._mean.shape != picture.shape:
+            self.searched, self._smooth, self._mask, self._was = (
+                np.zeros_like(picture) for _ in range(4)
+            )
+            self._mean = np.empty(picture.shape, np.float32)
+        _blurred(picture, self.searched, self._smooth)
+        light, shift = self._compare(), (0.0, 0.0)
+        first, usual = self._usual is None, self._usual or 0.0
+        if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
+            shift = shift_of(cv2.convertScaleAbs(self.background, alpha=light.gain), self._smooth)
+            if shift != (0.0, 0.0):
+                self._fine = np.asarray(moved(self._fine, shift), np.float32)
+                self.background = _grey(cv2.convertScaleAbs(self._fine))
+                light = self._compare()
+            usual = light.changed
+        self._usual = usual + 0.05 * (light.changed - usual)
+        self._noise = light.noise if first else self._noise
+        noisy = light.noise > NOISY * max(self._noise, 1.0)
+        lost = light.lost or noisy or light.changed > CHANGED or bool(self._again)
+        found = [] if lost else blobs_of(self.searched, self.limits, mean=self._mean)
+        blobs = [blob for blob in found if not self._mended(blob, light.gain)]
+        contrast = float(np.median([each.strength for each in blobs])) if blobs else None
+        self.light = replace(
+            light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if first else shift
+        )
+        self._lost = self._lost + 1 if lost else 0
+        return blobs
+
+    def _compare(self) -> Light:
+        """Compute the difference of the newest picture from the background, its limits, the mean
+        differences and the mask of those above the lower limit.
+        """
+        assert self.background is not None
+        seen, known = _sparse(self._smooth), np.maximum(_sparse(self.background), 1)
+        gain = float(np.median(seen / known))
+        gain = gain if 0.05 < gain < 20 else 1.0
+        cv2.convertScaleAbs(self.background, self.searched, gain)
+        cv2.absdiff(self._smooth, self.searched, self.searched)
+        # medians, and averages of what is near them: cells and debris do not count
+        noise = min(1.48 * float(np.median(np.abs(seen - gain * known))), NOISE_MAX)
+        averaged(self.searched, self.least_px2, self._mean)
+        sample = _sparse(self._mean)
+        usual = sample[sample <= np.median(sample) + max(2.0, noise)].astype(float)
+        level, spread = min(float(usual.mean()), NOISE_MAX), max(float(usual.std()), LEAST)
+        low, high = level + LOW * spread, level + HIGH * spread
+        self.limits = (low, high, self.least_px2, self.most_px2)
+        np.greater(self._mean, low, out=self._mask)
+        # a saturated or noisy picture differs little from one expected to be as bright or noisy
+        lost = noise == NOISE_MAX or float(np.median(seen)) == 255 > float(np.median(known))
+        changed = cv2.countNonZero(self._mask) / self._mask.size
+        return Light(gain, noise, None, changed, lost, limit=high)
+
+    def _mended(self, blob: Blob, gain: float) -> bool:
+        """Return whether a blob is not in the picture but only in the background, which is then
+        corrected.
+        """
+        assert self.background is not None
+        (left, top), (tall, wide) = blob.corner, blob.body.shape
+        here = slice(top, top + tall), slice(left, left + wide)
+        seen, known = (
+            cv2.meanStdDev(each[here])[1].item() for each in (self._smooth, self.background)
+        )
+        if gain * known < GHOST * max(seen, 1.0):
+            return False
+        wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
+        self._fine[here][wrong] = self._smooth[here][wrong] / gain
+        self.background[here][wrong] = np.clip(self._fine[here][wrong], 0, 255)
+        return True
+
+    def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
+        """Update the next stripe of the background by the last picture, except in the rectangles
+        `keep`, each given by left, top, right and bottom [px].
+        """
+        assert self.background is not None, "learn() comes first"
+        height = len(self._fine)
+        top = self._stripe * height // STRIPES
+        bottom = (self._stripe + 1) * height // STRIPES
+        self._stripe = (self._stripe + 1) % STRIPES
+        if top == bottom:  # a picture with fewer rows than stripes
+            return
+        here = slice(top, bottom)
+        old, mask, was = self._fine[here], self._mask[here], self._was[here]
+        still, calm = mask & was, 1 - mask
+        was[:] = mask
+        for left, upper, right, lower in keep:
+            rows = slice(max(0, upper - top), max(0, lower - top))
+            for each in (still, calm):
+                each[rows, max(0, left) : max(0, right)] = 0
+        scaled = self._smooth[here].astype(np.float32) / max(self.light.gain, 0.05)
+        cv2.accumulateWeighted(scaled, old, LEARNING, calm)
+        cv2.accumulateWeighted(scaled, old, RELEARNING, still)
+        self.background[here] = cv2.convertScaleAbs(old)
+        if self._lost > LOST and self._stripe % EVERY == 0:
+            self._again.append(self._smooth.copy())
+            if len(self._again) == AGAIN:
+                self.learn(self._again)
+
+
+def blobs_of(
+    difference: Grey,
+    limits: Sequence[float],
+    corner: tuple[int, int] = (0, 0),
+    mean: NDArray[np.float32] | None = None,
+) -> list[Blob]:
+    """Return the blobs of a background-subtracted picture, or of a part of it, largest first.
+
+    `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
+    column and row of the part's upper left pixel; `mean` are averages computed before.
+    """
+    mean = averaged(difference, limits[2]) if mean is None else mean
+    above = (mean > limits[0]).view(np.uint8)
+    regions = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+    boxes = [(cv2.boundingRect(region), region) for region in regions]
+    large = [each for each in boxes if each[0][2] * each[0][3] >= limits[2]]
+    large.sort(key=lambda each: -each[0][2] * each[0][3])
+    found: list[Blob] = []
+    for box, region in large[:BLOBS]:
+        found += _bodies(box, region, difference, mean, limits, corner)
+    return found[:BLOBS]
+
+
+def box_px(least_px2: float) -> int:
+    """Return the side of the squares over which differences are averaged [px]; it is odd."""
+    return 2 * int(BOX * math.sqrt(least_px2) / 2) + 1
+
+
+def averaged(
+    difference: Grey, least_px2: float, into: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Average over squares; a crop gives the same to the last bit. `into` is a buffer."""
+    size, rim = (box_px(least_px2),) * 2, cv2.BORDER_CONSTANT
+    mean = cv2.boxFilter(difference, cv2.CV_32F, size, into, borderType=rim)
+    return np.asarray(mean, np.float32)
+
+
+def _bodies(
+    box: Sequence[int],
+    region: np.ndarray,
+    difference: Grey,
+    mean: NDArray[np.float32],
+    limits: Sequence[float],
+    corner: tuple[int, int],
+) -> Iterator[Blob]:
+    """Yield the bodies in a region, given by its contour and the box around it; that with the
+    greatest difference comes first.
+
+    The weights of a body's moments rise from 0 to 1 with the difference, so that neither a pixel at
+    its edge nor what is inside moves them much.
+    """
+    left, top, wide, tall = box
+    low, high, least, most = limits
+    level = low - (high - low) * LOW / (HIGH - LOW)  # the mean of averages without a body
+    here, (height, width) = (slice(top, top + tall), slice(left, left + wide)), mean.shape
+    inside = np.zeros((tall, wide), np.uint8)
+    cv2.drawContours(inside, [region], -1, 1, -1, offset=(-left, -top))
+    rest = mean[here] * inside
+    at_edge = left == 0 or top == 0 or left + wide == width or top + tall == height
+    for _ in range(BODIES if cv2.countNonZero(inside) >= least else 0):
+        _, peak, _, at = cv2.minMaxLoc(rest)
+        if peak <= high:
+            return
+        high = max(high, NEXT * peak)
+        mask = _grey(rest > max(low, level + EDGE * (peak - level)))
+        cv2.floodFill(mask, None, at, 2)
+        body = _grey(mask == 2)
+        near = cv2.dilate(body, _square(least)) > 0
+        rest[near] = 0
+        if not least / 2 <= cv2.countNonZero(body) <= most:  # a neighbour cuts a part off
+            continue
+        weights = np.clip((difference[here] - level) / (peak - level), *RAMP) - RAMP[0]
+        moments = cv2.moments(weights * near)
+        if moments["m00"] == 0:
+            moments = cv2.moments(body, binaryImage=True)
+        mass = moments["m00"]
+        xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
+        xy, middle = moments["mu11"] / mass, (xx + yy) / 2
+        spread = math.hypot((xx - yy) / 2, xy)
+        yield Blob(
+            x=left + corner[0] + moments["m10"] / mass,
+            y=top + corner[1] + moments["m01"] / mass,
+            axis=0.5 * math.atan2(2 * xy, xx - yy),
+            long=4 * math.sqrt(middle + spread),
+            wide=4 * math.sqrt(max(middle - spread, 1e-3)),
+            strength=cv2.mean(difference[here], body)[0],
+            body=body,
+            corner=(left + corner[0], top + corner[1]),
+            at_edge=at_edge,
+        )
+
+
+def _square(least_px2: float) -> Grey:
+    return np.ones((box_px(least_px2),) * 2, np.uint8)
+
+
+def _blurred(picture: np.ndarray, between: np.ndarray, into: np.ndarray) -> None:
+    """Blur a picture by two box filters, which take a quarter of the time of a Gaussian filter.
+
+    The result, written to `into`, is nearly that of a Gaussian with a standard deviation of 1.15
+    px; `between` is a buffer.
+    """
+    cv2.blur(picture, (3, 3), between)
+    cv2.blur(between, (3, 3), into)
+
+
+def _sparse(picture: np.ndarray) -> np.ndarray:
+    step = max(8, picture.shape[0] // SPARSE)
+    return picture[::step, ::step]
+
+
+def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
+    """Return the median of scaled pictures; for some rows at a time, to save memory."""
+    found = np.empty(pictures[0].shape, np.float32)
+    tall = max(1, min(SPARSE, ROWS_PX // found[0].size))
+    for top in range(0, len(found), tall):
+        here = slice(top, top + tall)
+        rows = [g * each[here].astype(np.float32) for each, g in zip(pictures, gains, strict=True)]
+        np.median(rows, axis=0, out=found[here], overwrite_input=True)
+    return found
+
+
+def _grey(picture: np.ndarray) -> Grey:
+    return np.asarray(picture, np.uint8)

@@ -1,0 +1,214 @@
+"""A Kalman filter for many swimming cells at once: position, heading, helix and turning.
+
+State of one cell, in um, s and rad:
+
+    x, y      position on the helix's axis next to the body
+    heading   direction of the helix's axis, which turns by equation (3) of the paper
+    speed     along the axis
+    c, s      the body's offset from the axis: in the picture, to the left, and in depth
+    rate      angular rate of the helix [rad/s]: c' = -rate s, s' = rate c
+    a         turning rate at the reference field, as in equation (3)
+    bias      the dipole's angle from the axis
+    turn      turning rate that the field does not explain [rad/s]
+    flow      velocity of the medium, x and y
+    delay     time after which the field acts on the cell [s]
+    way       length of the way along the helix's axis since the row was added [um]
+    sway      swing of the body's axis, relative to that of a body that points along its path
+    lead      the same for the part of the swing that is a quarter turn ahead
+
+The measurements are the body's middle, which is at (x, y) plus c to the left of the heading, and
+the body's axis mod pi, heading - atan(rate (sway s + lead c) / speed): the projection of Crenshaw's
+helix into the picture. The steps for one cell are compiled (`kernels.helix_steps`).
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats
+from tetractl_microscope.cells.kernels import helix_steps
+from tetractl_microscope.cells.kernels.helix_steps import (
+    BIAS,
+    EXACT,
+    HEADING,
+    MODEL,
+    RATE,
+    SLOWEST,
+    SPEED,
+    STATES,
+    SWAY,
+    TURN,
+    A,
+    C,
+    S,
+    X,
+    Y,
+)
+from tetractl_microscope.organisms import TETRAHYMENA, Organism
+
+# standard deviations of a new cell's position [lengths of a cell], heading, and speed [over that
+# below which it rests]; and their growth per sqrt(s), and that of rate, a and bias
+NEW = 0.115, 0.35, 1.33
+GROWTH = 0.038, 0.07, 0.2
+WALKS = 0.3, 0.02, 0.005
+A_PRIOR = 3.0, 3.0
+BIAS_PRIOR = 0.15
+FLOW_UM_S = 4.0
+WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
+# standard deviation of unexplained turning [rad/s] with and without a known field
+TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
+DELAY_S = 0.015  # standard deviation of the delay
+SWAY_PRIOR, LEAD_SD = (0.8, 0.3), 0.3
+# relative deviations of a mean speed and of a for what a picture does not show, as an axis that
+# leaves the picture's plane
+SPEED_ERROR, A_ERROR = 0.004, 0.02
+
+Piece = tuple[float, float, float]
+"""A constant field: duration [s], and x and y components relative to the reference field."""
+
+NearWall = Callable[[Floats, Floats], Bools]
+"""Function that returns whether a wall may turn cells at positions x, y (R,) [um]."""
+
+
+def open_water(x: Floats, y: Floats) -> Bools:
+    """Return False for all positions: there are no walls."""
+    return np.zeros(len(x), bool)
+
+
+def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
+    """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
+    numbers (12,) of its model, as in `kernels.helix_steps`; `known` as in `HelixFilter`.
+    """
+    body, slowest = organism.body_um[0], organism.slowest_um_s
+    rate, rate_sd = math.tau * np.array(organism.helix_hz)
+    helix = math.hypot(*organism.helix_um) / math.sqrt(2)
+    turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if known else (TURN_UNKNOWN, 0.0, 1e-6)
+    mean, model = np.zeros(STATES), np.zeros(MODEL)
+    mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
+    pose = NEW[0] * body, NEW[0] * body, NEW[1], NEW[2] * slowest, helix, helix
+    others = rate_sd, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1]
+    model[[X, Y, C, S]] = GROWTH[0] * body
+    model[[HEADING, SPEED, RATE, A, BIAS]] = GROWTH[1], GROWTH[2] * slowest, *WALKS
+    model[[TURN, EXACT, SLOWEST]] = turn, 1.0, slowest
+    return mean, np.diag(np.square((*pose, *others, LEAD_SD))), model
+
+
+@dataclass(slots=True)
+class HelixFilter:
+    """A filter with one row per cell: `mean` (R, n) and `covariance` (R, n, n); `used` is False
+    for free rows.
+
+    `known`: whether the field is known, so that little turning is unexplained. `near_wall` says
+    where a wall may turn cells: turning there leaves the estimates of states a and bias unchanged.
+    New cells are like those of the `organism`.
+    """
+
+    known: bool = True
+    near_wall: NearWall = open_water
+    organism: Organism = TETRAHYMENA
+    mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
+    used: Bools = field(default_factory=lambda: np.zeros(0, bool))
+    _new: tuple[Floats, Floats, Floats] = field(init=False)
+    _field: Floats | None = None  # the last piece
+
+    def __post_init__(self) -> None:
+        """Compile the steps now, and not while pictures wait."""
+        self._new = new_cell(self.organism, self.known)
+        self.add(0.0, 0.0, 0.0, 0.0)
+        self.predict([(1.0, 0.0, 0.0)])
+        self.update(np.zeros(1, int), np.zeros((1, 3)), np.ones((1, 3)))
+        self.expected(np.zeros(1, int))
+        self.drop(0)
+        self._field = None
+
+    def add(self, x: float, y: float, heading: float, speed: float) -> int:
+        """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
+        row = self._free()
+        self.mean[row], self.covariance[row], _ = self._new
+        self.mean[row, [X, Y, HEADING, SPEED]] = x, y, heading, speed
+        return row
+
+    def copied(self, row: int) -> int:
+        """Copy a row to a free row; return the index of the copy."""
+        new = self._free()
+        self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
+        return new
+
+    def moved(self, row: int, x: float, y: float, heading: float) -> int:
+        """Copy a cell's row to a free row and move the copy to another pose, keeping speed, turning
+        and helix rate; return the index of the copy.
+        """
+        new, pose = self.copied(row), [X, Y, HEADING, C, S]
+        self.mean[new, pose] = x, y, heading, 0.0, 0.0
+        self.covariance[new, pose, :] = self.covariance[new, :, pose] = 0.0
+        self.covariance[new, pose, pose] = self._new[1][pose, pose]
+        return new
+
+    def mix(self, row: int, rows: np.ndarray, weights: Floats) -> None:
+        """Give a row the mean and covariance of a mixture of rows (K,) with weights (K,): a cell
+        is any of those with these probabilities.
+        """
+        off = self.mean[rows] - self.mean[row]
+        off[:, HEADING] -= math.tau * np.round(off[:, HEADING] / math.tau)
+        middle = weights @ off
+        off -= middle
+        self.covariance[row] = np.einsum("k,kij->ij", weights, self.covariance[rows])
+        self.covariance[row] += np.einsum("k,ki,kj->ij", weights, off, off)
+        self.mean[row] += middle
+
+    def drop(self, row: int) -> None:
+        """Free a row."""
+        self.used[row] = False
+
+    def predict(self, pieces: Sequence[Piece]) -> None:
+        """Predict every row over successive pieces of constant field."""
+        if pieces:
+            field = np.array(pieces, np.float64)
+            walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
+            before = field[0] if self._field is None else self._field
+            rows = self.mean, self.covariance, self.used
+            helix_steps.predict(*rows, self._new[2], walled, before, field)
+            self._field = field[-1]
+
+    def loosen(self, rows: Sequence[int]) -> None:
+        """Make cells that move unexpectedly as uncertain of position, heading, speed, c and s as
+        new ones.
+        """
+        for row in rows:
+            self.covariance[row, :RATE, :RATE] += self._new[1][:RATE, :RATE]
+
+    def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
+        """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and the covariances
+        of its position (M, 2, 2) [um^2].
+        """
+        bodies, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, STATES))
+        helix_steps.expected(self.mean, rows, self._new[2][SLOWEST], bodies, slopes)
+        places = slopes[:, :2]
+        return bodies, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
+
+    def update(
+        self, rows: np.ndarray, measured: Floats, deviation: Floats
+    ) -> tuple[Floats, Floats]:
+        """Update rows (M,) by measurements of x, y [um] and axis [rad] (M, 3) with standard
+        deviations (M, 3).
+
+        Returns the measurements' log-likelihoods (M,) by Student's distribution, and their squared
+        Mahalanobis distances (M,) from the prediction.
+        """
+        likelihood, distance = np.empty(len(rows)), np.empty(len(rows))
+        given = np.ascontiguousarray(measured), np.ascontiguousarray(deviation)
+        state = self.mean, self.covariance, rows, self._new[2]
+        helix_steps.update(*state, *given, likelihood, distance)
+        return likelihood, distance
+
+    def _free(self) -> int:
+        if self.used.all():
+            self.mean = np.concatenate([self.mean, np.zeros((16, STATES))])
+            self.covariance = np.concatenate([self.covariance, np.zeros((16, STATES, STATES))])
+            self.used = np.concatenate([self.used, np.zeros(16, bool)])
+        row = int(np.argmin(self.used))
+        self.used[row] = True
+        return row

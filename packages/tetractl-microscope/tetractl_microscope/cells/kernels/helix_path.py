@@ -1,0 +1,108 @@
+"""The compiled filter and smoother of one cell's whole path."""
+
+import numpy as np
+
+from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
+from tetractl_microscope.cells.kernels.helix_steps import (
+    ODD_DISTANCE,
+    ODD_RUN,
+    RATE,
+    SLOWEST,
+    STATES,
+    WAY,
+    correct,
+    expect,
+    forward,
+    reverse,
+)
+
+
+@compiled(**INLINE_EXACT)
+def arrive(m, p, total, model, pieces, first, k):
+    """Move a cell's state m and covariance p to picture k; pieces `first[k]` to `first[k + 1]` of
+    the field (P, 3) are before it.
+    """
+    i, end = first[k], first[k + 1]
+    if i < end:
+        forward(m, p, total, model, False, pieces[max(i - 1, 0)], pieces[i:end])
+
+
+@compiled(**INLINE_EXACT)
+def loosen(p, start, odd, distance):
+    """Add the pose's variance of a new cell, of covariance `start`, to the covariance p after
+    ODD_RUN far measurements; return how many were in a row.
+    """
+    odd = odd + 1 if distance > ODD_DISTANCE else 0
+    if odd >= ODD_RUN:
+        for state in range(RATE):
+            p[state, state] += start[state, state]
+        p[WAY, WAY] += start[0, 0]
+        return 0
+    return odd
+
+
+@compiled(**ENTRY)
+def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
+    """Write ln of the likelihood (V,) of K pictures' measurements (K, 3) for V variants, each with
+    a mean (V, n) at the first picture, where `start` (n, n) is the covariance, and a model (V, 12).
+    `mean` is that after the last picture at the end.
+    """
+    h, gain, weighed = np.empty((3, STATES)), np.empty((3, STATES)), np.empty(3)
+    none = np.empty((0, 0))
+    for v in range(len(mean)):
+        m, p, odd, found[v] = mean[v], start.copy(), 0, 0.0
+        for k in range(len(measured)):
+            arrive(m, p, none, models[v], pieces, first, k)
+            if np.isfinite(measured[k, 0]):
+                given = measured[k], deviation[k], h, gain, weighed
+                likelihood, distance, _ = correct(m, p, models[v], *given)
+                found[v] += likelihood
+                odd = loosen(p, start, odd, distance)
+
+
+@compiled(**ENTRY)
+def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
+    """Write the states (K, n) of K pictures given the measurements of all pictures, and the x, y
+    and axis (K, 3) of the body in these; return the covariance after the last picture, where m is
+    the state at the end.
+
+    Backwards in time by Bierman's form of the smoother ("Fixed interval smoothing with discrete
+    measurements", Int. J. Control 18, 1973), which inverts no covariance: `pull` is how
+    strongly later measurements pull at each state.
+    """
+    count, p = len(measured), start.copy()
+    covariances, totals = np.empty((count, STATES, STATES)), np.zeros((count, STATES, STATES))
+    h, gain = np.zeros((count, 3, STATES)), np.zeros((count, 3, STATES))
+    weighed, turned, odd = np.zeros((count, 3)), np.zeros(count, np.bool_), 0
+    for k in range(count):
+        for i in range(STATES):
+            totals[k, i, i] = 1.0
+        arrive(m, p, totals[k], model, pieces, first, k)
+        seen, distance = np.isfinite(measured[k, 0]), 0.0
+        if seen:
+            given = measured[k], deviation[k], h[k], gain[k], weighed[k]
+            _, distance, turned[k] = correct(m, p, model, *given)
+        means[k], covariances[k] = m, p
+        if seen:
+            odd = loosen(p, start, odd, distance)
+    pull, before = np.zeros(STATES), np.empty(STATES)
+    for k in range(count - 1, -1, -1):
+        for i in range(STATES):
+            for j in range(STATES):
+                means[k, i] -= covariances[k, i, j] * pull[j]
+        if turned[k]:
+            reverse(pull)
+        for i in range(2, -1, -1):
+            known = weighed[k, i]
+            for j in range(STATES):
+                known += gain[k, i, j] * pull[j]
+            for j in range(STATES):
+                pull[j] -= h[k, i, j] * known
+        before[:] = 0.0
+        for j in range(STATES):
+            for i in range(STATES):
+                before[i] += totals[k, j, i] * pull[j]
+        pull[:] = before
+        expect(means[k], model[SLOWEST], bodies[k], h[k])
+    return p

@@ -1,0 +1,176 @@
+"""The question which cell is on which track, and what is known of the cells."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import permutations
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.helix import SPEED, HelixFilter
+
+SURE = 0.998  # probability at which a question ends
+LEAST_S, PATIENCE_S = 0.5, 10.0  # shortest and longest time for which a question is open
+SETTLED_S = 0.3  # time after which the rows of a question have settled on their tracks
+# exponent of likelihoods, since errors of successive pictures are not independent, and the most
+# that one picture says against a cell
+TEMPER, WORSE = 0.3, 4.0
+# degrees of freedom (Student's t) of places and of the logarithms of sizes; scale of a place in the
+# filter's standard deviations: how cells swim while they share a blob is known less well than that
+TAIL, WIDER = 2.0, 1.4
+SIZE_SD, SIZED = 0.1, 6  # scale of the log of a size; number of pictures in which sizes count
+AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
+REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
+SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
+RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
+TURNS = 0.2  # probability that a cell has turned by itself while it was with others
+
+
+@dataclass(slots=True, eq=False)
+class Known:
+    """A cell that a track may be: its `name`, the probability `certainty` that it is that cell, and
+    its length and width `size` [um].
+
+    The filter's `row` is predicted without measurements, until the cell needs none any more. A
+    lost cell was `last` seen at x, y [um], at the time `lost_s` [s].
+    """
+
+    name: int
+    row: int | None
+    certainty: float = 1.0
+    size: tuple[float, float] = (math.nan, math.nan)
+    last: Floats | None = None
+    lost_s: float = 0.0
+
+    @property
+    def filter_row(self) -> int:
+        """The cell's row in the filter."""
+        assert self.row is not None, "the cell has no row in the filter any more"
+        return self.row
+
+
+@dataclass(slots=True, eq=False)
+class Meeting:
+    """Tracks that are too near to tell which of the `cells` is on which. `met` is whether something
+    unknown may have joined them.
+    """
+
+    tracks: list[CellTrack]
+    cells: list[Known]
+    met: bool
+
+
+@dataclass(slots=True, eq=False)
+class Question:
+    """The open question which of K `cells` is on which of K `tracks`, asked at `since_s` [s].
+
+    `rows[t, n]` (K, K) is the filter's row that follows track t as cell n, `likelihood` (K, K) the
+    sum of its log-likelihoods. `prior` (P,) is the log-probability of each assignment in `orders`
+    (P, K) when the question was asked, `known` (K, K) the probability that nothing unknown is there
+    instead of the cell.
+    """
+
+    tracks: tuple[CellTrack, ...]
+    cells: tuple[Known, ...]
+    rows: np.ndarray
+    prior: Floats
+    known: Floats
+    since_s: float
+    likelihood: Floats = field(init=False)
+    orders: np.ndarray = field(init=False)
+    _sized: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.likelihood = np.zeros(self.rows.shape)
+        self.orders = orders(len(self.tracks))
+        self._sized = np.zeros(len(self.tracks), int)
+
+    def add(
+        self, track: CellTrack, likelihood: Floats, size: Sequence[float] | None, seconds: float
+    ) -> None:
+        """Add the log-likelihoods (K,), one per cell, of a track's measurement in one picture, and
+        length and width [um] of the blob, unless it is cut off. Measurements count once the rows of
+        the filter have settled on the track: where it begins is in the prior.
+        """
+        t = self.tracks.index(track)
+        if seconds - self.since_s > SETTLED_S:
+            self.likelihood[t] += TEMPER * np.maximum(likelihood - likelihood.max(), -WORSE)
+        if size is not None and self._sized[t] < SIZED:
+            self._sized[t] += 1
+            sizes = np.array([cell.size for cell in self.cells])
+            squared = np.square(np.log(np.array(size) / sizes) / SIZE_SD)
+            each = -(TAIL + 1) / 2 * np.log1p(squared / TAIL).sum(axis=1)
+            self.likelihood[t] += each / SIZED
+
+    def probabilities(self) -> Floats:
+        """Return the probability of each assignment of cells to tracks (P,), as in `orders`."""
+        logs = self.prior + self.likelihood[np.arange(len(self.tracks)), self.orders].sum(axis=1)
+        return normalised(logs)
+
+    def best(self) -> tuple[tuple[int, ...], Floats]:
+        """Return the cell of each track in the likeliest assignment, and for each track (K,) the
+        probability that this cell is on it.
+        """
+        shares = self.probabilities()
+        order = self.orders[int(np.argmax(shares))]
+        here = self.known[np.arange(len(order)), order]
+        return tuple(order.tolist()), here * (shares @ (self.orders == order))
+
+    def ends(self, now_s: float) -> bool:
+        """Return whether the answer is certain enough, or has been waited for long enough."""
+        open_s = now_s - self.since_s
+        return open_s > PATIENCE_S or (open_s > LEAST_S and self.probabilities().max() > SURE)
+
+
+def orders(tracks: int) -> np.ndarray:
+    """Return all assignments (P, tracks) of as many cells to tracks."""
+    return np.array(list(permutations(range(tracks))), int).reshape(-1, tracks)
+
+
+def normalised(logs: Floats) -> Floats:
+    """Return probabilities from their logarithms up to a constant."""
+    shares = np.exp(logs - logs.max())
+    return shares / shares.sum()
+
+
+def return_density(
+    bank: HelixFilter, cell: Known, place: Floats, size: Floats, now: float, body_um: float
+) -> float:
+    """Return the probability density [1/um^2] that a lost cell reappears at a time [s] at
+    `place` (2,), with the length and width `size` [um]; a cell is `body_um` long.
+
+    The cell has swum on as the signal predicts, rests at its last place, or has turned by
+    itself.
+    """
+    assert cell.last is not None, "the cell is a lost one"
+    away_um, reach = AWAY * body_um, REACH * body_um
+    off = place - bank.mean[cell.filter_row, :2]
+    spread = bank.covariance[cell.filter_row, :2, :2] + away_um**2 * np.eye(2)
+    ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
+    ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
+    away = float(np.linalg.norm(place - cell.last))
+    rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
+    reach += max(0.0, float(bank.mean[cell.filter_row, SPEED])) * (now - cell.lost_s)
+    within = (away < reach) / (math.pi * reach**2)
+    apart = float(np.square(np.log(size / cell.size)).sum())
+    alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
+    return RETURNS * (ahead + rests + within) * alike
+
+
+def log_densities(
+    bank: HelixFilter, cells: Sequence[Known], places: Floats, sd_um: Floats, unknown: float
+) -> Floats:
+    """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further standard
+    deviations (K,) of the places. `unknown` is that of a cell that may have been anywhere: a cell
+    may have turned by itself.
+    """
+    rows = np.array([cell.filter_row for cell in cells], int)
+    expected, spread = bank.expected(rows)
+    spread = WIDER**2 * (spread + np.square(sd_um)[:, None, None, None] * np.eye(2))
+    off = places[:, None, :2] - expected[None, :, :2]
+    squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)
+    logs = -(TAIL + 2) / 2 * np.log1p(squared / TAIL) - math.log(math.tau)
+    logs -= 0.5 * np.linalg.slogdet(spread)[1]
+    return np.logaddexp(logs, unknown + math.log(TURNS))

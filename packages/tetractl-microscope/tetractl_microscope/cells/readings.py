@@ -1,0 +1,106 @@
+"""What a blob says of the cell, or of the cells, that it shows."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl_microscope.cells import match
+from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.match import LARGE
+from tetractl_microscope.cells.specks import usual_size
+
+POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
+# deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
+# shared blob; and in a shared blob that is only as large as one of its cells
+ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
+ROUND = 0.01  # least elongation of a blob, 1 - width / length, of which the axis says something
+OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
+LONGER = 1.35  # ratio of blob to cell length above which it shows two cells in a row
+GROWN_S = 1.0  # time for which a blob has another size than its cell, which then is the cell's
+SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
+JUMP = 0.25  # change of a new cell's steps, less the usual step, above which it jumped [lengths]
+PATH = 15  # number of newest blobs of a track that are kept
+
+Reading = tuple[CellTrack, tuple[float, ...], tuple[float, ...]]
+"""A cell's x, y [um] and axis [rad], and their standard deviations."""
+
+
+def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
+    """Add a cell's own blob in `place` (5,), as by `match.places_of`, to its path, and note whether
+    the blob is too large for the cell, or the cell of another size than was thought.
+    """
+    x, y, axis, long, wide = place.tolist()
+    cell.path = [*cell.path[1 - PATH :], (seconds, x, y, axis, long, wide)]
+    if 1 / LARGE <= long * wide / (cell.long * cell.wide) <= LARGE:
+        cell.sized_s = seconds
+    elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
+        cell.long, cell.wide = usual_size(np.array(cell.path))
+    cell.hidden_s = math.inf
+    cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
+
+
+def own_path(path: Floats, long: float, wide: float, body_um: float) -> Floats:
+    """Return the path (M, 6) of a new cell of a size [um] after the last blob that is too large for
+    it, or to which it jumped: another cell was in that blob. Cells are `body_um` long.
+    """
+    steps = np.diff(path[:, 1:3], axis=0)
+    usual_um = float(np.median(np.linalg.norm(steps, axis=1)))
+    other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
+    other[1:] |= np.linalg.norm(np.diff(steps, axis=0), axis=1) > JUMP * body_um + usual_um
+    return path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
+
+
+def own_reading(
+    cell: CellTrack,
+    expected: Floats,
+    place: Floats,
+    um_px: float,
+    height: int,
+    body_um: float,
+) -> Reading:
+    """Return what a cell's own blob says, in a picture with `height` rows; update the cell's usual
+    size. A blob that is too large shows something else, too, on the other side of its
+    middle from where the cell is `expected` (3,).
+    """
+    x, y, axis, long, wide = place.tolist()
+    assert cell.blob is not None
+    cut, smaller = cell.blob.at_edge, long * wide < cell.long * cell.wide / LARGE**2
+    off = max(ODD[0] * body_um, OFF_SHARE * (long - cell.long))
+    least = POSITION_UM + POSITION_PX * um_px
+    deviations = least, least, AXIS / max(1 - wide / long, ROUND)
+    if cell.large and not cut:
+        points = match.points_of(cell.blob, um_px, height)
+        pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
+        x, y = match.parted([cell, cell], pair, points)[0].tolist()
+        off = MERGED[0] * body_um
+    if cell.large or smaller or cut:
+        deviations = off, off, ODD[1]
+    else:
+        cell.long += SHAPE_SHARE * (long - cell.long)
+        cell.wide += SHAPE_SHARE * (wide - cell.wide)
+    cell.measured = (x, y, axis, *deviations)
+    return cell, (x, y, axis), deviations
+
+
+def shared_readings(
+    cells: Sequence[CellTrack],
+    expected: Floats,
+    place: Floats,
+    points: Floats,
+    seconds: float,
+    body_um: float,
+) -> list[Reading]:
+    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there; note
+    since when the blob has been as small as one of them.
+    """
+    hidden = place[3] * place[4] < LARGE * max(cell.long * cell.wide for cell in cells)
+    sd, turn = HIDDEN if hidden else MERGED
+    for cell in cells:
+        cell.hidden_s = min(cell.hidden_s, seconds) if hidden else math.inf
+    middles = match.parted(cells, expected, points).tolist()
+    return [
+        (cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))
+        for cell, axis, (x, y) in zip(cells, expected[:, 2], middles, strict=True)
+    ]

@@ -1,0 +1,74 @@
+"""The `cells` camera's section of a spec: a microscope's pictures, their scale and position."""
+
+import math
+from typing import Annotated, ClassVar, Literal, TypeVar
+
+from pydantic import Field
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.experiment.base import Finite, Point, Positive
+from tetractl.experiment.lab_section import Measured
+from tetractl.experiment.registry_fields import KindName
+from tetractl_microscope.pictures.picture_section import PictureSection
+from tetractl_microscope.registries import ORGANISMS
+
+LEAST_PX = 50  # least distance of the two points of a scale measurement
+PLACED_PX = 1.0  # standard deviation of each point
+
+Lengths = TypeVar("Lengths", float, Floats)
+
+
+class CellsSection(PictureSection):
+    """A microscope above swimming cells; the cells nearest to the starts become the robots."""
+
+    device: ClassVar[str] = "tetractl_microscope.cells.camera:CellCamera"
+    settles: ClassVar[bool] = True
+    type: Literal["cells"]
+    um_px: Annotated[float, Field(ge=0.05, le=100)]
+    """Micrometres per pixel, measured with a stage micrometer."""
+    corner: Point = (0.0, 0.0)
+    """Position of the picture's lower left corner in the spec's coordinates [length unit]."""
+    rotation: Finite = 0.0
+    """Angle from the spec's x axis to the picture's rows, anticlockwise [rad]."""
+    mirrored: bool = False
+    """Whether pictures are mirrored left to right; they are mirrored back before `rotation`."""
+    organism: Annotated[str, KindName(ORGANISMS)] = "tetrahymena"
+    """What swims; its sizes and speeds decide which objects are cells."""
+    learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
+    """Time before the first frame in which pictures for the background are taken [s]."""
+    connect: Positive = 8.0
+    """Longest wait for the source to open, and then for the first pictures and background [s]."""
+
+    def bounds(self) -> dict[str, str]:
+        """Return the source and scale of the pictures as {name: text}, for display."""
+        return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
+
+    def measured_by(self, first: Point, second: Point, um: float) -> Measured:
+        """Return scale and rotation from two points in a picture, each column and row [px]. The
+        second point lies `um` micrometres from the first, in the direction of the spec's x axis.
+        UsageError if the points are too close together.
+        """
+        across, up = second[0] - first[0], first[1] - second[1]
+        across = -across if self.mirrored else across
+        long = math.hypot(across, up)
+        if long < LEAST_PX:
+            raise UsageError(
+                f"the two points are {long:.3g} px from each other; at least {LEAST_PX} are needed"
+            )
+        um_px, rotation = um / long, -math.atan2(up, across)
+        off = math.sqrt(2) * PLACED_PX / long
+        lines = (
+            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if points are accurate to {PLACED_PX:g} px",
+            f"rotation {rotation:.4f} rad +- {off:.4f}",
+        )
+        return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
+
+    def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
+        """Convert a position, or positions (N,), in the picture [um] to the spec's coordinates,
+        whose length unit is `metres` [m].
+        """
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        scale = 1e-6 / metres
+        x = self.corner[0] + scale * (cos * x_um - sin * y_um)
+        return x, self.corner[1] + scale * (sin * x_um + cos * y_um)

@@ -1,0 +1,56 @@
+"""Specks: objects of a dish that are followed until they swim, and are then known to be cells."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl_microscope.cells.cell import Entry
+from tetractl_microscope.organisms import Organism
+
+BORN, NEAR_BORN = 5, 7  # number of blobs after which a speck may be a cell: anywhere; near a cell
+NEAR = 0.75  # distance of a speck that is near to a cell [lengths]
+WHOLE = 3  # fewest of these blobs that the picture's edge does not cut off
+SWUM, STRAY = 0.23, 0.1  # least way over these blobs, and largest distance from a line [lengths]
+ALONG, ROUND = 0.75, 1.3  # least cosine between a cell's axis and its path, unless it is this round
+EVEN = 0.2  # relative variation of a cell's size
+
+
+def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
+    """Return whether the newest blobs of an object, `needed` of them, have an organism's size and
+    move fast, straight and along their axis.
+    """
+    path, body_um = np.array(entries[-needed:]), organism.body_um[0]
+    moved, passed = math.hypot(*(path[-1, 1:3] - path[0, 1:3])), path[-1, 0] - path[0, 0]
+    if len(path) < needed or moved < max(SWUM * body_um, organism.slowest_um_s * passed):
+        return False
+    if np.isfinite(path[:, 4]).sum() < WHOLE:
+        return False
+    long, wide = usual_size(path)
+    (short, longest), (thin, thick) = organism.outline_long_um, organism.outline_wide_um
+    if not (short < long < longest and thin < wide < thick):
+        return False
+    (vx, vy), fitted = straight(path)
+    strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
+    sway = np.abs(np.cos(path[:, 3] - math.atan2(vy, vx)))
+    even = bool((np.nanstd(path[:, 4:6], axis=0) < (EVEN * long, EVEN * wide)).all())
+    along = long < ROUND * wide or np.median(sway) > ALONG  # a round blob has no axis
+    return bool(even and strayed < STRAY * body_um and along)
+
+
+def usual_size(path: Floats) -> tuple[float, float]:
+    """Return the median length and width [um] of a path's blobs (M, 6) that are not cut off."""
+    whole = path[np.isfinite(path[:, 4])]
+    return float(np.median(whole[:, 4])), float(np.median(whole[:, 5]))
+
+
+def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
+    """Fit uniform motion to a path (M, >= 3) of time [s], x and y [um], by least squares.
+
+    Returns the velocity [um/s] and the fitted positions (M, 2) [um].
+    """
+    middle = path[:, :3].mean(axis=0)
+    times, off = path[:, 0] - middle[0], path[:, 1:3] - middle[1:]
+    vx, vy = (times @ off / (times @ times)).tolist()
+    return (vx, vy), middle[1:] + times[:, None] * (vx, vy)

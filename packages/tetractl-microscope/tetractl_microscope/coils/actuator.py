@@ -1,0 +1,222 @@
+"""The common direction as a magnetic field that turns cells.
+
+A cell turns towards the field's direction u by equation (3) of the paper, at a rate proportional to
+the field's strength B. The spec's turning rate a holds at B = `strength_mt`, so the heading changes
+at the rate a (B / strength_mt) sin(u - heading).
+"""
+
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Self
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Floats, Pose
+from tetractl.core.setup import Setup
+from tetractl.lab.cobs import Flag
+from tetractl.lab.serial_port import Ports
+from tetractl_microscope.coils.driver import (
+    HINT,
+    UNKNOWN_TEMPERATURE,
+    VERSION,
+    Driver,
+    DriverStatus,
+    FieldReply,
+)
+from tetractl_microscope.coils.section import FieldSection, Pair, approach
+
+OFF: Pair = (0.0, 0.0)
+
+
+class FieldActuator:
+    """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
+
+    No cell can be held still: every transmission, even a stop, states that all cells move at their
+    own speed. A transmission's `outputs` are the currents requested from the driver, `current_x_a`
+    and `current_y_a` [A], and the field that they make, `field_mt` and `field_direction_rad`. Times
+    are ns on `clock`. `ports` is for the Driver.
+    """
+
+    individual = False
+    halts = False
+
+    def __init__(
+        self, section: FieldSection, setup: Setup, clock: Clock, ports: Ports | None = None
+    ) -> None:
+        self.section, self.coils = section, section.coils
+        self.driver = Driver(section.port, section.baud, clock, ports)
+        self._a, self._speed, self._clock = setup.a, setup.speed, clock
+        self._lock = threading.Lock()
+        self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]
+        self._sent_ns = clock.now() - self.period_ns
+        self._held_until_ns = self._sent_ns  # from this time on, the currents go to 0
+
+    def __enter__(self) -> Self:
+        try:
+            self.driver.open()
+        except BaseException:
+            self.driver.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(AbortError):
+            self.stop()
+        self.driver.close()
+
+    def settle(self, setup: Setup) -> None:
+        """Take turning rates and speeds from a new setup, made after the cells have been chosen."""
+        self._a, self._speed = setup.a, setup.speed
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two commands while the direction stays the same [ns]."""
+        return round(SECOND / self.section.rate)
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why the driver no longer makes a field; None without a fault."""
+        return self.driver.failure
+
+    def send(
+        self,
+        action: Steer | Turn,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Turn the field to a direction, as far as the slew limit allows in one period.
+
+        The currents (x, y) change along a straight line, so a field that turns by half a circle
+        becomes weak on the way. The transmission's `turning` [rad/s] is computed for the requested
+        field; it is 0 for cells without a pose. `moving` is ignored. AbortError if the driver has
+        failed, and for a `Turn`: cells swim ahead while the field turns them.
+        """
+        if isinstance(action, Turn):
+            raise AbortError("cells cannot turn on the spot")
+        if (failure := self.failure) is not None:
+            raise AbortError(failure, HINT)
+        with self._lock:
+            now_ns = self._clock.now()
+            section = self.section
+            wished = self.coils.currents(
+                action.direction, section.strength_mt, section.current_max_a
+            )
+            passed_ns = min(now_ns - self._sent_ns, self.period_ns)
+            self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
+            x_ma, y_ma = (round(1000 * current) for current in self._currents)
+            self._sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
+            self._held_until_ns = self._sent_ns + round(self.section.watchdog * SECOND)
+        headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
+        return self._transmission(action, (x_ma / 1000, y_ma / 1000), headings)
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
+
+        Three frames are sent, so that a damaged one does not lose the stop. After an `emergency`
+        stop the driver makes no field until it is switched off and on.
+        AbortError if the port has failed.
+        """
+        with self._lock:
+            self._currents = self._now(self._clock.now())
+            flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
+            # three frames, so that one damaged frame does not lose the stop
+            self._sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
+            self._held_until_ns = self._sent_ns
+        return self._transmission(Stop(), OFF, np.full(len(self._a), np.nan))
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Return one status per cell, with `answers` None, since cells cannot be polled."""
+        return [RobotStatus(answers=None)] * len(self._a)
+
+    def check(self) -> Health:
+        """Switch the field off; return problems, warnings and facts of the driver."""
+        try:
+            reply = self.driver.ask()
+        except AbortError as error:
+            return Health(problems=(error.message,))
+        return inspect(reply, self.section)
+
+    def _room(self, passed_ns: int) -> float:
+        """Return the greatest change of a current [A] within a time [ns]."""
+        return self.section.slew_max_a_s * passed_ns / SECOND
+
+    def _now(self, now_ns: int) -> Pair:
+        """Return the driver's set points [A] at a time [ns]; without commands they fall to 0."""
+        return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
+
+    def _transmission(self, action: Action, currents: Pair, headings: Floats) -> Transmission:
+        x_mt, y_mt = self.coils.field(currents)
+        strength, towards = float(np.hypot(x_mt, y_mt)), float(np.arctan2(y_mt, x_mt))
+        turning = self._a * (strength / self.section.strength_mt) * np.sin(towards - headings)
+        return Transmission(
+            action,
+            self._sent_ns,
+            (True,) * len(self._a),
+            self._speed.copy(),
+            np.nan_to_num(turning),
+            outputs={
+                "current_x_a": currents[0],
+                "current_y_a": currents[1],
+                "field_mt": strength,
+                "field_direction_rad": towards,
+            },
+        )
+
+
+def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
+    """Return the driver's problems, warnings and facts; a `reply` of None means a silent driver."""
+    if reply is None:
+        where = f"{section.port} at {section.baud} baud"
+        return Health((f"no current driver answers on {where}: is it on?",))
+    if reply.version != VERSION:
+        text = f"the current driver uses version {reply.version} of its protocol, not {VERSION}"
+        return Health((text,))
+    most_a, slew_a_s = reply.current_max_ma / 1000, reply.slew_ma_s / 1000
+    volts, celsius = reply.supply_mv / 1000, reply.temperature_dc / 10
+    known = reply.temperature_dc != UNKNOWN_TEMPERATURE
+    limit_ma = round(1000 * section.current_max_a)
+    least_mt = section.coils.least_reach(section.current_max_a)
+    facts = {
+        "field_driver_version": str(reply.version),
+        "field_driver_current_max_a": f"{most_a:g}",
+        "field_driver_slew_a_s": f"{slew_a_s:g}",
+        "field_driver_watchdog_s": f"{reply.watchdog_ms / 1000:g}",
+        "field_driver_frames_rejected": str(reply.rejected),
+    }
+    if volts:
+        facts["field_driver_supply_v"] = f"{volts:g}"
+    if known:
+        facts["field_driver_temperature_c"] = f"{celsius:g}"
+    problems = {
+        f"the current driver allows {most_a:g} A, not the spec's {section.current_max_a:g} A: "
+        "lower current_max_a": reply.current_max_ma < limit_ma,
+        f"the current driver allows {slew_a_s:g} A/s, not the spec's {section.slew_max_a_s:g} A/s: "
+        "lower slew_max_a_s": reply.slew_ma_s < round(1000 * section.slew_max_a_s),
+        f"the current driver's watchdog is {reply.watchdog_ms / 1000:g} s, not the spec's "
+        f"{section.watchdog:g} s": reply.watchdog_ms != round(1000 * section.watchdog),
+        "the current driver stopped because it was too hot: let the coils cool down": (
+            DriverStatus.HOT in reply.status
+        ),
+        "the current driver is emergency-stopped: switch it off and on again": (
+            DriverStatus.EMERGENCY_STOPPED in reply.status
+        ),
+        f"the current driver's supply is at {volts:.2f} V": 0 < volts < section.supply_min_v,
+        f"the coils are at {celsius:.0f} °C: let them cool down": known and celsius >= 60,
+    }
+    warnings = {
+        f"only {least_mt:.3g} of {section.strength_mt:g} mT can be reached in every direction: in "
+        "some directions, cells turn more slowly": least_mt < section.strength_mt,
+        f"the current driver allows {most_a:g} A: only this program limits the current to "
+        f"{section.current_max_a:g} A": reply.current_max_ma > limit_ma,
+        "the current driver does not report its supply voltage": section.supply_min_v > volts == 0,
+    }
+    return Health(_holding(problems), _holding(warnings), facts)
+
+
+def _holding(lines: dict[str, bool]) -> tuple[str, ...]:
+    return tuple(text for text, holds in lines.items() if holds)

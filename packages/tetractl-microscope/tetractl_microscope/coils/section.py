@@ -1,0 +1,147 @@
+"""The section of the spec for a field of two coil pairs: `actuator: {type: field, ...}`.
+
+Along a coil pair's axis, the field is the ambient field, `offset`, plus gain * current. With c the
+field in the coils' axes, and the x pair's axis turned by `rotation` from the spec's x axis,
+
+    c = offset + gain * current,    field = R(rotation) c.
+"""
+
+import math
+from typing import ClassVar, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.lab_section import ActuatorSection
+
+Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
+
+
+def approach(now: Pair, wished: Pair, step: float) -> Pair:
+    """Return `now` moved straight towards `wished`, each component by at most `step`."""
+    dx, dy = wished[0] - now[0], wished[1] - now[1]
+    peak = max(abs(dx), abs(dy))
+    if peak <= step:
+        return wished
+    return now[0] + dx * step / peak, now[1] + dy * step / peak
+
+
+FRAMES_PER_WATCHDOG = 3
+
+
+class CoilPair(Model):
+    """One coil pair: the field along its axis is offset + gain * current."""
+
+    gain_mt_a: Finite
+    """Field per current [mT/A]; negative if the winding is reversed."""
+    offset_mt: Finite = 0.0
+    """Ambient field along the pair's axis [mT], such as the earth's; the current cancels it."""
+
+    @field_validator("gain_mt_a")
+    @classmethod
+    def _makes_a_field(cls, gain: float) -> float:
+        if gain == 0:
+            raise ValueError("a gain of 0 makes no field")
+        return gain
+
+
+class CoilsSection(Model):
+    """Two orthogonal coil pairs."""
+
+    x: CoilPair
+    """The pair whose axis is the spec's x axis turned by `rotation`."""
+    y: CoilPair
+    """The coil pair whose axis is 90 degrees anticlockwise from that of pair x."""
+    rotation: Finite = 0.0
+    """Angle from the spec's x axis to the x pair's axis [rad]."""
+
+    def reach(self, direction: float, current_max_a: float) -> float:
+        """Return the greatest field strength [mT] in a direction [rad] with currents up to a limit
+        [A]; the limit must be high enough to cancel the ambient field.
+        """
+        strength = math.inf
+        for axis, pair in zip(self._axes(direction), (self.x, self.y), strict=True):
+            offset = math.copysign(pair.offset_mt, pair.offset_mt * axis)
+            if axis:
+                room = abs(pair.gain_mt_a) * current_max_a + offset
+                strength = min(strength, room / abs(axis))
+        return strength
+
+    def least_reach(self, current_max_a: float) -> float:
+        """Return the strength [mT] that currents up to a limit [A] reach in every direction."""
+        pairs = self.x, self.y
+        return min(abs(pair.gain_mt_a) * current_max_a - abs(pair.offset_mt) for pair in pairs)
+
+    def currents(self, direction: float, strength: float, current_max_a: float) -> Pair:
+        """Return the currents [A] that make a field with a direction [rad] and a strength [mT].
+
+        If a current would exceed the limit [A], the strength is reduced and the direction kept.
+        """
+        strength = min(strength, self.reach(direction, current_max_a))
+        along_x, along_y = self._axes(direction)
+        x, y = self.x, self.y
+        return (
+            (strength * along_x - x.offset_mt) / x.gain_mt_a,
+            (strength * along_y - y.offset_mt) / y.gain_mt_a,
+        )
+
+    def field(self, currents: Pair) -> Pair:
+        """Return the field [mT], in the spec's axes, that the two coil currents [A] make."""
+        pairs = zip((self.x, self.y), currents, strict=True)
+        x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs)
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        return cos * x - sin * y, sin * x + cos * y
+
+    def _axes(self, direction: float) -> Pair:
+        """Return the unit vector along a direction [rad], as components in the coils' axes."""
+        return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
+
+
+class FieldSection(ActuatorSection):
+    """A magnetic field steers all cells; a current driver on a serial port feeds the coils."""
+
+    device: ClassVar[str] = "tetractl_microscope.coils.actuator:FieldActuator"
+    settles: ClassVar[bool] = True
+    type: Literal["field"]
+    port: str = Field(min_length=1, max_length=500)
+    """The serial port, such as /dev/ttyACM0."""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
+    """Bits per second on the port."""
+    rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
+    """Rate of commands [Hz]."""
+    strength_mt: Positive
+    """Field strength at which cells turn at the rate `a` [mT]; the current limit may weaken it."""
+    coils: CoilsSection
+    """The coils, as measured with a field probe at the position of the cells."""
+    current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
+    """Greatest current of each coil pair [A]."""
+    slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
+    """Greatest change of each current [A/s]."""
+    watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
+    """Time without a command after which the driver's firmware switches the field off [s]."""
+    supply_min_v: NonNegative = 0.0
+    """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
+
+    @model_validator(mode="after")
+    def _limits_agree(self) -> Self:
+        for name, pair in (("x", self.coils.x), ("y", self.coils.y)):
+            if abs(pair.offset_mt) >= abs(pair.gain_mt_a) * self.current_max_a:
+                message = f"too small to cancel the ambient field coils.{name}.offset_mt"
+                raise inconsistent("current_max_a", message)
+        if self.rate * self.watchdog < FRAMES_PER_WATCHDOG:
+            least = FRAMES_PER_WATCHDOG / self.rate
+            raise inconsistent("watchdog", f"must be {least:.3g} s or more at {self.rate:g} Hz")
+        return self
+
+    def require_port(self) -> None:
+        """Raise AbortError if the current driver's port does not exist."""
+        from tetractl.lab.serial_port import require_port
+
+        require_port(self.port, "the current driver")
+
+    def bounds(self) -> dict[str, str]:
+        """Return the driver's port and rate and the current limit as {name: text}, for display."""
+        return {
+            "current driver": f"{self.port}, {self.rate:g} commands per second",
+            "coil currents": f"at most {self.current_max_a:g} A",
+        }

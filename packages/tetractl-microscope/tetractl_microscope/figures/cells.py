@@ -1,0 +1,295 @@
+"""The figures of a film's cells: paths, speeds, turning in the field, and how far they get."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+
+from tetractl.core.colors import PALETTE
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.results.estimate import Distribution, Interval, known_distribution
+from tetractl.view import style
+from tetractl_microscope.film.track_log import TrackLog
+from tetractl_microscope.results.cell_tables import cell_mean, known_values
+
+BAR_SHARE = 0.25  # longest scale bar, as a share of the picture's width
+CELLS_MIN = 5  # least number of cells for an interval of their mean
+NUMBERED = 60  # most cells that are numbered
+TURN_S = 0.2  # time over which the rate of turning is computed [s]
+BINS = 12  # bins of the angle to the field
+BIN_MIN = 3  # least number of values in a bin
+LAGS = 24  # lags of the mean squared displacement
+LAG_SHARE = 0.5  # longest lag, as a share of a track
+VELOCITIES = ("vcl", "vap", "vsl")
+
+
+class Panel(NamedTuple):
+    """A panel: its title, the function that draws it, and whether a film has what it shows."""
+
+    title: str
+    draw: Callable[[Axes, TrackLog], None]
+    known: Callable[[TrackLog], bool]
+
+
+@style.styled()
+def cells_figure(log: TrackLog) -> Figure:
+    """Draw all panels for which the film has data."""
+    names: list[Any] = [name for name, panel in PANELS.items() if panel.known(log)]
+    shape = log.record["height"] / log.record["width"]
+    figure = style.figure(style.PAGE_IN, min(2 / 3 * style.PAGE_IN * shape, 5.2) + 2.2)
+    below = names[-3:] if len(names) > 5 else names[-2:] if len(names) > 2 else []
+    right = names[1 : len(names) - len(below)] or below
+    rows = [[names[0]] * 4 + [name] * 2 for name in (right * 2)[:2]] or [[names[0]] * 6]
+    if below:
+        first = [below[0]] * (8 - 2 * len(below))
+        rows.append(first + [name for name in below[1:] for _ in range(2)])
+    for letter, (name, axes) in zip("abcdef", figure.subplot_mosaic(rows).items(), strict=False):
+        PANELS[name].draw(axes, log)
+        axes.set_title(f"({letter}) {PANELS[name].title}", loc="left")
+    return _headed(figure, log)
+
+
+@style.styled()
+def _single(name: str, log: TrackLog) -> Figure:
+    """Draw one panel."""
+    if not PANELS[name].known(log):
+        raise UsageError(f"{log.path}: has no data for the figure {name!r}", "try --kind cells")
+    shape = log.record["height"] / log.record["width"]
+    size = (style.PAGE_IN, style.PAGE_IN * shape) if name == "paths" else (4.2, 3.2)
+    figure = style.figure(*size)
+    axes = figure.subplots()
+    PANELS[name].draw(axes, log)
+    axes.set_title(PANELS[name].title, loc="left")
+    return _headed(figure, log)
+
+
+def _headed(figure: Figure, log: TrackLog) -> Figure:
+    record, damage = log.record, "; ".join(log.damage[:1])
+    seconds = record["pictures"] / record["rate_hz"]
+    guessed = " (guessed)" if record["scale_guessed"] else ""
+    style.headline(
+        figure,
+        f"{record['film']}: {len(record['cells'])} tracks, {seconds:.3g} s, "
+        f"{record['um_per_px']:.3g} µm/px{guessed}",
+        damage,
+    )
+    return figure
+
+
+def _color(number: int) -> str:
+    return PALETTE[number % len(PALETTE)]
+
+
+def _paths(axes: Axes, log: TrackLog) -> None:
+    """Draw each cell's path over the film's first picture, its number at the end."""
+    um_px = log.record["um_per_px"]
+    width, height = (log.record[side] * um_px for side in ("width", "height"))
+    low, high = np.percentile(log.picture, (0.5, 99.5))
+    span = {"extent": (0, width, 0, height), "vmin": low - 5, "vmax": high + 5}
+    axes.imshow(log.picture, cmap="gray", interpolation="antialiased", **span)
+    edge = [withStroke(linewidth=1.8, foreground="white", alpha=0.8)]
+    for number, _, poses in log.tracks:
+        axes.plot(*poses[:, :2].T, color=_color(number), lw=1.1, path_effects=edge)
+        axes.plot(*poses[-1, :2], "o", ms=2.5, color=_color(number), mec="white", mew=0.4)
+        if len(log.record["cells"]) <= NUMBERED:
+            x, y = poses[-1, :2].tolist()
+            at = sorted((0, x, 0.96 * width))[1], sorted((0, y, 0.96 * height))[1]
+            look = {"color": _color(number), "weight": "bold", "path_effects": edge}
+            axes.annotate(str(number), at, (3, 3), textcoords="offset points", fontsize=7, **look)
+    bar = _round_length(BAR_SHARE * width)
+    x, y = 0.97 * width - bar, 0.04 * height
+    look: dict[str, Any] = {
+        "color": "white",
+        "path_effects": [withStroke(linewidth=4.5, foreground="black")],
+    }
+    axes.plot([x, x + bar], [y, y], lw=3, solid_capstyle="butt", **look)
+    look["path_effects"] = [withStroke(linewidth=2, foreground="black")]
+    label = f"{bar / 1000:g} mm" if bar >= 1000 else f"{bar:g} µm"
+    axes.text(x + bar / 2, y + 0.012 * height, label, ha="center", va="bottom", **look)
+    axes.set(xlim=(0, width), ylim=(0, height), xticks=[], yticks=[])
+
+
+def _round_length(most: float) -> float:
+    """Return the longest of 1, 2 and 5 times a power of ten up to `most`."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(step * power for step in (1, 2, 5) if step * power <= most)
+
+
+def _speeds(axes: Axes, log: TrackLog) -> None:
+    """Draw each cell's speed with its 95 % interval, in order, and their mean."""
+    cells = [each for each in log.record["cells"] if each.get("speed_um_s")]
+    cells.sort(key=lambda each: each["speed_um_s"]["value"])
+    found, rows = [each["speed_um_s"] for each in cells], range(len(cells))
+    colors = [_color(each["cell"]) for each in cells]
+    axes.hlines(rows, *np.array([one["ci95"] for one in found]).T, color=colors, lw=1.4)
+    axes.scatter([one["value"] for one in found], rows, s=9, color=colors)
+    few = len(cells) <= NUMBERED / 2
+    labels = [f"{each['cell']}{'      ' * (row % 2)}" for row, each in enumerate(cells)]
+    axes.set_yticks(range(len(cells)) if few else [], labels * few)
+    axes.tick_params(axis="y", length=0, labelsize=5.5)
+    found = _mean(cells, [each["speed_um_s"]["value"] for each in cells])
+    axes.axvline(found.mean, color=style.GREY, lw=0.8, ls="--", zorder=0)
+    if found.ci95.known:
+        axes.axvspan(found.ci95.low, found.ci95.high, color=style.FAINT, lw=0, zorder=0)
+    axes.set(xlabel=f"speed [µm/s]\nmean {_stated(found)}", ylabel="cell")
+
+
+def _mean(cells: Sequence[Any], values: Sequence[float]) -> Distribution:
+    """Return the mean with its interval; without one for fewer than CELLS_MIN cells."""
+    few = Interval.none(f"fewer than {CELLS_MIN} cells")
+    if not cells:
+        return known_distribution(0, math.nan, math.nan, few)
+    found = cell_mean(cells, values)
+    return found if found.n >= CELLS_MIN else replace(found, ci95=few)
+
+
+def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], Floats]:
+    """Return the mean over the cells' `rows` (C, K) at each place, and the ends (2, K) of the
+    intervals; NaN is unknown.
+    """
+    means = []
+    for column in np.array(rows, dtype=float).T:
+        (known,) = np.nonzero(np.isfinite(column))
+        means.append(_mean([cells[i] for i in known.tolist()], column[known].tolist()))
+    return means, np.array([(found.ci95.low, found.ci95.high) for found in means]).T
+
+
+def _stated(found: Distribution, decimals: int = 0, lines: bool = False) -> str:
+    """Return a mean with its interval and n, as text in one line or three."""
+    ends, text = found.ci95, f"{found.mean:.{decimals}f}"
+    if ends.known:
+        text += f" [{ends.low:.{decimals}f}, {ends.high:.{decimals}f}]"
+    text += f", n = {found.n}"
+    return text.replace(" [", "\n[").replace(", n", "\nn") if lines else text
+
+
+def _turning(axes: Axes, log: TrackLog) -> None:
+    """Draw each cell's rate of turning against the angle from its heading to the field, a dot for
+    each bin; the mean over the cells that respond; and a sin(angle) with the mean of their a.
+    """
+    edges = np.linspace(-math.pi, math.pi, BINS + 1)
+    middle, rates = (edges[:-1] + edges[1:]) / 2, []
+    cells, values = known_values(log.record["cells"], "a_rad_s")
+    responds = [each["cell"] for each in cells]
+    for number, times, poses in log.tracks:
+        angle, rate = turns(times, poses[:, 2], log.record["field"])
+        binned = np.digitize(angle, edges) - 1
+        counts = np.bincount(binned, minlength=BINS)[:BINS]
+        sums = np.bincount(binned, rate, minlength=BINS)[:BINS]
+        row = np.where(counts >= BIN_MIN, sums / np.maximum(counts, 1), np.nan)
+        color = _color(number) if number in responds else style.FAINT
+        axes.plot(middle, row, "o", ms=1.8, alpha=0.7, mew=0, color=color)
+        if number in responds:
+            rates.append(row)
+    if not rates:
+        return
+    means, ends = _means(cells, rates)
+    axes.vlines(middle, *ends, color=style.INK, lw=1, zorder=2)
+    axes.plot(middle, [found.mean for found in means], "s", ms=3, color=style.INK)
+    found = _mean(cells, values)
+    curve = np.linspace(-math.pi, math.pi, 100)
+    axes.plot(curve, found.mean * np.sin(curve), color=style.INK, lw=1, label="a sin(angle)")
+    axes.set_xticks([-math.pi, 0, math.pi], ["-π", "0", "π"])
+    axes.set(
+        xlabel=f"angle to the field [rad]\na = {_stated(found, 2)} cells",
+        ylabel="rate of turning [rad/s]",
+    )
+    axes.legend(loc="upper left")
+
+
+def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
+    """Return angles from the heading to the field [rad] and rates of turning [rad/s], the latter
+    divided by the field's strength; over each TURN_S in which the field was constant and not 0.
+    """
+    since, x, y = (np.array(field[key]) for key in ("time_s", "x", "y"))
+    heading, step = np.unwrap(heading), float(np.median(np.diff(times)))
+    span = max(1, round(TURN_S / step))
+    first, last = np.arange(len(times) - span), np.arange(span, len(times))
+    row = np.searchsorted(since, times, side="right") - 1
+    strength = np.hypot(x, y)[row]
+    kept = (row[first] == row[last]) & (row[first] >= 0) & (strength[first] > 0)
+    first, last = first[kept], last[kept]
+    rate = (heading[last] - heading[first]) / (times[last] - times[first]) / strength[first]
+    angle = np.arctan2(y, x)[row[first]] - (heading[first] + heading[last]) / 2
+    return (angle + math.pi) % (2 * math.pi) - math.pi, rate
+
+
+def _displacement(axes: Axes, log: TrackLog) -> None:
+    """Draw each cell's mean squared displacement over the lag, and their mean with its interval."""
+    step = 1 / log.record["rate_hz"]
+    lengths = sorted((len(times) for _, times, _ in log.tracks), reverse=True)
+    longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
+    lags = np.unique(np.geomspace(1, max(longest, 2), LAGS).astype(int))
+    rows, by_number = [], {each["cell"]: each for each in log.record["cells"]}
+    for number, times, poses in log.tracks:
+        row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
+        axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)
+        rows.append(row)
+    cells = [by_number[number] for number, _, _ in log.tracks]
+    means, ends = _means(cells, rows)
+    axes.plot(lags * step, [found.mean for found in means], color=style.INK, lw=1.8)
+    axes.fill_between(lags * step, *ends, color=style.INK, alpha=0.2, lw=0)
+    begin = means[0].mean
+    for power, look, name in ((2, ":", "∝ lag²"), (1, "--", "∝ lag")):
+        guide = 2 * begin * (lags / lags[0]) ** power
+        axes.plot(lags * step, guide, color=style.GREY, lw=0.8, ls=look, label=name)
+    axes.set(xscale="log", yscale="log", xlabel="lag [s]", ylabel="displacement² [µm²]")
+    axes.set_xlabel(f"lag [s]\nmean over cells, n = {means[0].n} to {means[-1].n}")
+    axes.legend(loc="upper left")
+
+
+def _squared(times: Floats, places: Floats, lag: int, step: float) -> float:
+    """Return the mean squared displacement over `lag` pictures; NaN if the track is too short."""
+    if lag > LAG_SHARE * len(times):
+        return math.nan
+    whole = np.abs(times[lag:] - times[:-lag] - lag * step) < step / 2  # no picture is missing
+    squares = np.square(places[lag:] - places[:-lag]).sum(axis=1)[whole]
+    return float(squares.mean()) if len(squares) else math.nan
+
+
+def _strips(
+    names: dict[str, str], label: str, decimals: int, most: float | None, axes: Axes, log: TrackLog
+) -> None:
+    """Draw a column of the cells' values for each quantity, with their mean."""
+    labels = []
+    for at, (key, name) in enumerate(names.items()):
+        cells, values = known_values(log.record["cells"], key)
+        aside = 0.5 * (np.arange(len(values)) * 0.6180339887 % 1) - 0.25  # separates neighbours
+        colors = [_color(each["cell"]) for each in cells]
+        axes.scatter(at + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
+        found = _mean(cells, values)
+        ends = [found.ci95.low, found.ci95.high]
+        axes.plot([at, at], ends, color=style.INK, lw=3, zorder=4)
+        axes.plot(at, found.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)
+        labels.append(f"{name}\n{_stated(found, decimals, lines=True)}")
+    axes.set_xticks(range(len(labels)), labels)
+    axes.tick_params(axis="x", length=0)
+    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, most), ylabel=label)
+
+
+def _moves(log: TrackLog) -> bool:
+    return any(True for _ in log.tracks)
+
+
+_velocities = partial(
+    _strips, {f"{name}_um_s": name.upper() for name in VELOCITIES}, "velocity [µm/s]", 0, None
+)
+_linearity = partial(_strips, {"lin": "LIN"}, "VSL / VCL", 2, 1.0)
+PANELS = {
+    "paths": Panel("paths over the first picture", _paths, lambda log: True),
+    "speeds": Panel("speed", _speeds, lambda log: len(log.values("speed_um_s")) > 0),
+    "turning": Panel("turning", _turning, lambda log: bool(log.record["field"]) and _moves(log)),
+    "msd": Panel("mean squared displacement", _displacement, _moves),
+    "velocities": Panel("velocities", _velocities, lambda log: len(log.values("vcl_um_s")) > 0),
+    "linearity": Panel("linearity", _linearity, lambda log: len(log.values("lin")) > 0),
+}
+paths_figure, speeds_figure, turning_figure, msd_figure, velocities_figure, linearity_figure = (
+    partial(_single, name) for name in PANELS
+)

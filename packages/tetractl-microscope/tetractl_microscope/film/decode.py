@@ -1,0 +1,103 @@
+"""Decodes a film in a process of its own with little memory and time, so that a hostile film can
+neither fill the computer's memory nor hang the command:
+`python -m tetractl_microscope.film.decode FILM`.
+
+Writes what the film states and an error, one of which is None, and then its pictures: grey levels
+(height, width), or None for one that is damaged, or not as large as the first; all by `pickle`.
+"""
+
+import faulthandler
+import math
+import os
+import pickle
+import sys
+from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+from typing import BinaryIO
+
+from tetractl.core.errors import AbortError, TetractlError, UsageError, printable
+from tetractl_microscope.film import film_source as films
+
+MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B]
+PATIENCE_S = 20.0  # longest time to read the tags, or to decode a picture [s]
+PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
+HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, CZI and ND2
+TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
+MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
+
+
+def main(path: Path, out: BinaryIO) -> None:
+    """Write the film at a path."""
+    faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
+    try:
+        source = _opened(path)
+        pictures = source.pictures()
+        first = next(pictures, None)
+        if source.count is first is None:
+            hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
+            raise UsageError(f"{path}: OpenCV cannot read this film", hint)
+        if first is not None and math.prod(first.shape[:2]) > PIXELS_MAX:
+            said = f"{path.name}: a picture of {first.shape[1]} x {first.shape[0]} px"
+            hint = "crop the film, or bin its pixels"
+            raise UsageError(f"{said}; at most 4096 x 4096 px are read", hint)
+        low, step = films.grey_scale(chain([first], source.sample()))
+    except TetractlError as error:
+        pickle.dump((None, error), out)
+        return
+    stated = {name: getattr(source, name) for name in source.__slots__ if name != "read"}
+    pickle.dump((stated, None), out)
+    size = None
+    for picture in chain([first], pictures):
+        faulthandler.cancel_dump_traceback_later()  # the command may read slowly
+        shape = () if picture is None else picture.shape[:2]
+        if picture is None or shape != (size or shape) or math.prod(shape) > PIXELS_MAX:
+            pickle.dump(None, out)
+        else:
+            size = shape
+            pickle.dump(films.grey_levels(picture, low, step), out)
+        faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
+
+
+def _opened(path: Path) -> films.FilmSource:
+    try:
+        if path.is_dir():
+            from tetractl_microscope.film.tiff_film import folder_film  # slow to import
+
+            return folder_film(path)
+        with path.open("rb") as file:
+            head = file.read(4)
+        if head in TIFFS:
+            from tetractl_microscope.film.tiff_film import tiff_film
+
+            return tiff_film(path)
+        found, size = MICROSCOPES.get(head, films.video_film)(path), path.stat().st_size
+        if (found.count or 0) * HEADER_B > size:  # the libraries make up pictures that are missing
+            said = f"{path}: cannot have {found.count} pictures in {size} bytes"
+            raise UsageError(said, "is the film damaged?")
+        return found
+    except (TetractlError, MemoryError):
+        raise
+    except ModuleNotFoundError as error:
+        said, hint = f"{error.name} is not installed", "pip install 'tetractl[vision,films]'"
+        raise AbortError(f"{path}: cannot be read, since {said}", hint) from error
+    except Exception as error:  # the libraries do not document what they raise for damaged files
+        said = printable(f"{type(error).__name__}: {error}", 100)
+        raise UsageError(f"{path}: cannot be read as a film: {said}") from error
+
+
+def _limit_memory() -> None:
+    """Limit the memory of this process, on Linux."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        status = Path("/proc/self/status").read_text()
+        most = int(status.partition("VmData:")[2].split()[0]) * 1024 + MEMORY_MAX
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+
+
+if __name__ == "__main__":
+    with os.fdopen(os.dup(1), "wb") as stream:
+        os.dup2(2, 1)  # what a library prints is not part of the film
+        _limit_memory()
+        main(Path(sys.argv[1]), stream)

@@ -1,0 +1,82 @@
+"""The field's direction over time, from a CSV file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.core.table.number_columns import read_numbers
+from tetractl_microscope.cells.helix import Piece
+from tetractl_microscope.handedness import handedness, wrong_sides
+
+TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
+STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
+
+
+@dataclass(frozen=True, slots=True)
+class FieldRecord:
+    """The field over time: components `x`, `y` (T,), relative to the reference field; value i holds
+    from `times[i]` [s] to `times[i + 1]`, the last value without end. There is no field before
+    `times[0]`.
+    """
+
+    times: Floats
+    x: Floats
+    y: Floats
+
+    def at(self, times: Floats) -> NDArray[np.complex128]:
+        """Return the field at times (K,) [s] as x + iy."""
+        now = np.searchsorted(self.times, times, side="right") - 1
+        return np.where(now < 0, 0.0, self.x[now] + 1j * self.y[now])
+
+    def pieces(self, start: float, end: float) -> Sequence[Piece]:
+        """Return the field between two times [s] as constant pieces, each with its duration [s], x
+        and y.
+        """
+        first, last = np.searchsorted(self.times, (start, end), side="right")
+        cuts = np.array([start, *self.times[first:last], end])
+        now = self.at(cuts[:-1])
+        return list(zip(np.diff(cuts).tolist(), now.real.tolist(), now.imag.tolist(), strict=True))
+
+
+def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
+    """Return a warning if the cells turn as if the field's directions were of the other sense, or
+    rotated; `paths` (K, 3) are the cells' times [s] and positions x, y.
+    """
+    mirrored = (
+        "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
+        "and magnet"
+    )
+    found = handedness(paths, field.at)
+    lines = [] if found is None else wrong_sides(found, mirrored, "is it rotated?")
+    return tuple(f"warning: {line}" for line in lines)
+
+
+def no_field(start: float, end: float) -> Sequence[Piece]:
+    """Return one piece from `start` to `end` [s] without a field."""
+    return ((end - start, 0.0, 0.0),)
+
+
+def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
+    """Return the field of a CSV file with columns time_s, direction_rad and perhaps strength.
+
+    Directions are anticlockwise from the picture's right, clockwise if `upside_down`; strengths are
+    fractions of the reference field, 1 by default. UsageError if a column or a valid value is
+    missing.
+    """
+    names, defaults = (TIME, DIRECTION, STRENGTH), {STRENGTH: 1.0}
+    times, direction, strength = read_numbers(path, names, defaults).T
+    (earlier,) = np.nonzero(np.diff(times) < 0)
+    if len(earlier):
+        said = f"{path}, line {earlier[0] + 3}: the time is earlier than in the line before"
+        raise UsageError(said)
+    (strong,) = np.nonzero(np.abs(strength) > STRONGEST)
+    if len(strong):
+        said = f"{path}, line {strong[0] + 2}: {STRENGTH}: {strength[strong[0]]:g} is too large"
+        raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
+    y = strength * np.sin(direction)
+    return FieldRecord(times, strength * np.cos(direction), -y if upside_down else y)

@@ -1,0 +1,126 @@
+"""The results of a film as a record of plain values, and its poses as tables."""
+
+from collections.abc import Sequence
+
+from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table_files import plain
+from tetractl.replay.identification.fit import SampleInterval
+from tetractl_microscope.film.field_file import FieldRecord
+from tetractl_microscope.film.fit_cell import CellSummary
+from tetractl_microscope.film.follow import CellPath, Followed
+from tetractl_microscope.results.kinematics import velocities
+
+POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
+POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}
+"""Columns of the table of poses, with their units."""
+LISTED = 5  # most meetings with an uncertain end that are listed one by one
+TRACKS = ("id", "t", "y", "x", "frame", "particle")
+
+
+def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
+    """Return remarks on how well the cells of a film were followed, one line each."""
+    width, height = followed.size
+    look = "bright on dark" if followed.bright else "dark on bright"
+    found = [
+        f"{followed.pictures} pictures of {width} x {height} px at {followed.rate_hz:g} Hz, "
+        f"{followed.um_px:.3g} um/px; cells {look}, contrast {followed.contrast:.0f} grey levels, "
+        f"noise {followed.noise:.1f}",
+        *followed.remarks,
+    ]
+    if followed.damaged:
+        found.append(f"warning: {followed.damaged} pictures could not be read")
+    for names in followed.doubtful[:LISTED]:
+        who = f"cells {', '.join(map(str, names))} met"
+        if len(names) == 1:
+            who = f"cell {names[0]} met others"
+        found.append(f"warning: {who} and cannot be distinguished afterwards")
+    if more := len(followed.doubtful[LISTED:]):
+        found.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
+    if any(cell.speed is None for cell in cells):
+        found.append("Cells seen for less than 2 s have no speed.")
+    return found
+
+
+def as_items(
+    film: str,
+    followed: Followed,
+    cells: Sequence[CellSummary],
+    field: FieldRecord | None = None,
+) -> dict:
+    """Return the record of the film with this name: the JSON object of --json, which its log
+    holds, too.
+
+    `field` lists x and y of the field from each of its times [s] on, None without a field.
+    """
+    record = {
+        "film": film,
+        "pictures": followed.pictures,
+        "damaged": followed.damaged,
+        "rate_hz": followed.rate_hz,
+        "um_per_px": followed.um_px,
+        "scale_guessed": followed.guessed_scale,
+        "organism": followed.organism.name,
+        "width": followed.size[0],
+        "height": followed.size[1],
+        "bright": followed.bright,
+        "contrast": followed.contrast,
+        "noise": followed.noise,
+        "cells": [_cell(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
+        "indistinguishable": followed.doubtful,
+        "notes": notes(followed, cells),
+        "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
+    }
+    return plain(record)
+
+
+def _cell(cell: CellSummary, path: CellPath) -> dict:
+    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`."""
+
+    def value(found: SampleInterval | None) -> dict | None:
+        return found and {"value": found.value, "ci95": [found.low, found.high]}
+
+    return {
+        "cell": cell.cell,
+        "since_s": cell.since_s,
+        "duration_s": cell.seconds,
+        "pictures": cell.pictures,
+        "speed_um_s": value(cell.speed),
+        "speed_sd_um_s": cell.spread,
+        **velocities(path.times, path.places, cell.helix_hz),
+        "path_um": cell.path_um,
+        "sway_rad": cell.sway_rad,
+        "helix_hz": cell.helix_hz,
+        "helix_um": cell.helix_um,
+        "a_rad_s": value(cell.a),
+        "bias_rad": value(cell.bias),
+        "magnetised": cell.magnetised,
+        "sure": cell.sure,
+    }
+
+
+def pose_tables(followed: Followed) -> tuple[Table, Table]:
+    """Return the data tables with one row per cell and picture: `poses` in um, y upwards, which
+    `tetractl identify` reads, and `tracks` in pixels, y downwards.
+
+    In `tracks` the first four columns are those of napari's tracks, and `particle`, `frame`, `y`
+    and `x` are trackpy's; (0, 0) is the middle of the upper left pixel.
+    """
+    rows = sorted(
+        (
+            *(int(picture), path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
+            *(cell.sure, cell.found, cell.merged),
+            *pixel(cell.x, cell.y, followed.um_px, followed.size[1]),
+        )
+        for path in followed.paths
+        for time, picture, cell in zip(path.times.tolist(), path.frames, path.seen, strict=True)
+    )
+    values = zip(*rows, strict=True) if rows else [()] * 12
+    picture, cell, time, *states, x, y = values
+    poses = map(Column, POSES, (time, picture, cell, *states), POSES.values())
+    tracks = map(Column, TRACKS, (cell, picture, y, x, picture, cell))
+    return Table("Poses", tuple(poses)), Table("Tracks", tuple(tracks))
+
+
+def pixel(x: float, y: float, um_px: float, height: int) -> tuple[float, float]:
+    """Return column and row, whose whole numbers are the middles of pixels, of a place [um]."""
+    return x / um_px - 0.5, height - 0.5 - y / um_px

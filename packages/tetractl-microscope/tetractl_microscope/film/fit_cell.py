@@ -1,0 +1,343 @@
+"""The smoothed path of each cell of a film, and its speed, turning rate and bias with 95 %
+intervals.
+
+The filter of `lab.cameras.cells.helix` runs over each path again, from the likeliest of some
+helices and headings. Newton steps find the likeliest noise of the cell. A second pass starts where
+the first found that the cell was, if that is likelier; the smoother gives the states given all
+pictures.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.experiment.choice import RESPONDS
+from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step
+from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
+from tetractl_microscope.cells.kernels.helix_path import likelihoods, smooth
+from tetractl_microscope.cells.kernels.helix_steps import (
+    BIAS,
+    DELAY,
+    EXACT,
+    FLOW_X,
+    FLOW_Y,
+    HEADING,
+    RATE,
+    SPEED,
+    STATES,
+    WAY,
+    A,
+    C,
+    S,
+    X,
+    Y,
+)
+from tetractl_microscope.cells.readings import MERGED
+from tetractl_microscope.film.field_file import FieldRecord, no_field
+from tetractl_microscope.film.follow import CellPath, Followed
+
+START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
+SHORTEST_S = 2.0  # duration of the shortest path of which a speed is stated [s]
+# distance to the picture's edge, in lengths of the cell, at which it may be cut off: if it has a
+# blob of its size, and if not
+EDGE_OWN, EDGE = 0.4, 0.6
+# helices and headings to start from: rates over the organism's, with the deviation among
+# organisms, and angles to the first way [rad]
+RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
+# usual noise over that of a live cell: walk of the heading; noise of blobs; walks of the speed, and
+# of position and helix
+USUAL = np.array([1.0, 1.0, 4.0, 0.5])
+# blobs whose axis is further from the way over so many pictures before and after, in the median
+# [rad], are too round, or too far out of focus, to show the cell's axis
+AROUND, ASTRAY = 3, 0.6
+NO_AXIS = 1e3  # deviation of such an axis [rad]
+SPREAD = 1.0  # standard deviation of ln of the noise among cells
+ROUNDS = 3
+FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
+ORDER = 6  # differences of so many successive places leave little of a path but its noise
+BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
+USUAL_BLOCKS = 4.0  # weight of the usual misfit of a film's cells, in blocks
+FAR = 3.0  # deviations of a measurement from a smoothed pose at which the measurement is right
+MISFIT_MOST = 5.0  # misfit of a part above which a cell says nothing of the film's others
+
+
+@dataclass(frozen=True, slots=True)
+class CellSummary:
+    """The results for one cell.
+
+    `seconds` is the number of picture periods from its first to its last picture. `speed` [um/s] is
+    the mean over this time of the speed along the helix's axis in the medium, with the interval of
+    this mean; `spread` is the standard deviation of the speed over time. `path_um` is the length of
+    the way along the helix's axis, `sway_rad` the amplitude of the body's swing about it;
+    `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and `bias` are None without
+    a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS standard deviations.
+    `sure` is whether all its pictures surely show the same cell.
+    """
+
+    cell: int
+    since_s: float
+    seconds: float
+    pictures: int
+    path_um: float
+    speed: SampleInterval | None
+    spread: float
+    sway_rad: float
+    helix_hz: float
+    helix_um: float
+    a: SampleInterval | None
+    bias: SampleInterval | None
+    magnetised: bool | None
+    sure: bool
+
+
+def fit_cells(
+    followed: Followed, field: FieldRecord | None
+) -> tuple[Followed, tuple[CellSummary, ...]]:
+    """Return the film's cells with smoothed paths, and the results for each cell.
+
+    A path with fewer than START blobs of its own stays as it is, and has no numbers.
+    """
+    measured = [_Measured.of(path, followed, field) for path in followed.paths]
+    exact = _exact([each for each in measured if each is not None])
+    fits = [None if each is None else _Fit.of(each, exact) for each in measured]
+    found = [fit for fit in fits if fit is not None]
+    squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in found)
+    usual = max(1.0, squares / max(sum(fit.parts for fit in found), 1))
+    paths = [
+        path if fit is None else fit.smoothed(path)
+        for path, fit in zip(followed.paths, fits, strict=True)
+    ]
+    among = float(np.std([fit.states[:, SPEED].mean() for fit in found])) if found else 0.0
+    cells = [
+        _summary(path, fit, field is not None, usual, among, followed.rate_hz)
+        for path, fit in zip(paths, fits, strict=True)
+    ]
+    return replace(followed, paths=tuple(paths)), tuple(cells)
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """The measurements of one cell in K pictures: `values` (K, 3), NaN where it has no blob, and
+    their `deviations`; `own` is whether the blob shows just this cell. Pieces `first[k]` to
+    `first[k + 1]` of the field (P, 3) are before picture k. The filter of `model` (12,) starts with
+    `mean` (n,) and `covariance` (n, n).
+    """
+
+    values: Floats
+    deviations: Floats
+    own: np.ndarray
+    pieces: Floats
+    first: np.ndarray
+    mean: Floats
+    covariance: Floats
+    model: Floats
+
+    @classmethod
+    def of(cls, path: CellPath, followed: Followed, field: FieldRecord | None) -> Self | None:
+        """Return the measurements of a path; None if there are too few.
+
+        Blobs that the picture's edge may cut off are left out; those that show other cells, too,
+        count little. The axis of a cell's blobs counts little if it is not along the cell's way.
+        """
+        body = followed.organism.body_um[0]
+        measured, shared = np.full((len(path.seen), 6), np.nan), MERGED[0] * body
+        for k, cell in enumerate(path.seen):
+            if cell.measured is not None:
+                measured[k] = cell.measured
+            elif cell.found:
+                measured[k] = cell.x, cell.y, cell.axis, shared, shared, MERGED[1]
+        span = np.array(followed.size) * followed.um_px
+        edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
+        lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
+        own = measured[:, 3] < shared
+        cut = edge < np.where(own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
+        measured[cut], own = np.nan, own & ~cut
+        way = measured[2 * AROUND :, :2] - measured[: -2 * AROUND, :2]
+        off = measured[AROUND:-AROUND, 2] - np.arctan2(way[:, 1], way[:, 0])
+        off = np.abs(np.arcsin(np.sin(off)))[own[AROUND:-AROUND] & np.isfinite(off)]
+        if len(off) and np.median(off) > ASTRAY:
+            measured[:, 5] = NO_AXIS
+        some = np.flatnonzero(own)
+        if len(some) < START:
+            return None
+        times = path.times - path.times[0]
+        early = some[: max(START, int((times[some] <= times[some[0]] + START_S).sum()))]
+        (vx, vy), (x, y) = np.polyfit(times[early], measured[early, :2], 1)
+        mean, covariance, model = new_cell(followed.organism, field is not None)
+        mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
+        pieces_of = no_field if field is None else field.pieces
+        pieces, first = list[Piece](), [0, 0]
+        for start, end in pairwise(path.times.tolist()):
+            pieces += pieces_of(start, end)
+            first.append(len(pieces))
+        values, deviations = map(np.ascontiguousarray, np.hsplit(measured, 2))
+        field_of = np.array(pieces).reshape(-1, 3), np.array(first)
+        return cls(values, deviations, own, *field_of, mean, covariance, model)
+
+    def models(self, noise: Floats) -> Floats:
+        """Return the numbers (V, 12) of models by ln of the noise (V, 4) over the usual one."""
+        found = np.tile(self.model, (len(noise), 1))
+        found[:, [HEADING, EXACT, SPEED]] *= (USUAL * np.exp(noise))[:, :3]
+        found[:, [X, Y, C, S]] *= (USUAL * np.exp(noise))[:, 3:]
+        found[:, [A, BIAS]] = 0.0
+        return found
+
+    def likelihood(self, noise: Floats, mean: Floats) -> Floats:
+        """Return ln of the likelihood (V,) of V variants of ln of the noise (V, 4) over the usual
+        one, and of the first state (V, n).
+        """
+        found = np.empty(len(noise))
+        given = self.values, self.deviations, self.pieces, self.first
+        likelihoods(mean.copy(), self.covariance, self.models(noise), *given, found)
+        return found
+
+    def smoothed(
+        self, noise: Floats, mean: Floats, start: int = 0, end: int | None = None
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the last state (n,), its covariance (n, n), and all states (K, n) and bodies
+        (K, 3) given all pictures from `start` to `end`, for ln of the noise (4,) over the usual one
+        and a first state (n,).
+        """
+        last = mean.copy()
+        values, first = self.values[start:end], self.first[start : end and end + 1].copy()
+        first[0] = first[1]
+        states, bodies = np.empty((len(values), STATES)), np.empty((len(values), 3))
+        given = self.models(noise[None])[0], values, self.deviations[start:end], self.pieces, first
+        covariance = smooth(last, self.covariance, *given, states, bodies)
+        return last, covariance, states, bodies
+
+
+def _exact(measured: Sequence[_Measured]) -> Floats:
+    """Return the factors (3,) from the stated deviations of cells' own blobs to those of the
+    film's, at most 1 for places, by differences of successive blobs, in which a smooth path leaves
+    little.
+    """
+    found = [np.zeros((0, 3))]
+    for each in measured:
+        values = each.values.copy()
+        values[:, 2] = np.unwrap(np.nan_to_num(values[:, 2]), period=math.pi)
+        values[~each.own | (each.deviations[:, 2] == NO_AXIS)] = np.nan
+        found.append(np.diff(values, ORDER, axis=0) / each.deviations[ORDER:])
+    off = np.abs(np.concatenate(found)) / math.sqrt(math.comb(2 * ORDER, ORDER))
+    off = off[np.isfinite(off).all(axis=1)]
+    if not len(off):
+        return np.ones(3)
+    place, axis = np.median(off[:, :2]) / 0.6745, np.median(off[:, 2]) / 0.6745
+    return np.array([min(place, 1.0), min(place, 1.0), axis])
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """The fit of one cell: its last state `mean` (n,), standard deviations `sd` (n,) of that, and
+    the `states` (K, n) and `bodies` (K, 3) given all pictures; `misfit` is the sum of the squared
+    differences of a in parts of the path from the a of the whole path, in their deviations, and
+    `parts` its degrees of freedom.
+    """
+
+    measured: _Measured
+    mean: Floats
+    sd: Floats
+    states: Floats
+    bodies: Floats
+    misfit: float
+    parts: int
+
+    @classmethod
+    def of(cls, table: _Measured, exact: Floats) -> Self:
+        """Fit the measurements of a path, whose deviations are `exact` (3,) times those stated."""
+        table.deviations[table.own] *= exact
+        starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
+        starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
+        starts[:, HEADING] += np.tile(ASIDE, len(RATES))
+        likely = table.likelihood(np.zeros((len(starts), len(USUAL))), starts)
+        likely -= ((starts[:, RATE] / table.mean[RATE] - 1) / RATES_SD) ** 2 / 2
+        mean, noise = starts[likely.argmax()], np.zeros((1, len(USUAL)))
+
+        def likelihood(tried: Floats) -> Floats:
+            return table.likelihood(tried[0], np.tile(mean, (tried.shape[1], 1)))[None]
+
+        for _ in range(ROUNDS):
+            noise, _ = newton_step(likelihood, noise, SPREAD)
+        second = table.smoothed(noise[0], mean)[2][0]
+        second[FROM_0] = 0.0
+        tried = np.array([mean, second])  # the second pass may lose a cell that turned by itself
+        mean = tried[table.likelihood(np.tile(noise, (2, 1)), tried).argmax()]
+        last, covariance, states, bodies = table.smoothed(noise[0], mean)
+        parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
+        misfit = 0.0
+        for start, end in pairwise(np.linspace(0, len(states), parts + 1).astype(int).tolist()):
+            begun = states[start] if start else mean
+            part, spread, _, _ = table.smoothed(noise[0], begun, start, end)
+            misfit += (part[A] - last[A]) ** 2 / spread[A, A]
+        return cls(table, last, np.sqrt(np.diagonal(covariance)), states, bodies, misfit, parts - 1)
+
+    def smoothed(self, path: CellPath) -> CellPath:
+        """Return the path with the smoothed poses, which stay within FAR deviations of what was
+        measured.
+        """
+        off = self.measured.values - self.bodies
+        off[:, 2] = (off[:, 2] + math.pi / 2) % math.pi - math.pi / 2
+        reach = FAR * self.measured.deviations
+        poses = self.bodies + np.nan_to_num(off - np.clip(off, -reach, reach))
+        rows = np.column_stack([poses, self.states[:, HEADING]]).tolist()
+        seen = tuple(
+            replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
+            for cell, (x, y, axis, heading), state in zip(path.seen, rows, self.states, strict=True)
+        )
+        return replace(path, seen=seen)
+
+
+def _interval(value: float, sd: float, error: float) -> SampleInterval:
+    """Return a value's 95 % interval for a standard deviation and a relative one."""
+    half = NORMAL * math.hypot(sd, error * value)
+    return SampleInterval(float(value), float(value - half), float(value + half))
+
+
+def _summary(
+    path: CellPath, fit: _Fit | None, known: bool, usual: float, among: float, rate_hz: float
+) -> CellSummary:
+    between, count = (
+        float(path.times[-1] - path.times[0]),
+        int(path.frames[-1] - path.frames[0]) + 1,
+    )
+    way = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum())
+    speed = a = bias = magnetised = None
+    spread = sway = hz = radius = math.nan
+    if fit is not None and count >= round(SHORTEST_S * rate_hz):
+        states, way = fit.states, float(fit.mean[WAY])
+        wider = math.sqrt(
+            max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
+        )
+        # the part of the way that may be another cell's, whose speed differs
+        doubt = among * float(np.mean([1 - cell.probability for cell in path.seen]))
+        sd = math.hypot(wider * float(fit.sd[WAY]) / between, doubt)
+        speed = _interval(way / between, sd, SPEED_ERROR)
+        spread = float(states[:, SPEED].std())
+        sway = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
+        hz = float(np.median(states[:, RATE])) / math.tau
+        radius = float(np.median(np.hypot(states[:, C], states[:, S])))
+        if known:
+            a = _interval(fit.mean[A], wider * fit.sd[A], A_ERROR)
+            bias = _interval(fit.mean[BIAS], wider * fit.sd[BIAS], 0.0)
+            magnetised = bool(fit.mean[A] > RESPONDS * wider * fit.sd[A])
+    return CellSummary(
+        cell=path.identity,
+        since_s=float(path.times[0]),
+        seconds=count / rate_hz,
+        pictures=len(path.seen),
+        path_um=way,
+        speed=speed,
+        spread=spread,
+        sway_rad=sway,
+        helix_hz=hz,
+        helix_um=radius,
+        a=a,
+        bias=bias,
+        magnetised=magnetised,
+        sure=all(cell.sure for cell in path.seen),
+    )

@@ -1,0 +1,166 @@
+"""The pictures of a film in order, as grey levels; a process of their own, `decode`, reads them."""
+
+import itertools
+import math
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Any
+from weakref import finalize
+
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Grey
+from tetractl.core.table.number_columns import read_numbers
+
+RATES_HZ = (0.1, 2000.0)
+SCALES_UM = (0.05, 100.0)
+DIFFERENT = 0.01  # relative difference of a given value from the film's own that is said
+KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
+EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
+TIMES_FILE, TIME = "times.csv", "time_s"
+
+
+@dataclass(slots=True, weakref_slot=True)
+class FilmPictures:
+    """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
+    or the film's own; so is the scale `um_px`, None if it is unknown.
+
+    `times` are the pictures' times [s], None if they follow from the rate. `remarks` are lines on
+    the film's tags. `damaged` is the number of pictures so far that could not be read, or differed
+    in size from the first one read.
+    """
+
+    path: Path
+    rate_hz: float
+    um_px: float | None
+    times: Sequence[float] | None
+    remarks: list[str]
+    _stream: Iterator[Any]  # pictures that are not decoded yet
+    damaged: int = 0
+    _next: int = 0  # number of the picture that the stream gives next
+    _file: IO[bytes] = field(default_factory=lambda: TemporaryFile(buffering=0))  # noqa: SIM115
+    _kept: list[int] = field(default_factory=list)  # places of pictures in the file; -1: damaged
+    _shape: tuple[int, ...] = (0, 0)
+
+    def __post_init__(self) -> None:
+        finalize(self, self._file.close)
+
+    def __iter__(self) -> Iterator[tuple[int, Grey]]:
+        """Yield number and grey levels (height, width) of each picture that can be read.
+
+        A film is decoded once: its pictures are kept in a file, except those beyond KEPT_MAX.
+        """
+        for number, place in enumerate(self._kept):
+            if place >= 0:
+                pixels = os.pread(self._file.fileno(), math.prod(self._shape), place)
+                yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
+        if self._next > len(self._kept):  # those beyond KEPT_MAX are decoded again
+            self._next, self.damaged = len(self._kept), self._kept.count(-1)
+            self._stream = itertools.islice(_decoded(self.path), self._next + 1, None)
+        for number, picture in enumerate(self._stream, self._next):
+            self._next = number + 1
+            if number == len(self._kept):
+                self._keep(picture)
+            if picture is None:
+                self.damaged += 1
+            else:
+                self._shape = picture.shape
+                yield number, picture
+
+    def _keep(self, picture: Grey | None) -> None:
+        """Keep the next picture in the file, if there is room."""
+        place = -1 if picture is None else self._file.tell()
+        if picture is None or place + picture.size <= KEPT_MAX:
+            with suppress(OSError):  # the disk may be full
+                if picture is None or self._file.write(picture.data) == picture.size:
+                    self._kept.append(place)
+
+    def seconds(self, number: int) -> float:
+        """Return the time of a picture [s]."""
+        return number / self.rate_hz if self.times is None else self.times[number]
+
+
+def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = None) -> FilmPictures:
+    """Return the pictures of a film or a folder, with the rate and the scale given or else its own.
+
+    UsageError if there are no pictures, or no rate.
+    """
+    if not path.is_dir() and not path.is_file():
+        said = "is not a regular file" if path.exists() else "no such file or folder"
+        raise UsageError(f"{path}: {said}")
+    stream = _decoded(path)
+    own = next(stream)
+    times, remarks = own["times"], own["remarks"]
+    if (path / TIMES_FILE).exists():
+        times = _times(path / TIMES_FILE, own["count"])
+    rate = own["rate_hz"] if times is None else (len(times) - 1) / (times[-1] - times[0])
+    rate = _preferred("--rate", rate_hz, rate, RATES_HZ, remarks)
+    scale = _preferred("--scale", um_px, own["um_px"], SCALES_UM, remarks)
+    if rate is None:
+        hint = "give --rate HZ" + f", or {TIMES_FILE} in the folder" * path.is_dir()
+        raise UsageError(f"{path}: states no rate", hint)
+    uneven = times is not None and any(abs(t * rate - k) >= EVEN for k, t in enumerate(times))
+    return FilmPictures(
+        path, rate, scale, times if uneven and not rate_hz else None, remarks, stream
+    )
+
+
+def _decoded(path: Path) -> Iterator[Any]:
+    """Decode a film in another process: yield what it states, then its pictures (height, width), or
+    None for one that is damaged or not as large as the first. TetractlError if it is no film.
+    """
+    process = subprocess.Popen(
+        # without -P, a file such as cv2.py in the present folder would be run
+        [sys.executable, "-P", "-m", "tetractl_microscope.film.decode", str(path)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # each thread would take memory
+    )
+    stream = process.stdout
+    assert stream is not None
+    try:
+        said, error = pickle.load(stream)
+        if error is not None:
+            raise error
+        yield said
+        while True:
+            yield pickle.load(stream)
+    except (EOFError, pickle.UnpicklingError):  # the process has ended
+        if process.wait():
+            said = f"{path}: cannot be decoded in 20 s and 320 MB"
+            raise UsageError(said, "is the film damaged?") from None
+    finally:
+        process.kill()
+        process.wait()
+        stream.close()
+
+
+def _preferred(
+    option: str, given: float | None, own: float | None, span: tuple[float, float], said: list[str]
+) -> float | None:
+    """Return the value given, or else the film's own if it is possible; say if they differ."""
+    if own is None or not span[0] <= own <= span[1]:
+        return given
+    if given is not None and abs(given / own - 1) > DIFFERENT:
+        said.append(f"{option} {given:g} is used; the film states {own:.4g}")
+    return float(f"{own:.9g}") if given is None else given  # 30, not 29.999999999999996
+
+
+def _times(path: Path, count: int) -> list[float]:
+    """Return the times of a folder's pictures [s] from its file of times."""
+    times = read_numbers(path, (TIME,), {})[:, 0].tolist()
+    for line, (before, after) in enumerate(itertools.pairwise(times), 3):
+        if after <= before:
+            raise UsageError(f"{path}, line {line}: the time is not after that before")
+    if len(times) != count or count < 2:
+        raise UsageError(f"{path}: has {len(times)} times for {count} pictures")
+    return times

@@ -1,0 +1,132 @@
+"""Swimmers that can be followed and steered: their sizes, speeds and helices, found by name.
+
+A range (low, high) holds for some 95 % of healthy swimmers that are seen from above. What a picture
+shows is less exact: blur widens a body, tilting out of the picture's plane shortens it, and a cell
+that divides is longer. So a tracker takes an object for a swimmer up to the factor OUTLINE beyond a
+range. Another package adds an organism by an entry point of the group "tetractl.organisms" whose
+object is an `Organism`. A `guess` is a value for which no source was found.
+"""
+
+import math
+from dataclasses import dataclass
+
+from tetractl.core.errors import UsageError
+from tetractl.model.swimmers import BODY_UM, HELIX_HZ, HELIX_UM, WIDTH_UM
+from tetractl_microscope.registries import ORGANISMS
+
+OUTLINE = 1.6  # factor by which an outline in a picture may be longer or shorter than the body
+SLOW = 1 / 3  # an organism that swims at less than this fraction of its lowest speed rests
+
+Range = tuple[float, float]
+"""The lowest and the highest value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Organism:
+    """A kind of swimmer: ranges of the body's length and width [um] and of the speed [um/s]; mean
+    and standard deviation of the turns of its helix [1/s] and of the helix's radius [um]; and where
+    these values come from.
+    """
+
+    name: str
+    long_um: Range
+    wide_um: Range
+    speed_um_s: Range
+    helix_hz: Range
+    helix_um: Range
+    source: str
+
+    @property
+    def body_um(self) -> tuple[float, float]:
+        """Length and width of a body in the middle of the ranges [um]."""
+        return sum(self.long_um) / 2, sum(self.wide_um) / 2
+
+    @property
+    def outline_long_um(self) -> Range:
+        """Range of the length of an outline that may be this organism [um]."""
+        return self.long_um[0] / OUTLINE, self.long_um[1] * OUTLINE
+
+    @property
+    def outline_wide_um(self) -> Range:
+        """Range of the width of an outline that may be this organism [um]."""
+        return self.wide_um[0] / OUTLINE, self.wide_um[1] * OUTLINE
+
+    @property
+    def outline_um2(self) -> Range:
+        """Range of the area of an outline that may be this organism, an ellipse [um^2]."""
+        (short, long), (thin, thick) = self.outline_long_um, self.outline_wide_um
+        return math.pi / 4 * short * thin, math.pi / 4 * long * thick
+
+    @property
+    def slowest_um_s(self) -> float:
+        """Speed below which an individual rests [um/s]."""
+        return SLOW * self.speed_um_s[0]
+
+
+def _within(mean: float, deviation: float) -> Range:
+    """Return the range of some 95 % of normally distributed values."""
+    return mean - 2 * deviation, mean + 2 * deviation
+
+
+TETRAHYMENA = Organism(
+    name="tetrahymena",
+    long_um=_within(*BODY_UM),
+    wide_um=_within(*WIDTH_UM),
+    speed_um_s=(180.0, 760.0),
+    helix_hz=HELIX_HZ,
+    helix_um=HELIX_UM,
+    source=(
+        "T. pyriformis: lengths and widths, n = 1504, doi:10.1101/2023.07.25.550219; the fastest "
+        "fifth swim at 400 to 754 um/s at 20 C, slower ones: guess; one cell turned 2.5 times a "
+        "second, same data; radius and spread of the helix: guess"
+    ),
+)
+PARAMECIUM = Organism(
+    name="paramecium",
+    long_um=(170.0, 300.0),
+    wide_um=(35.0, 65.0),
+    speed_um_s=(500.0, 1500.0),
+    helix_hz=(1.0, 0.3),
+    helix_um=(40.0, 15.0),
+    source=(
+        "P. caudatum: length 170 to 300 um, width about 50 um: Wichterman, The Biology of "
+        "Paramecium, 1986; speeds collected in BOSO-Micro, doi:10.1371/journal.pone.0252291; "
+        "range of the width and the helix: guess"
+    ),
+)
+EUGLENA = Organism(
+    name="euglena",
+    long_um=(35.0, 60.0),
+    wide_um=(8.0, 15.0),
+    speed_um_s=(50.0, 150.0),
+    helix_hz=(1.5, 0.5),
+    helix_um=(3.0, 1.5),
+    source=(
+        "E. gracilis: sizes and speeds collected in BOSO-Micro, doi:10.1371/journal.pone.0252291; "
+        "it swims on a helix: Rossi et al., doi:10.1073/pnas.1708064114; numbers of the helix and "
+        "ends of the ranges: guess"
+    ),
+)
+HELICAL_MICROROBOT = Organism(
+    name="helical-microrobot",
+    long_um=(20.0, 60.0),
+    wide_um=(2.5, 10.0),
+    speed_um_s=(5.0, 60.0),
+    helix_hz=(1.0, 0.5),
+    helix_um=(0.5, 0.5),
+    source=(
+        "artificial bacterial flagella, 38 um long, up to 18 um/s at 2 mT: Zhang et al., "
+        "doi:10.1063/1.3079655 and doi:10.1021/nl901869j; ends of the ranges for other designs and "
+        "the wobble of the body: guess"
+    ),
+)
+
+
+def named(name: str) -> Organism:
+    """Return the organism with this name; UsageError if there is none, PluginError if another
+    package offers it and it cannot be loaded."""
+    if name not in ORGANISMS:
+        raise UsageError(
+            f"no organism is named '{name}'", f"known are {', '.join(ORGANISMS.names())}"
+        )
+    return ORGANISMS.load(name)

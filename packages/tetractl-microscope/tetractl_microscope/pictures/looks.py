@@ -1,0 +1,68 @@
+"""The results for the last pictures that a camera searched, and the stream's statistics; no I/O."""
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from tetractl.core.clock import SECOND
+from tetractl.lab.frame_rate import rate_hz
+
+LOOKS = 20  # number of last pictures whose results are kept
+SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True, slots=True)
+class Look(Generic[S]):
+    """One searched picture: its number, time of arrival, duration of the search, and result."""
+
+    number: int
+    received_ns: int
+    search_ns: int
+    seen: S
+
+
+def search_ms(looks: Sequence[Look[Any]]) -> float:
+    """Return the median duration of searching a picture [ms]."""
+    return statistics.median(look.search_ns for look in looks) / 1e6
+
+
+def stream_lines(
+    looks: Sequence[Look[Any]],
+    source: str,
+    ended: str,
+    now_ns: int,
+    declared_hz: float | None,
+    damaged: int,
+) -> tuple[list[str], list[str]]:
+    """Return problems and warnings of a stream of pictures, for display.
+
+    `source` is the source's name, `ended` the reason why it has ended ("" if it has not),
+    `declared_hz` its declared rate (None if unknown), and `damaged` the number of damaged pictures.
+    """
+    problems: list[str] = []
+    warnings: list[str] = []
+    if ended:
+        problems.append(ended)
+    elif not looks or now_ns - looks[-1].received_ns > SECOND // 2:
+        problems.append(f"no picture comes from {source} any more")
+    rate = rate_hz(looks)
+    if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
+        warnings.append(
+            f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "
+            "little light for short exposures, or is the cable too slow?"
+        )
+    elif rate is not None and rate < SLOW_HZ:
+        warnings.append(
+            f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are needed"
+        )
+    if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
+        warnings.append(
+            f"{missed} of the last {len(looks) + missed} pictures were not searched: searching one "
+            f"takes {search_ms(looks):.0f} ms"
+        )
+    if damaged:
+        warnings.append(f"{damaged} pictures were damaged")
+    return problems, warnings

@@ -1,0 +1,144 @@
+"""Reads a microscope's camera through Micro-Manager's core, `pymmcore`; not tested with a real
+camera.
+
+According to its documentation, the core fills a circular buffer while a sequence of pictures is
+taken. This feed removes each picture at once, so that no picture waits in the buffer;
+`PictureCamera` skips and counts the pictures for which its search is too slow.
+"""
+
+import os
+import re
+import sys
+import threading
+from contextlib import chdir
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.errors import AbortError
+from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
+from tetractl_microscope.pictures.picture_section import MicroManagerSource
+
+FOLDER = "MICROMANAGER_PATH"
+"""Environment variable that names the folder where Micro-Manager is installed."""
+INSTALLED = {
+    "win32": "C:/Program Files/Micro-Manager-2.0",
+    "darwin": "/Applications/Micro-Manager",
+    "linux": "/usr/local/lib/micro-manager",
+}
+CONFIG_MAX = 1 << 24  # largest size of a configuration [bytes]
+LIBRARY = {"win32": "mmgr_dal_{}.dll", "darwin": "libmmgr_dal_{}"}.get(
+    sys.platform, "libmmgr_dal_{}.so.0"
+)
+"""Name of the library of a device adapter, as the core makes it."""
+FAILURES = (OSError, RuntimeError, ValueError)  # as pymmcore raises them, by the kind of error
+_PLACE = re.compile(r"[/\\]|^\.\.$")
+
+
+def adapter_folder() -> Path:
+    """Return the folder of Micro-Manager's device adapters, whose libraries the core runs.
+
+    No spec can name this folder. AbortError if Micro-Manager is not installed.
+    """
+    folder = Path(os.environ.get(FOLDER) or INSTALLED.get(sys.platform, INSTALLED["linux"]))
+    if not folder.is_dir():
+        hint = f"name its folder: {FOLDER}=FOLDER tetractl ..."
+        raise AbortError(f"Micro-Manager is not installed in {folder}", hint)
+    return folder.resolve()
+
+
+def require_adapters(config: Path, folder: Path) -> None:
+    """Raise AbortError if a configuration names a device adapter that the folder lacks, or a file
+    in another folder.
+
+    The core would let the operating system search for the adapter's library, also next to the spec,
+    and some adapters run the file that a property names. Lines are split as by the core: at commas,
+    without empty fields, up to the first carriage return. Names of a device's states, such as the
+    objective "10x/0.25", name no file.
+    """
+    if not config.is_file() or config.stat().st_size > CONFIG_MAX:
+        raise AbortError(f"{config}: is not a file of at most {CONFIG_MAX >> 20} MiB")
+    lines = config.read_bytes().decode(errors="replace").split("\n")
+    for number, line in enumerate(lines, start=1):
+        fields = [field for field in line.partition("\r")[0].split(",") if field]
+        if line.startswith("#") or not fields:
+            continue
+        if fields[0] == "Device" and len(fields) > 2:
+            known = re.fullmatch(r"[\w-]+", fields[2])
+            if not known or not (folder / LIBRARY.format(fields[2])).is_file():
+                text = f"{folder} contains no device adapter {fields[2]!r}"
+                raise AbortError(f"{config}:{number}: {text}")
+        elif fields[0] == "Label" or fields[-2:-1] == ["Label"]:
+            del fields[-1]
+        for field in filter(_PLACE.search, fields):
+            text = f"{field!r} may name a file, which a device adapter would run"
+            raise AbortError(
+                f"{config}:{number}: {text}",
+                "save a configuration with the camera alone, without / and \\",
+            )
+
+
+class MicroManagerFeed(Feed):
+    """A camera configured in Micro-Manager; a picture has the upper eight bits of the camera's grey
+    levels or, for a colour camera, the mean of red, green and blue.
+    """
+
+    def __init__(self, source: MicroManagerSource, clock: Clock) -> None:
+        try:
+            core = import_module("pymmcore").CMMCore
+        except ModuleNotFoundError as error:
+            raise AbortError(
+                "a source of type micromanager needs pymmcore, which is not installed",
+                "pip install './packages/tetractl-microscope[micro-manager]'",
+            ) from error
+        self._clock, self._closing = clock, threading.Event()
+        folder, config = adapter_folder(), Path(source.config).resolve()
+        require_adapters(config, folder)
+        self._core: Any = core()
+        try:
+            # in an empty folder, since libraries and files of adapters may be searched in this one
+            with TemporaryDirectory() as empty, chdir(empty):
+                self._core.setDeviceAdapterSearchPaths([str(folder)])
+                self._core.loadSystemConfiguration(str(config))
+                self._shift = max(0, self._core.getImageBitDepth() - 8)
+                self._core.startContinuousSequenceAcquisition(0.0)
+        except FAILURES as error:
+            self._core.reset()
+            text = f"{config}: {' '.join(str(error).split())}"
+            raise AbortError(text, "does Micro-Manager itself show this camera live?") from error
+
+    def read(self) -> Picture:
+        """Wait for the next picture."""
+        silent = self._clock.now() + 10 * SECOND
+        while not self._closing.is_set():
+            try:
+                if self._core.getRemainingImageCount():
+                    return Picture(self._grey(self._core.popNextImage()), self._clock.now())
+                running = self._core.isSequenceRunning()
+            except FAILURES as error:
+                raise SourceEndedError(f"Micro-Manager reports: {error}") from error
+            if not running or self._clock.now() > silent:
+                raise SourceEndedError("Micro-Manager's camera delivers no more pictures")
+            self._clock.sleep_until(self._clock.now() + SECOND // 500)
+        raise SourceEndedError("Micro-Manager's camera was closed")
+
+    def interrupt(self) -> None:
+        """End a `read` that is waiting in another thread, within a few milliseconds."""
+        self._closing.set()
+
+    def close(self) -> None:
+        """End the sequence and release the camera."""
+        try:
+            self._core.stopSequenceAcquisition()
+        finally:
+            self._core.reset()
+
+    def _grey(self, pixels: np.ndarray) -> np.ndarray:
+        if pixels.dtype.itemsize < 4:
+            return np.minimum(pixels >> self._shift, 255).astype(np.uint8)
+        colours = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)
+        return colours[..., :3].mean(axis=-1).astype(np.uint8)

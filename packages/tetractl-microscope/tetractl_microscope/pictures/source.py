@@ -1,0 +1,234 @@
+"""Sources of pictures: a camera at this computer, a video file, a network camera."""
+
+import http.client
+import io
+import socket
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import assert_never
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+from PIL.JpegImagePlugin import JpegImageFile
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Grey
+from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
+from tetractl_microscope.pictures.multipart import Multipart
+from tetractl_microscope.pictures.picture_section import (
+    PIXELS_MAX,
+    DeviceSource,
+    FileSource,
+    MicroManagerSource,
+    MjpegSource,
+    Source,
+)
+
+JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
+
+
+def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
+    """Open a source, waiting up to `timeout_s` for a network camera; AbortError if that fails."""
+    match source:
+        case DeviceSource():
+            return DeviceFeed(source, clock)
+        case FileSource():
+            return FileFeed(source, clock)
+        case MjpegSource():
+            return MjpegFeed(source, clock, timeout_s)
+        case MicroManagerSource():
+            from tetractl_microscope.pictures.micro_manager import MicroManagerFeed
+
+            return MicroManagerFeed(source, clock)
+        case _:
+            assert_never(source)
+
+
+def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
+    """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
+
+    Also returns None for a JPEG that does not have the given `size` (height, width) or, if no size
+    is given, for a JPEG with a side above `PIXELS_MAX`. Raises cv2.error if OpenCV cannot convert
+    pixels.
+    """
+    content = picture.content
+    if isinstance(content, np.ndarray):
+        grey = cv2.cvtColor(content, cv2.COLOR_BGR2GRAY) if content.ndim == 3 else content
+        return grey.astype(np.uint8, copy=False)
+    # the end marker may stand before the last bytes, since some cameras pad the file
+    end = content.rfind(JPEG_END, max(0, len(content) - 64))
+    if not content.startswith(JPEG_START) or end < 0:
+        return None
+    # if a JPEG is cut short, a decoder fills the rest with grey up to the end marker; without the
+    # marker the decoder waits for the missing codes, and Pillow raises
+    try:
+        jpeg = JpegImageFile(io.BytesIO(content[:end] + NO_CODE))
+        fits = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
+        if not fits:
+            return None
+        jpeg.draft("L", jpeg.size)
+        return np.asarray(jpeg) if jpeg.mode == "L" else None
+    except Exception:  # Pillow's exceptions for hostile bytes are not documented
+        return None
+
+
+class _CaptureFeed(Feed):
+    """Pictures that OpenCV captures; its own timeouts end a wait."""
+
+    _capture: cv2.VideoCapture
+
+    def close(self) -> None:
+        """Release the camera or the file."""
+        self._capture.release()
+
+
+class DeviceFeed(_CaptureFeed):
+    """A camera at this computer, opened by OpenCV; not tested with a real camera."""
+
+    def __init__(self, source: DeviceSource, clock: Clock) -> None:
+        self.rate_hz = source.rate
+        self._name, self._clock = f"camera {source.index}", clock
+        system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
+        self._capture = capture = cv2.VideoCapture(source.index, system)
+        if not capture.isOpened():
+            raise AbortError(
+                f"{self._name} cannot be opened",
+                "is the camera plugged in, is lab.camera.source.index its number, does another "
+                "program use it?",
+            )
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*source.format))
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, source.width)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, source.height)
+        capture.set(cv2.CAP_PROP_FPS, source.rate)
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # so that no old pictures wait in the buffer
+        width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if (width, height) != (source.width, source.height):
+            capture.release()
+            raise AbortError(
+                f"{self._name} gives {width}x{height}, not {source.width}x{source.height}",
+                "choose a size that the camera supports: v4l2-ctl --list-formats-ext",
+            )
+
+    def read(self) -> Picture:
+        """Wait for the next picture."""
+        if not self._capture.grab():
+            raise SourceEndedError(f"{self._name} delivers no more pictures")
+        received = self._clock.now()  # taken before the picture is decompressed
+        read, pixels = self._capture.retrieve()
+        if not read:
+            raise SourceEndedError(f"{self._name} delivers no more pictures")
+        return Picture(pixels, received)
+
+
+class FileFeed(_CaptureFeed):
+    """A video file, played at its own rate."""
+
+    live = False
+    emulated = True  # robots in a film cannot be steered
+
+    def __init__(self, source: FileSource, clock: Clock) -> None:
+        self._path, self._clock = source.path, clock
+        if not Path(source.path).is_file():
+            raise AbortError(f"there is no file {source.path}", "see lab.camera.source.path")
+        self._capture = cv2.VideoCapture(source.path)
+        rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0
+        if not rate > 0:
+            self._capture.release()
+            raise AbortError(f"{source.path} is not a video that OpenCV can read")
+        self.rate_hz = rate
+        self._start_ns: int | None = None
+        self._read = 0
+
+    def read(self) -> Picture:
+        """Return the next picture of the file when it is due."""
+        read, pixels = self._capture.read()
+        if not read:
+            raise SourceEndedError(f"{self._path} has ended")
+        if self._start_ns is None:
+            self._start_ns = self._clock.now()
+        assert self.rate_hz is not None
+        self._clock.sleep_until(self._start_ns + round(self._read * SECOND / self.rate_hz))
+        self._read += 1
+        return Picture(pixels, self._clock.now())
+
+
+class MjpegFeed(Feed):
+    """A network camera's multipart stream over HTTP."""
+
+    def __init__(self, source: MjpegSource, clock: Clock, timeout_s: float) -> None:
+        self._url, self._clock = source.url, clock
+        url = urlsplit(source.url)
+        self._connection = connection = http.client.HTTPConnection(url.netloc, timeout=timeout_s)
+        path = (url.path or "/") + (f"?{url.query}" if url.query else "")
+        until = time.monotonic() + timeout_s
+        try:
+            connection.connect()
+            self._socket: socket.socket = connection.sock
+            # the socket's own timeout is per byte, this one is for the whole answer
+            deadline = threading.Timer(until - time.monotonic(), self.interrupt)
+            deadline.start()
+            try:
+                connection.request("GET", path)
+                self._answer = connection.getresponse()
+            finally:
+                deadline.cancel()
+            if time.monotonic() >= until:
+                raise TimeoutError
+        except (OSError, ValueError, http.client.HTTPException) as error:
+            connection.close()
+            late = time.monotonic() >= until
+            said = f"not within {timeout_s:g} s" if late else error or type(error).__name__
+            raise AbortError(
+                f"{source.url} does not answer: {said}",
+                "is the camera on, and is lab.camera.source.url its address?",
+            ) from error
+        kind, boundary = self._answer.headers.get_content_type(), self._boundary()
+        if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
+            self.close()
+            raise AbortError(
+                f"{source.url} is not an MJPEG stream: it answers {self._answer.status}, {kind}",
+                "the camera's answer must be multipart/x-mixed-replace with a boundary",
+            )
+        self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
+        self._socket.settimeout(None)  # from now on, closing the socket interrupts the reader
+        self._parts = Multipart(boundary)
+        self._waiting: list[bytes] = []
+
+    @property
+    def damaged(self) -> int:
+        """Number of parts that could not be read."""
+        return self._parts.damaged
+
+    def read(self) -> Picture:
+        """Wait for the next picture in the stream."""
+        while not self._waiting:
+            try:
+                data = self._answer.read1(1 << 16)
+            except (OSError, ValueError, http.client.HTTPException) as error:
+                raise SourceEndedError(f"{self._url} failed: {error}") from error
+            if not data:
+                raise SourceEndedError(f"{self._url} closed the stream")
+            self._waiting = self._parts.feed(data)
+        return Picture(self._waiting.pop(0), self._clock.now())
+
+    def interrupt(self) -> None:
+        """Shut the connection down, which ends a wait for data."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._answer.close()
+        self._connection.close()
+
+    def _boundary(self) -> str:
+        boundary = self._answer.headers.get_param("boundary", "")
+        return boundary if isinstance(boundary, str) else boundary[2]

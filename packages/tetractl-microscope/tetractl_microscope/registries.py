@@ -1,0 +1,25 @@
+"""Registries of what a film's command names: figures of cells, and organisms."""
+
+from tetractl.core.registry import Registry
+
+CELL_FIGURES = Registry(
+    "tetractl.cell_figures",
+    {
+        "cells": "tetractl_microscope.figures.cells:cells_figure",
+        "paths": "tetractl_microscope.figures.cells:paths_figure",
+        "speeds": "tetractl_microscope.figures.cells:speeds_figure",
+        "turning": "tetractl_microscope.figures.cells:turning_figure",
+        "msd": "tetractl_microscope.figures.cells:msd_figure",
+        "velocities": "tetractl_microscope.figures.cells:velocities_figure",
+        "linearity": "tetractl_microscope.figures.cells:linearity_figure",
+    },
+)
+ORGANISMS = Registry(
+    "tetractl.organisms",
+    {
+        "tetrahymena": "tetractl_microscope.organisms:TETRAHYMENA",
+        "paramecium": "tetractl_microscope.organisms:PARAMECIUM",
+        "euglena": "tetractl_microscope.organisms:EUGLENA",
+        "helical-microrobot": "tetractl_microscope.organisms:HELICAL_MICROROBOT",
+    },
+)

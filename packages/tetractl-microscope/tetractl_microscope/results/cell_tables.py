@@ -1,0 +1,150 @@
+"""The tables of a film's cells, made from the record that `tetractl track --json` prints."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.table.table import NONE, Column, Table, fixed
+from tetractl.results.estimate import (
+    VALUES_MIN,
+    Distribution,
+    Interval,
+    known_distribution,
+    t_quantile,
+)
+from tetractl_microscope.film.track_log import value_of
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity of each cell: its `name` in data files, heading and decimals in printed tables.
+
+    One without a heading is only in data files; of one that is `averaged`, the mean over the cells
+    is printed. One with an `interval` is {"value": ..., "ci95": [low, high]} in the record.
+    """
+
+    name: str
+    unit: str = ""
+    heading: str = ""
+    decimals: int = 0
+    averaged: bool = True
+    interval: bool = False
+
+    @property
+    def key(self) -> str:
+        """The name of the quantity in JSON, which ends in the unit."""
+        return Column(self.name, (), self.unit).key.lower()
+
+
+QUANTITIES = (
+    Quantity("since", "s", "from", 1, averaged=False),
+    Quantity("duration", "s", "for", 1, averaged=False),
+    Quantity("pictures", averaged=False),
+    Quantity("speed", "um/s", "speed", interval=True),
+    Quantity("speed_sd", "um/s"),
+    Quantity("vcl", "um/s", "VCL"),
+    Quantity("vap", "um/s", "VAP"),
+    Quantity("vsl", "um/s", "VSL"),
+    Quantity("lin", "", "LIN", 2),
+    Quantity("path", "um", averaged=False),
+    Quantity("sway", "rad", "sway", 2),
+    Quantity("helix", "Hz", "helix", 1),
+    Quantity("helix", "um"),
+    Quantity("a", "rad/s", "a", 2, interval=True),
+    Quantity("bias", "rad", "bias", 2, interval=True),
+    Quantity("magnetised", "", "magnet", averaged=False),
+    Quantity("sure", "", "number", averaged=False),
+)
+"""The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
+RESPONSES = "a_rad_s", "bias_rad"
+"""Quantities whose means are over the cells that respond to the field."""
+
+
+def cell_tables(record: Record) -> list[Table]:
+    """Return the tables to print: a row per cell, and the mean over the cells of each quantity."""
+    cells = record["cells"]
+    columns = [Column("cell", [cell["cell"] for cell in cells])]
+    for one in QUANTITIES:
+        texts = [_text(cell.get(one.key), one.decimals) for cell in cells]
+        if one.key == "sure":
+            texts = ["may be another" if cell.get("sure") is False else "sure" for cell in cells]
+        if one.heading and not {NONE, "sure"}.issuperset(texts):
+            columns.append(Column(one.heading, texts, one.unit))
+    note = "\n".join(record["notes"])
+    return [Table("Cells, with 95 % intervals", tuple(columns), note), *_means(cells)]
+
+
+def _text(entry: Any, decimals: int) -> str:
+    if isinstance(entry, bool):
+        return "yes" if entry else "no"
+    if isinstance(entry, Mapping):
+        low, high = (fixed(decimals)(end) for end in entry["ci95"])
+        return f"{fixed(decimals)(entry['value'])} [{low}, {high}]"
+    return fixed(decimals)(entry)
+
+
+def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
+    """Return the cells of which a quantity is known, and its values; of a and bias, only the cells
+    that respond to the field.
+    """
+    some = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
+    found = [(cell, value_of(cell.get(key))) for cell in some]
+    known = [(cell, value) for cell, value in found if value is not None]
+    return [cell for cell, _ in known], [value for _, value in known]
+
+
+def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
+    """Describe values of one or more cells, each weighted by the time for which its cell is seen.
+
+    A cell that is followed under one number after another is several of `cells`: n is the greatest
+    number that are seen at once, and the interval is Student's for that n.
+    """
+    weights = np.array([cell["duration_s"] for cell in cells])
+    since = np.array([cell["since_s"] for cell in cells])
+    middles = since + weights / 2
+    n = int((np.abs(since[:, None] + 1e-6 - middles) < weights / 2).sum(axis=1).max())
+    mean = float(np.average(values, weights=weights))
+    if n < 2:
+        return known_distribution(n, mean, math.nan, Interval.none("one value has no spread"))
+    squares = np.square(np.array(values) - mean)
+    std = math.sqrt(float(np.average(squares, weights=weights)) * n / (n - 1))
+    half = t_quantile(n - 1) * std / math.sqrt(n)
+    few = Interval.none(f"an interval needs {VALUES_MIN} cells")
+    ends = few if n < VALUES_MIN else Interval(mean - half, mean + half, "t")
+    return known_distribution(n, mean, std, ends)
+
+
+def _means(cells: list[Record]) -> list[Table]:
+    """Return the table of means, none for fewer than two cells."""
+    rows = []
+    for one in QUANTITIES if len(cells) > 1 else ():
+        some, known = known_values(cells, one.key)
+        if one.averaged and one.heading and known:
+            found = cell_mean(some, known)
+            show = fixed(one.decimals)
+            who = " of those that respond" * (one.key in RESPONSES)
+            name = (f"{one.heading} [{one.unit}]" if one.unit else one.heading) + who
+            spread = show(found.std)
+            rows.append((name, str(found.n), show(found.mean), found.ci95.text(show), spread))
+    header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
+    columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
+    table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
+    return [table] if rows else []
+
+
+def cell_data(record: Record) -> Table:
+    """Return the data table of the cells: a row per cell, intervals as columns of their ends."""
+    cells = record["cells"]
+    columns = [Column("cell", [cell["cell"] for cell in cells])]
+    for one in QUANTITIES:
+        entries = [cell.get(one.key) for cell in cells]
+        columns.append(Column(one.key, list(map(value_of, entries))))
+        for k, end in enumerate(("low", "high") if one.interval else ()):
+            ends = [entry and entry["ci95"][k] for entry in entries]
+            columns.append(Column(Quantity(f"{one.name}_{end}", one.unit).key, ends))
+    return Table("Cells", tuple(columns))

@@ -1,0 +1,142 @@
+"""`tetractl lab survey`: finds the cells in a dish and proposes which cells to steer."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
+from tetractl.cli.rigs import rig_of
+from tetractl.core.errors import Exit, UsageError
+from tetractl.core.files import save_whole
+from tetractl.core.table.table_files import json_text
+from tetractl.run.interrupt import interrupted_once
+
+if TYPE_CHECKING:
+    from tetractl.experiment.choice import FoundCell
+
+
+def survey(
+    spec: Spec,
+    sets: Sets = None,
+    out: Annotated[
+        Path | None, out_option("FILE", "YAML file to write a spec for trials to.")
+    ] = None,
+    plans: Annotated[
+        int,
+        option(
+            "N", "Number of plans to search for each of the best choices of cells.", min=1, max=1000
+        ),
+    ] = 96,
+    plant: Lab = "lab",
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> int:
+    """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
+
+    The field rotates for the time `robots.seconds` of the spec. It says on which side cells follow:
+    they follow on the other if the picture is mirrored. Every cell with a magnet is listed
+    with 95 % intervals; choices of cells that are distinguishable are ranked by the error that
+    `tetractl analyze` predicts, with the noise of the spec's simulation. -o writes a spec with
+    which a trial finds the best cells again, by their turning rates a and speeds.
+
+    Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
+    """
+    import numpy as np
+
+    from tetractl.analysis.closed_loop import Noise
+    from tetractl.analysis.steering import planner, tolerance
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.experiment.load import document_of
+    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl_microscope.choices import alike, ranked
+    from tetractl_microscope.handedness import handedness_lines, watch_turning
+
+    loaded = ui.load(spec, sets)
+    experiment = on_plant(loaded, plant).experiment
+    choice, unit = experiment.chosen, experiment.units.length
+    if choice is None or not experiment.open:
+        raise UsageError(
+            f"{spec}: the spec lists its robots, so a survey has no cells to choose",
+            "a survey needs `robots: {choose: N, ...}` in the spec",
+        )
+    ui.refuse_existing(out)
+    if experiment.plant.real_time:
+        ui.require_confirmation(yes)
+    with interrupted_once(robots=True), rig_of(experiment) as rig:
+        seed, supervision = experiment.trials.seed, LabSupervision()
+        cells, turned = watch_turning(rig, choice, seed, supervision)
+    wrong, turning = handedness_lines(turned)
+    ui.tell(*(f"warning: {problem}" for problem in wrong))
+    pairs = list(alike(cells))
+    if not as_json:
+        _print_cells(cells, pairs, unit)
+        print(f"turning: {turning}")
+
+    def done(count: int, of: int) -> None:
+        ui.tell(f"prediction {count} of {of}")
+
+    found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
+    if as_json:
+        choices = [{"cells": [c.number for c in one.cells], "error": one.error} for one in found]
+        numbers = [[one.number, two.number] for one, two in pairs]
+        listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
+        print(
+            json_text(
+                {
+                    "unit": unit,
+                    "cells": listed,
+                    "alike": numbers,
+                    "turning": turning,
+                    "choices": choices,
+                }
+            )
+        )
+    else:
+        for one in found:
+            numbers = ", ".join(str(cell.number) for cell in one.cells)
+            error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "none, no plan found"
+            print(f"cells {numbers}: predicted mean total error {error}")
+    if not found or not np.isfinite(found[0].error):
+        control, able = planner(experiment), sum(cell.magnetised for cell in cells)
+        horizon_s = control.horizon_max * control.signal_periods * control.period
+        if found:
+            why = (
+                f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
+                f"{tolerance(control):g} {unit} of the targets"
+            )
+        elif able < choice.choose:
+            why = f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
+        else:
+            why = f"among any {choice.choose} are two that cannot be distinguished after they meet"
+        ui.tell(f"no choice of these cells can be steered to the targets: {why}")
+        return Exit.FAILED
+    if out is not None:
+        data = document_of(loaded.text, str(spec), sets or []).data
+        wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
+        data["robots"]["wanted"] = wanted
+        save_whole(out, dump(data).encode())
+        ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
+    return Exit.DONE
+
+
+def _print_cells(
+    cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
+) -> None:
+    """Print each cell with 95 % intervals, and the pairs of cells whose turning rates a are too
+    similar to tell the cells apart.
+    """
+    from tetractl.results.estimate import Z
+
+    for cell in cells:
+        magnet = "" if cell.magnetised else ", does not respond to the field"
+        near = "" if cell.free else ", was near the edge: its turning rate a is unreliable"
+        print(
+            f"cell {cell.number} at ({cell.pose.x:.0f}, {cell.pose.y:.0f}) {unit}: "
+            f"a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "
+            f"{cell.speed:.0f} ± {Z * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
+        )
+    for one, two in pairs:
+        print(f"cells {one.number} and {two.number} cannot be distinguished after they meet")

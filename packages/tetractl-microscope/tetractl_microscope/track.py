@@ -1,0 +1,146 @@
+"""`tetractl track`: follows the cells of a film."""
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from tetractl.cli import ui
+from tetractl.cli.options import AsJson, argument, option, out_option, switch
+from tetractl.core.errors import Exit, UsageError, printable
+
+
+def track(
+    film: Annotated[
+        Path,
+        argument(
+            "FILM",
+            "A film, a TIFF stack or a folder of pictures; or what an earlier `track` wrote.",
+        ),
+    ],
+    field: Annotated[
+        Path | None,
+        option(
+            "CSV",
+            "CSV file of the field's direction over time, with columns time_s and direction_rad.",
+        ),
+    ] = None,
+    scale: Annotated[
+        float | None,
+        option(
+            "UM",
+            "Micrometres per pixel; by default as the film states it, or else guessed from the "
+            "length that the organism has.",
+            min=0.05,
+            max=100,
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        option(
+            "HZ",
+            "Pictures per second, if the rate that the film states is wrong or missing.",
+            min=0.1,
+            max=2000,
+        ),
+    ] = None,
+    organism: Annotated[
+        str | None,
+        option(
+            "NAME",
+            "What swims: one that `tetractl kinds` lists, whose sizes and speeds are searched "
+            "for; by default the one that fits what swims in the film.",
+        ),
+    ] = None,
+    y_down: Annotated[
+        bool, switch("Directions in the --field file run clockwise.", "--y-down")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        out_option(
+            "DIR", "Folder for the tables, a log, figures, and the film with the tracks drawn in."
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
+
+    Of a folder that it wrote, or of the log in it, it prints the tables again, and -o draws all
+    figures.
+
+    If the field's direction over time is given, it also prints each cell's turning rate a, heading
+    bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
+
+    Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
+
+    Example: tetractl track tracks -o figures
+    """
+    import numpy as np
+
+    from tetractl_microscope.film.field_file import read_field, side_remarks
+    from tetractl_microscope.film.film_files import write_results
+    from tetractl_microscope.film.film_tables import as_items
+    from tetractl_microscope.film.fit_cell import fit_cells
+    from tetractl_microscope.film.follow import follow
+    from tetractl_microscope.film.pictures import open_film
+    from tetractl_microscope.film.track_log import track_log_of
+    from tetractl_microscope.organisms import named
+    from tetractl_microscope.results.cell_tables import cell_tables
+
+    if log := track_log_of(film):
+        if field or scale or rate or organism or y_down:
+            raise UsageError(f"{film}: was analysed already", "options go with the film itself")
+        return _show(log, out, as_json)
+    if y_down and field is None:
+        raise UsageError("--y-down needs --field")
+    kind = None if organism is None else named(organism)
+    ui.refuse_existing(out, folder=True)
+    directions = None if field is None else read_field(field, y_down)
+    pictures = open_film(film, rate, scale)
+    ui.tell(*(f"{film}: {remark}" for remark in pictures.remarks))
+    with ui.progress("Following") as on_picture:
+        found = follow(
+            pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
+        )
+    if directions is not None:
+        paths = [np.column_stack([path.times, path.places]) for path in found.paths]
+        found = replace(found, remarks=(*found.remarks, *side_remarks(directions, paths)))
+    with ui.progress("Fitting"):
+        found, cells = fit_cells(found, directions)
+    record = as_items(film.name, found, cells, directions)
+    if out is not None:
+        with ui.progress("Writing"):
+            write_results(out, pictures, found, record)
+    ui.show(as_json, record, cell_tables(record))
+    if out is not None and not as_json:
+        print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    if not found.paths:
+        read = found.pictures - found.damaged
+        ui.tell(
+            f"{film}: no cell swims in this film: {read} pictures read, {found.seconds:.3g} s, "
+            f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px"
+        )
+    return Exit.DONE if found.paths else Exit.FAILED
+
+
+def _show(log: Path, out: Path | None, as_json: bool) -> int:
+    """Print the cells in the log of a film; draw all figures and write the table into `out`."""
+    from tetractl.core.table.table_files import csv_text
+    from tetractl.view.style import save
+    from tetractl_microscope.figures.draw_cells import draw_cells
+    from tetractl_microscope.film.track_log import read_track
+    from tetractl_microscope.registries import CELL_FIGURES
+    from tetractl_microscope.results.cell_tables import cell_data, cell_tables
+
+    ui.refuse_existing(out, folder=True)
+    found = read_track(log)
+    ui.show(as_json, found.record, cell_tables(found.record))
+    ui.tell(*(f"damaged: {log}: {line}" for line in found.damage))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "cells.csv").write_text(csv_text(cell_data(found.record)), encoding="utf-8")
+        for kind in CELL_FIGURES.names():
+            with suppress(UsageError):  # this film has no field, or no cell
+                save(draw_cells(kind, [found]), out / f"{kind}.png")
+        ui.tell(printable(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}"))
+    return Exit.FAILED if found.damage else Exit.DONE

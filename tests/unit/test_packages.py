@@ -14,7 +14,6 @@ from tetractl.experiment.packages import BRINGS
 PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))
 HIDDEN = """
 import sys
-from importlib.metadata import EntryPoint, distribution
 import importlib.metadata
 
 PACKAGES = {"tetractl_emulator", "tetractl_microscope"}
@@ -26,9 +25,15 @@ class Hidden:
 
 sys.meta_path.insert(0, Hidden())
 found = importlib.metadata.entry_points
-importlib.metadata.entry_points = lambda **by: [
-    one for one in found(**by) if one.dist is None or not one.dist.name.startswith("tetractl-")
-]
+
+def points(**by):
+    ours = ("tetractl-emulator", "tetractl-microscope")
+    got = found(**by)
+    if not by.get("group", "").startswith("tetractl."):
+        return got
+    return [one for one in got if one.dist.name not in ours]
+
+importlib.metadata.entry_points = points
 """
 
 
@@ -64,26 +69,36 @@ for one in pkgutil.walk_packages(tetractl.__path__, "tetractl."):
     if not one.name.endswith("__main__"):
         __import__(one.name)
 """
+COMMAND = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(run_app())"
 
 
 @pytest.mark.slow
-def test_a_command_of_a_missing_package_is_answered_by_the_command_that_installs_it():
-    program = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(run_app())"
-    for words in (
-        ["lab", "emulate", "x.yaml"],
-        ["run", "experiments/three_m3pi_lab.yaml", "--plant", "emulated"],
-    ):
-        code, said = python(program.format(words))
-        assert code == 2, said
-        assert "needs tetractl-emulator, which is not installed" in said
-        assert "hint: pip install ./packages/tetractl-emulator" in said
+def test_the_core_imports_whole_without_the_packages_and_opencv():
+    code, said = python(ALL)
+    assert code == 0, said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("package", "words"),
+    [
+        ("tetractl-emulator", ["lab", "emulate", "x.yaml"]),
+        ("tetractl-emulator", ["run", "experiments/three_m3pi_lab.yaml", "--plant", "emulated"]),
+        ("tetractl-microscope", ["track", "dish.avi"]),
+        ("tetractl-microscope", ["validate", "experiments/tetrahymena_dish.yaml"]),
+    ],
+)
+def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_it(package, words):
+    code, said = python(COMMAND.format(words))
+    assert code == 2, said
+    assert f"needs {package}, which is not installed" in said
+    assert f"pip install ./packages/{package}" in said
 
 
 @pytest.mark.slow
 def test_kinds_lists_what_it_can_without_the_packages():
-    code, said = python(
-        "from tetractl.cli.app import run_app\nsys.argv[1:] = ['kinds']\nsys.exit(run_app())"
-    )
+    code, said = python(COMMAND.format(["kinds"]))
     assert code == 0, said
     assert "pso-mpc" in said
     assert re.search(r"^plant +emulated +tetractl-emulator +\[not installed\]$", said, re.M)
+    assert re.search(r"^camera +cells +tetractl-microscope +\[not installed\]$", said, re.M)

@@ -15,7 +15,7 @@ from .scores import Shown
 
 
 def track(folder: Path, um_px: float) -> Shown:
-    """Run the pipeline of cli/track.py on the film in a folder: decode, follow, fit."""
+    """Run the pipeline of track.py on the film in a folder: decode, follow, fit."""
     began = cpu_s()
     field = read_field(folder / "field.csv")
     followed = follow(open_film(folder / "film.avi", None, um_px), um_px, field)

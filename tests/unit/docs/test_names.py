@@ -20,7 +20,16 @@ NAMED_AFTER = (  # a command's module after what it runs, a kernel's after what 
     "view/figures",
     "plant/disturbances",
 )
-PARTS = {"actuator", "calibrate", "camera", "check", "core", "section", "side"}  # of each device
+PARTS = {
+    "actuator",
+    "calibrate",
+    "camera",
+    "check",
+    "core",
+    "registries",
+    "section",
+    "side",
+}  # of each device
 
 
 def test_a_class_has_a_name_of_its_own():

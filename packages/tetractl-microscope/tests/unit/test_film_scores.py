@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 from filmworld.rows import table
@@ -118,6 +117,6 @@ def test_a_film_is_read_at_its_rate_and_quality(tmp_path):
 
 def test_the_second_renderer_shares_no_code_with_tetractl():
     code = "import sys, filmworld.second; print([m for m in sys.modules if 'tetractl' in m])"
-    root = Path(__file__).parents[2] / "benchmarks"
+    root = ROOT / "benchmarks"
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr

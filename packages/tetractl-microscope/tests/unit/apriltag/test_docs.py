@@ -1,15 +1,15 @@
-"""The examples of docs/reference/apriltag.md work, and its table names every setting."""
+"""The examples of docs/apriltag.md work, and its table names every setting."""
 
 import re
 
 import pytest
 import yaml
 from support.needs_opencv import cv2
-from support.paths import ROOT
+from support.paths import MICROSCOPE
 from tetractl_microscope.apriltag.detect import Detector
 from tetractl_microscope.apriltag.section import AprilTagSection
 
-PAGE = (ROOT / "docs/reference/apriltag.md").read_text()
+PAGE = (MICROSCOPE / "docs/apriltag.md").read_text()
 
 
 def block(language):

@@ -8,6 +8,7 @@ from filmworld.rows import table
 from filmworld.scores import Shown, score_film
 from filmworld.truth import FilmTruth, write_film
 from support.needs_opencv import cv2
+from support.paths import ROOT
 
 PICTURES, RATE = 90, 30.0
 

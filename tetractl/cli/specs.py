@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_option, switch
-from tetractl.core.cache import cache_folder
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.table.table_files import json_text
-from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -45,6 +43,7 @@ def example_files(name: str) -> dict[str, str]:
     Raises UsageError if there is no such example.
     """
     from tetractl.experiment.yaml.document import parse_document, read_text
+    from tetractl.experiment.yaml.problems import did_you_mean
 
     known, folder = example_names(), shipped_folder()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
@@ -184,6 +183,7 @@ def validate(
 
 def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str]]:
     from tetractl.experiment.load import spec_hash
+    from tetractl.experiment.yaml.problems import InvalidSpecError
     from tetractl.model.bounds import least_total_error
     from tetractl.run.plausibility import CheckContext
     from tetractl.study.load_study import is_study
@@ -249,6 +249,7 @@ def warm(
     from rich.console import Console
 
     from tetractl.control.build import compiled_for, warm_up
+    from tetractl.core.cache import cache_folder
 
     wanted: dict[str, list[Experiment]] = {}
     for experiment in _experiments(specs or [], sets or []):

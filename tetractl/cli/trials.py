@@ -15,7 +15,6 @@ from tetractl.cli import ui
 from tetractl.cli.streams import first_signal_callback, hung_up_unread
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 from tetractl.run.interrupt import Interrupt, interrupted_once, leave_on_signals
-from tetractl.view.terminal.keys import SAYS, StopKey
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import Observer
@@ -159,6 +158,7 @@ def _display(
 
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.executors import Here, on_this_machine
+    from tetractl.view.terminal.keys import SAYS, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
     from tetractl.view.terminal.progress import BatchProgress
 

@@ -6,32 +6,19 @@ H + 1 from what is left of the sequence in use; the best is exerted. Nothing is 
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 import numpy as np
 
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import make_plan
-from tetractl.control.mpc_section import SearchFields
+from tetractl.control.mpc_section import PsoMpc
 from tetractl.control.rng import mix
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import ALONE, Host
-
-
-class PsoMpc(SearchFields):
-    """Algorithm 2 as published: the Euler model, particle swarms, obstacles tested at the predicted
-    samples, 5 Hz, and no extensions. Every default is the paper's."""
-
-    type: Literal["pso-mpc"] = "pso-mpc"
-
-    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Algorithm2":
-        """Return the controller of one trial."""
-        return Algorithm2(self, setup, key, host.wrap(self.optimizer))
 
 
 class Algorithm2:

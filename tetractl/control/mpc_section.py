@@ -155,6 +155,19 @@ class SearchFields(PlainSection):
         super().warm_up(setup)
 
 
+class PsoMpc(SearchFields):
+    """Algorithm 2 as published: the Euler model, particle swarms, obstacles tested at the predicted
+    samples, 5 Hz, and no extensions. Every default is the paper's."""
+
+    type: Literal["pso-mpc"] = "pso-mpc"
+
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
+        """Return the controller of one trial."""
+        from tetractl.control.algorithm2 import Algorithm2
+
+        return Algorithm2(self, setup, key, host.wrap(self.optimizer))
+
+
 @defaults(
     period=0.05,
     # a trial lasts at most 160 s

@@ -3,9 +3,8 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-from tetractl.control.estimator import StateEstimator
-from tetractl.control.filter import warm_up
 from tetractl.control.prior import Prior, nothing
 from tetractl.control.rng import mix
 from tetractl.core.commands import Command
@@ -14,6 +13,9 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection
 from tetractl.model.obstacles import Obstacles
+
+if TYPE_CHECKING:  # a spec is read without the filter
+    from tetractl.control.estimator import StateEstimator
 
 
 class PlainSection(ControllerSection):
@@ -41,6 +43,8 @@ class PlainSection(ControllerSection):
 
     def warm_up(self, setup: Setup) -> None:
         """Compile the prediction over the dead time by using it once."""
+        from tetractl.control.filter import warm_up
+
         warm_up(self.known(setup), setup.starts)
 
 
@@ -54,8 +58,10 @@ class PlainController:
         self._known = section.known(setup)
 
     @cached_property
-    def estimator(self) -> StateEstimator:
+    def estimator(self) -> "StateEstimator":
         """The robots' poses at the moment when the next direction acts."""
+        from tetractl.control.estimator import StateEstimator
+
         return StateEstimator(self.problem, self._ends.period, self._known)
 
     def plan(

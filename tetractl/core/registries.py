@@ -22,7 +22,7 @@ CONTROLLERS = Registry(
     "tetractl.controllers",
     {
         "mpc": "tetractl.control.mpc_section:RecommendedMpc",
-        "pso-mpc": "tetractl.control.algorithm2:PsoMpc",
+        "pso-mpc": "tetractl.control.mpc_section:PsoMpc",
         "sequence": "tetractl.control.sequence:SequenceSection",
         "ensemble": "tetractl.control.ensemble:EnsembleSection",
         "rrt": "tetractl.control.rrt:RrtSection",

@@ -38,7 +38,6 @@ from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive, aim
 from tetractl.plant.sim_camera import Beats, MeasurementNoise, SimCamera
-from tetractl.plant.standing import StandingCheck
 from tetractl.plant.true_motion import Drive, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
@@ -223,6 +222,8 @@ class SimPlant:
             swerving,
             lambda now: self._news.append(self._transmit(now, None)),
         )
+        from tetractl.plant.standing import StandingCheck  # not needed to read a spec
+
         self._standing = StandingCheck(setup, section.dead_time)
         self._stop: Command | None = None
         self._held: Steer | Turn | FieldOff = FieldOff()  # sent last, and repeated

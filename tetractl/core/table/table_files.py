@@ -14,8 +14,6 @@ from itertools import chain, groupby, repeat
 from pathlib import Path
 from typing import Any, TextIO
 
-from pydantic_core import to_json
-
 from tetractl.core.errors import LogError, UsageError, cell
 from tetractl.core.table.table import Array, Column, Table
 
@@ -47,6 +45,8 @@ def _cells(columns: list[Sequence[Any]]) -> Iterator[Sequence[str]]:
 
     Text that a spreadsheet would evaluate gets an apostrophe in front.
     """
+    from pydantic_core import to_json  # slow to import, and not needed by most commands
+
     for plain_values, group in groupby(columns, lambda one: set(map(type, one)) <= _NUMBERS):
         if not plain_values:
             yield from ([*map(_text, values)] for values in group)

@@ -1,0 +1,29 @@
+"""How much of tetractl a command imports before it does anything: each module delays it."""
+
+import subprocess
+import sys
+
+import pytest
+from support.paths import ROOT
+
+COUNTED = """
+import atexit, sys
+from tetractl.cli import main
+sys.argv[0] = "tetractl"
+ours = lambda: [name for name in sys.modules if name.partition(".")[0] == "tetractl"]
+atexit.register(lambda: print(len(ours()), file=sys.stderr))
+main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "most"),
+    [(["--help"], 40), (["stats", ROOT / "tests" / "golden" / "format-4-sim.mcap"], 110)],
+    ids=["help", "stats"],
+)
+def test_few_modules_are_imported(words, most):
+    done = subprocess.run(
+        [sys.executable, "-c", COUNTED, *words], capture_output=True, text=True, check=True
+    )
+    assert int(done.stderr.split()[-1]) <= most, done.stderr

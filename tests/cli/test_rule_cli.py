@@ -1,4 +1,4 @@
-"""One rule for the options of all commands (decision 0022)."""
+"""One rule for the options of all commands: docs/decisions/command-line.md."""
 
 import json
 import os
@@ -34,8 +34,8 @@ def test_options_of_one_meaning_have_one_name():
         assert ("--out" in options) == ("-o" in options), words
         assert "--json" in options or " ".join(words) in WITHOUT_JSON, words
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
-        takes_spec |= words == ("rerun",)  # of the spec that its log holds (decision 0031)
-        takes_spec |= words == ("kinds",)  # of the section that is checked (decision 0057)
+        takes_spec |= words == ("rerun",)  # of the spec that its log holds
+        takes_spec |= words == ("kinds",)  # of the section that is checked
         assert ("--set" in options) == takes_spec, words
     assert {"--out", "--json", "--set", "--yes"} <= seen
     assert "--output" not in seen

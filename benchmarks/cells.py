@@ -1,18 +1,15 @@
-"""How well cells are distinguished after a merge, and how large and safe a log of them is.
+"""How well cells are distinguished after a merge, by the difference of a.
 
-    python benchmarks/cells.py identity    identities after a full merge, by the difference of a
-    python benchmarks/cells.py log         MB/s of a log with crops, share of its changes noticed
+    python benchmarks/cells.py
 
 How well cells are found and followed in films is measured by benchmarks/films.py. Every picture is
 synthetic. Seeds from 9000 on are those of the published figures; smaller ones were used in
-development. --count says how many pairs of cells or changes; --seconds how long each film is.
+development. --count says how many pairs of cells.
 """
 
 import argparse
 import math
-import random
 import sys
-import tempfile
 from pathlib import Path
 
 import cv2
@@ -20,16 +17,10 @@ import numpy as np
 from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from support.film_logs import write_film
-from support.synthetic_film import FilmScript, SyntheticFilm
-from support.tampering import noticed, tamperings
-from tetractl_emulator.pictures.dish.picture import PictureLook
 from tetractl_microscope.cells.cell import CellTrack
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.names import Names
 
-from tetractl.log.format import channels
-from tetractl.log.read.salvage import scan
 from tetractl.model.swimmers import Swimmers, bodies
 
 FIRST_SEED = 9000
@@ -43,7 +34,7 @@ def share(hits: int, count: int) -> str:
     return f"{hits}/{count} = {hits / max(count, 1):.4f} [{low:.4f}, {high:.4f}]"
 
 
-def identity(count: int, seconds: float) -> None:
+def identity(count: int) -> None:
     """Two cells leave a full merge at one place and heading, alike but for a; blobs of usual noise.
 
     Before the merge each is followed for 10 s by itself. The field changes every 0.3 to 1.2 s.
@@ -116,33 +107,9 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     return order, float(shares.min())
 
 
-def logs(count: int, seconds: float) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in range(FIRST_SEED, FIRST_SEED + 3):
-            path = Path(folder) / f"{seed}.mcap"
-            look = PictureLook.drawn(np.random.default_rng(seed), 1024, 2.3)
-            made = SyntheticFilm(FilmScript(seconds=seconds), look, seed)
-            samples = write_film(made, path, robots=3)
-            crops = np.mean([len(sample.film.crops) for sample in samples])
-            rate = path.stat().st_size * made.script.rate / len(samples) / 1e6
-            print(f"seed {seed}: {rate:.2f} MB/s, {crops:.1f} crops a picture", flush=True)
-        log = scan(path)
-        shown = (*channels.FILM, channels.FRAMES, channels.TRANSFORMS)
-        random.seed(FIRST_SEED)
-        tried = random.sample([one for one in tamperings(log, 60) if one.channel in shown], count)
-        seen = [noticed(log, one, Path(folder) / "changed.mcap") for one in tried]
-    print(f"changed crops, poses and what is said of them, noticed: {share(sum(seen), count)}")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=("identity", "log"))
     parser.add_argument("--count", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=10.0)
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
-    parts = {
-        "identity": identity,
-        "log": logs,
-    }
-    parts[chosen.part](chosen.count, chosen.seconds)
+    identity(chosen.count)

@@ -242,7 +242,7 @@ def _row_texts() -> str:
 
 
 def _file(place: str, like: str, names: Sequence[str]) -> Callable[[random.Random], Case]:
-    """Files at a place, like those of `experiments` that match a pattern, read by commands."""
+    """Files at a place, like those in a folder of `experiments`, read by commands."""
 
     def make(rng: random.Random) -> Case:
         path = scratch() / place
@@ -250,7 +250,7 @@ def _file(place: str, like: str, names: Sequence[str]) -> Callable[[random.Rando
             path.parent.mkdir()
             for base in (ROOT / "experiments").glob("*.yaml"):  # of the studies
                 (scratch() / base.name).write_bytes(base.read_bytes())
-        path.write_bytes(bytes_like(rng.choice(files(like)()), rng))
+        path.write_bytes(bytes_like(rng.choice(files(ROOT / "experiments" / like)()), rng))
         return _case(path, names, rng)
 
     return make
@@ -282,8 +282,8 @@ def _identified(rng: random.Random) -> Case:
     return _case(folder / "spec.yaml", commands.SPECS[:1], rng)
 
 
-_SPEC = _file("specs/spec.yaml", "*.yaml", commands.SPECS)
-_STUDY = _file("studies/study.yaml", "studies/*.yaml", commands.STUDY_FILES)
+_SPEC = _file("specs/spec.yaml", ".", commands.SPECS)
+_STUDY = _file("studies/study.yaml", "studies", commands.STUDY_FILES)
 TABLES = (_identify, _field, _rows, _rows, _SPEC, _SPEC, _STUDY, _target("script"),
           _target("calibration"), _identified)  # fmt: skip
 

@@ -3,6 +3,7 @@
 import random
 import struct
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from support.device_replies import packed_reply
 from support.paths import ROOT
@@ -70,8 +71,8 @@ def logs() -> list[bytes]:
     return [path.read_bytes() for path in sorted((ROOT / "tests" / "golden").glob("*.mcap"))]
 
 
-def files(pattern: str) -> Callable[[], list[bytes]]:
-    return lambda: [path.read_bytes() for path in sorted((ROOT / "experiments").glob(pattern))]
+def files(folder: Path) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in sorted(folder.glob("*.yaml"))]
 
 
 NUMBERS = [0, 1, 127, 128, 255, 65_535, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from support import seeds
+from support.paths import SCRIPTS
 from support.seeds import MS, ROOT, VERSIONS
 from tetractl_emulator.script import parse_script
 
@@ -219,8 +220,8 @@ def log(data: bytes) -> None:
 
 
 TARGETS = {
-    "spec": Target(spec, seeds.files("*.yaml")),
-    "script": Target(script, seeds.files("faults/*.yaml")),
+    "spec": Target(spec, seeds.files(ROOT / "experiments")),
+    "script": Target(script, seeds.files(SCRIPTS)),
     "calibration": Target(calibration, seeds.calibrations),
     "log": Target(log, seeds.logs),
     "natnet": Target(natnet_datagrams, seeds.datagrams),

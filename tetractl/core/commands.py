@@ -9,7 +9,6 @@ from typing import Self
 
 import numpy as np
 
-from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Floats, Observation, Poses
 
 HALTS = "halts"
@@ -62,15 +61,29 @@ class Sent:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameAddition:
+    """What a camera knows of the frame exposed at `sampled_ns` beyond its poses.
+
+    `sure` (N,) is the probability that what is followed as each robot is still that robot, NaN if
+    it is not seen. `messages`, topic and protobuf bytes, are logged as they are; a camera may use
+    the channels of pictures, `log.format.channels`.
+    """
+
+    sampled_ns: int
+    sure: Floats
+    messages: tuple[tuple[str, bytes], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Sample:
     """One camera frame and the true poses at its exposure; `truth` is None outside simulations.
 
-    `film` holds the picture's crops, for a camera that follows cells.
+    `messages`, topic and bytes, are what its camera adds to the frame's record.
     """
 
     observation: Observation
     truth: Poses | None
-    film: CellFilm | None = None
+    messages: tuple[tuple[str, bytes], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

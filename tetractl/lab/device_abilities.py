@@ -6,7 +6,7 @@ A device has an ability if it has the protocol's members; nothing needs to be de
 from collections.abc import Collection, Sequence
 from typing import Protocol, runtime_checkable
 
-from tetractl.core.cell_film import CellFilm
+from tetractl.core.commands import FrameAddition
 from tetractl.core.setup import Setup
 from tetractl.experiment.choice import FoundCell
 
@@ -24,11 +24,11 @@ class HearsDirections(Protocol):
 
 
 @runtime_checkable
-class FilmsCells(Protocol):
-    """A camera that logs crops of its pictures, and how sure the robots' identities are."""
+class AddsToFrames(Protocol):
+    """A camera that knows more of its frames: messages to log, and who may be another robot."""
 
-    def films(self) -> list[CellFilm]:
-        """Return the film's data for each picture since the last call, oldest first."""
+    def additions(self) -> list[FrameAddition]:
+        """Return what was found in each picture since the last call, oldest first."""
         ...
 
 

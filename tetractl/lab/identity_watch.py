@@ -4,9 +4,11 @@ count as lost. The lab's plant counts them so, and its rule of lost robots decid
 
 from collections.abc import Iterator, Sequence
 
-from tetractl.core.cell_film import SURE, CellFilm
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note
+from tetractl.core.commands import FrameAddition, Note
+
+SURE = 0.9
+"""Least probability of a robot's identity; below it, it is unknown which robot it is."""
 
 
 class IdentityWatch:
@@ -21,12 +23,12 @@ class IdentityWatch:
         self._since_ns: dict[int, int] = {}  # time when each unknown robot became unknown
         self.unknown: dict[int, str] = {}
 
-    def see(self, film: CellFilm) -> Iterator[Note]:
-        """Take the probabilities of a picture; yield a note for each robot whose identity becomes
+    def see(self, added: FrameAddition) -> Iterator[Note]:
+        """Take the probabilities of a frame; yield a note for each robot whose identity becomes
         known or unknown.
         """
-        now = film.sampled_ns
-        for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
+        now = added.sampled_ns
+        for i, (name, probability) in enumerate(zip(self._names, added.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
                 self._since_ns[i] = now
                 text = f"{name} has met another cell: the probability of its identity is"

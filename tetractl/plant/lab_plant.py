@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.commands import (
     HALTS,
     Action,
     Command,
     FieldOff,
+    FrameAddition,
     Note,
     PlantInfo,
     Sample,
@@ -32,7 +32,7 @@ from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
-from tetractl.lab.device_abilities import FilmsCells, TracksCells
+from tetractl.lab.device_abilities import AddsToFrames, TracksCells
 from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
@@ -118,7 +118,7 @@ class LabPlant:
         self._read = 0  # number of accepted frames read from the rig so far
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
-        self._films: dict[int, CellFilm] = {}  # films by their time of exposure [ns]
+        self._added: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
         self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
         self._news: deque[Command | Note] = deque(maxlen=WAITING_MAX)
         self._returned: set[int] = set()  # send times of transmissions that `send` has returned
@@ -255,8 +255,8 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Store the frames that the guard has accepted since the last call."""
         frames, self._read = self.rig.frames.since(self._read)
-        if isinstance(self.rig.camera, FilmsCells):
-            self._films |= {film.sampled_ns: film for film in self.rig.camera.films()}
+        if isinstance(self.rig.camera, AddsToFrames):
+            self._added |= {added.sampled_ns: added for added in self.rig.camera.additions()}
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
             self._heading = poses.heading
@@ -266,13 +266,13 @@ class LabPlant:
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
             self._recent.append(self._newest)
-            film = self._films.get(frame.sampled_ns)
-            if film is not None:
-                self._news.extend(self._identities.see(film))
-            self._fresh.append(Sample(self._newest, None, film))
+            added = self._added.get(frame.sampled_ns)
+            if added is not None:
+                self._news.extend(self._identities.see(added))
+            self._fresh.append(Sample(self._newest, None, added.messages if added else ()))
         if self._newest is not None:  # frames that the guard rejected give no sample
             now = self._newest.sampled_ns
-            self._films = {at: film for at, film in self._films.items() if at > now}
+            self._added = {at: added for at, added in self._added.items() if at > now}
             self._lose_cells(now)
 
     def _lose_cells(self, now: int) -> None:

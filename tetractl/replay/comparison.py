@@ -137,9 +137,9 @@ def _path(name: str, part: object) -> str:
 
 
 NOT_REPEATED = frozenset(
-    {channels.HOST, channels.HOST_END, channels.DIGESTS, channels.RECOVERED, *channels.FILM}
+    {channels.HOST, channels.HOST_END, channels.DIGESTS, channels.RECOVERED, *channels.PICTURES}
 )
-"""Topics whose messages a repeated trial does not have; `FilmCheck` checks the film."""
+"""Topics whose messages a repeated trial does not have."""
 DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN, channels.LAYOUT, channels.RESOLVED_SPEC})
 """Records of which other versions may have written other contents."""
 

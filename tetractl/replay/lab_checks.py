@@ -1,17 +1,11 @@
 """Checks what only the lab knows against the logged frames and commands: the order of times, the
-rest at the end, distances, duration and final poses, and a microscope's film.
-
-Of a microscope's film, checksums must match, and a robot's logged position must be within
-BLOB_NEAR_UM [um] of its blob.
+rest at the end, distances, duration and final poses.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.message import DecodeError
 
-from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import HALTS, Command, Verdict
 from tetractl.core.poses import Poses
@@ -20,11 +14,6 @@ from tetractl.core.trial import Result
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S, LabSection
 from tetractl.lab.cameras.optitrack.stream import COUNTED_BACK
 from tetractl.lab.rest_check import REST_NS
-from tetractl.log.format import channels
-from tetractl.log.format.channels import Entry
-from tetractl.log.format.crop_images import checksums, decode_crops
-from tetractl.log.format.tetractl_pb2 import CellCrops
-from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import path_verdict, trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.comparison import Difference
@@ -158,57 +147,3 @@ def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
         rows = log.mocap[log.mocap_ns >= stop.sent_ns - STOP_REPEATED_NS]
     ends = [np.ascontiguousarray(row).tobytes() for row in rows]
     return np.ascontiguousarray(final.array()).tobytes() in ends
-
-
-BLOB_NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
-
-
-def film_differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield the first contradiction between logged cells, pictures and poses, if there is one."""
-    written_with = log.start.plant.facts.get("opencv")
-    by_time = dict[tuple[int, int], list[Entry]]()
-    for entry in (one for topic in channels.FILM for one in raw.by_topic[topic]):
-        by_time.setdefault(entry[1:3], []).append(entry)
-    if log.damage or not (written_with or by_time):
-        return
-    stamps = np.column_stack([log.received_ns, log.mocap_ns]) + log.start.start_unix_ns
-    times = [(received, exposed) for received, exposed in stamps.tolist()]
-    if sorted(by_time) != sorted(times):
-        yield Difference(None, channels.CELLS, "does not have one message per camera frame")
-        return
-    for row, at in enumerate(times):
-        try:
-            _checked(log, row, by_time[at])
-        except (DecodeError, ValueError) as error:
-            yield Difference(None, channels.CELLS, f"frame {log.frames[row]}: {error}")
-            return
-
-
-def _checked(log: TrialLog, row: int, entries: list[Entry]) -> CellFilm:
-    """Return the film of one picture from its messages; ValueError if anything contradicts them.
-
-    A robot's logged position must be within BLOB_NEAR_UM of its blob, unless cells share the blob.
-    """
-    topics = [entry.topic for entry in entries]
-    if topics[:2] != [channels.CELLS, channels.CROPS] or len(set(topics)) < len(topics):
-        raise ValueError("a picture has cells without crops, or crops without cells")
-    cells, seen = CellCrops.FromString(entries[0].data), log.sample(row).observation
-    shown = [entry.data for entry in entries[1:]]
-    if cells.frame != seen.frame or list(cells.crc) != checksums(cells, seen, shown):
-        raise ValueError("the checksums of cells, crops, pictures or poses do not match")
-    film = decode_crops(cells, RawImage.FromString(shown[0]), seen.sampled_ns)
-    camera = log.experiment.plant.microscope
-    if len(film.sure) != log.valid.shape[1] or (film.robots >= len(film.sure)).any():
-        raise ValueError("has a different number of robots than the trial")
-    _, _, height = log.start.plant.facts.get("resolution", "").partition("x")
-    if camera is None or not height.isdecimal():
-        return film
-    um_px, metres = camera.um_px, log.start.setup.metres
-    for robot, merged, (x, y, *_) in zip(film.robots, film.merged, film.blobs, strict=True):
-        if robot < 0 or merged or not log.valid[row, robot]:
-            continue
-        at = camera.placed((x + 0.5) * um_px, (int(height) - 0.5 - y) * um_px, metres)
-        gap = np.hypot(*(log.mocap[row, robot, :2] - at)) * metres * 1e6
-        if not gap <= BLOB_NEAR_UM:
-            raise ValueError(f"{log.start.setup.names[robot]} is {gap:.1f} um from its blob")
-    return film

@@ -33,7 +33,7 @@ from tetractl.replay.comparison import (
     first_difference,
 )
 from tetractl.replay.file_check import file_differences
-from tetractl.replay.lab_checks import film_differences, lab_differences
+from tetractl.replay.lab_checks import lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.repeat import Repetition, give_again, simulate, too_large
 
@@ -108,7 +108,6 @@ def verify(path: Path) -> Verification:
     known, lost = len(first_steps(log)), [f"missing: {gap}" for gap in frame_gaps(log)]
     notes = lost if log.experiment.plant.loses_frames and not log.damage else []
     missing = [Difference(None, "frames", text) for text in lost if not notes]
-    film = [*film_differences(raw, log)]
     if raw.reordered:
         notes = [*notes, "the content digest is of another order of the messages: not compared"]
     file = [Difference(None, "file", text) for text in _file(raw, log, bool(elsewhere))]
@@ -124,7 +123,6 @@ def verify(path: Path) -> Verification:
             *others,
             *missing,
             *_damage(raw, log),
-            *film,
             *file,
         ),
         notes=tuple(notes),

@@ -7,18 +7,15 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
-from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note, Steer
+from tetractl.core.commands import FrameAddition, Note, Steer
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.identity_watch import IdentityWatch
 
 
 def seen(seconds, *sure):
-    empty = np.zeros((0, 1, 1), np.uint8), np.zeros((0, 2), np.int64), np.zeros((0, 6))
-    none = np.zeros(0, np.int64), np.zeros(0, np.bool_)
-    return CellFilm(round(1e9 * seconds), *empty, *none, (1.0, 2.0, 3.0, 4.0), np.array(sure))
+    return FrameAddition(round(1e9 * seconds), np.array(sure), (("/camera/picture", b"one"),))
 
 
 def test_a_meeting_is_said_once_and_ends_the_run_only_where_it_stays_unknown():
@@ -53,7 +50,7 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
         made.extend(replace(seen(0.0, *sure), sampled_ns=frame.sampled_ns) for frame in fresh)
         return fresh
 
-    lab.camera.frames, lab.camera.films = filmed, lambda: [made.pop(0) for _ in list(made)]
+    lab.camera.frames, lab.camera.additions = filmed, lambda: [made.pop(0) for _ in list(made)]
     plant, notes = lab.plant, []
     plant.open()
     with pytest.raises(AbortError, match="for 1 s it has not been known which cell is blue"):
@@ -61,7 +58,7 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
             sure[1] = 1.0 if k < 3 else 0.6
             plant.observe()
             plant.send(Steer(1.5))
-            assert all(sample.film is not None for sample in plant.samples())
+            assert all(sample.messages for sample in plant.samples())
             notes += [one.text for one in plant.news() if isinstance(one, Note)]
             lab.clock.sleep_until(lab.clock.now() + SECOND // 5)
     plant.stop()

@@ -38,8 +38,10 @@ LOG = "/log"
 HOST_TIMING = "/host/timing"
 CELLS, CROPS = "/camera/cells", "/camera/crops"
 PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
-FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
-"""The channels of a camera that follows cells."""
+PICTURES = (CELLS, CROPS, PICTURE, BACKGROUND)
+"""The channels of a camera that shows pictures; nothing is written any more to the first two, which
+the format keeps, as channels go by their numbers.
+"""
 HOST_END, RESULT, DIGESTS, RECOVERED = "/host/end", "/result", "/digests", "/recovered"
 SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
 """The channels of the run and its result; of two messages of one of them, the first counts."""

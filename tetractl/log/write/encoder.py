@@ -14,7 +14,6 @@ from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.crop_images import encode_film
 from tetractl.log.format.run_records import encode_facts, encode_result, encode_run
 from tetractl.log.format.scene import Scene, encode_note
 from tetractl.log.format.tetractl_pb2 import Host, HostEnd
@@ -100,11 +99,9 @@ class Encoder:
             if self._real_time:
                 self.flush_frames()
             for sample in samples:
-                if sample.film is not None:
-                    seen = sample.observation
-                    made = encode_film(sample.film, seen, self._start_ns)
-                    for topic, message in made.items():
-                        self._add(topic, message, seen.received_ns, seen.sampled_ns)
+                seen = sample.observation
+                for topic, data in sample.messages:
+                    self._add_bytes(topic, data, seen.received_ns, seen.sampled_ns)
             self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:

@@ -1,4 +1,4 @@
-"""Logs with the film of a dish: frames and crops of a synthetic film, and no control step."""
+"""Logs with the film of a dish: frames and pictures of a synthetic film, and no control step."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ lab:
 
 
 def samples_of(made, robots: int):
-    """The loaded spec, and what its camera makes of a film: samples with crops."""
+    """The loaded spec, and what its camera makes of a film: samples with pictures."""
     starts = made.body[20, :robots, :2]
     listed = [
         f"{{name: c{i}, start: [{x:.1f}, {y:.1f}], target: [600, 600], a: 4, speed: 300}}"
@@ -52,13 +52,13 @@ def samples_of(made, robots: int):
         seen = camera._see(picture, exposed)
         if seen is None:
             continue
-        (film,) = camera.films()
+        (added,) = camera.additions()
         valid = np.array([pose is not None for pose in seen.poses])
         for i, pose in enumerate(seen.poses):
             if pose is not None:
                 last[i] = pose.x, pose.y, pose.heading
         at = Observation(k, exposed, exposed + 9_000_000, Poses.of(last.copy()), valid)
-        found.append(Sample(at, None, film))
+        found.append(Sample(at, None, added.messages))
     return loaded, found
 
 

@@ -10,29 +10,28 @@ import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tetractl.core.cell_film import SURE, CellFilm
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Health
+from tetractl.core.commands import FrameAddition, Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import FoundCell
+from tetractl.lab.identity_watch import SURE
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines
-from tetractl_microscope.cells.crops import FilmCutter
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl_microscope.cells.section import CellsSection
 from tetractl_microscope.cells.tracking import CellTracker
+from tetractl_microscope.cells.whole_pictures import PictureLog
 from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 
 BACKGROUND = 15  # number of pictures from which the background is computed
 WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise
 MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first seen [s]
-# most pictures queued: each has crops of about 50 kB, and one per second is kept whole
-FILMS = 1024
+ADDED = 1024  # most pictures queued; one per second is kept whole
 
 
 class CellCamera(PictureCamera[SeenDish]):
@@ -66,7 +65,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._now = 0.0  # time of the newest picture [s]
         # for each track: time [s] and way [um] from which its mean speed is computed
         self._since: dict[int, tuple[float, float]] = {}
-        self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
+        self._pictures, self._added = PictureLog(), deque[FrameAddition](maxlen=ADDED)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
         self._identities: list[int] | None = None  # cell number per robot, once all were seen
@@ -105,7 +104,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return FoundCell(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """CellTrack the cells with these numbers as the robots of a setup from now on."""
+        """Track the cells with these numbers as the robots of a setup from now on."""
         self._setup, self._identities = setup, list(numbers)
         self.divided.clear()
 
@@ -120,9 +119,9 @@ class CellCamera(PictureCamera[SeenDish]):
         self._identities[robot] = number
         self.divided.discard(robot)
 
-    def films(self) -> list[CellFilm]:
-        """Return the film's data for each picture since the last call, oldest first."""
-        return [self._films.popleft() for _ in range(len(self._films))]
+    def additions(self) -> list[FrameAddition]:
+        """Return identities and pictures of each frame since the last call, oldest first."""
+        return [self._added.popleft() for _ in range(len(self._added))]
 
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts of source, light, focus and
@@ -159,7 +158,9 @@ class CellCamera(PictureCamera[SeenDish]):
         self.divided |= {i for i, identity in enumerate(identities) if identity in mothers}
         found = {cell.identity: cell for cell in cells}
         robots = [found.get(identity) for identity in identities]
-        self._films.append(self._cutter.film(picture, exposed_ns, cells, robots, self._tracker))
+        messages = self._pictures.messages(picture, exposed_ns, self._tracker.finder.background)
+        sure = np.array([np.nan if cell is None else cell.probability for cell in robots])
+        self._added.append(FrameAddition(exposed_ns, sure, messages))
         return SeenDish(
             poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
             strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),

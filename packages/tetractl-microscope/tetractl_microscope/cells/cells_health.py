@@ -4,8 +4,8 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tetractl.core.cell_film import SURE
 from tetractl.core.poses import Pose
+from tetractl.lab.identity_watch import SURE
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.pictures.looks import Look
 

@@ -20,7 +20,6 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
 from tetractl.core.table.table_files import json_text, table_files
 from tetractl.log.format.channels import TRACK, TRANSFORMS
-from tetractl.log.format.crop_images import LENS, jpeg_image
 from tetractl.log.format.scene import stamp
 from tetractl.view.style import SCREEN_DPI, save
 from tetractl_microscope.cells.cell import SeenCell
@@ -29,6 +28,7 @@ from tetractl_microscope.film.film_tables import pixel, pose_tables
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.track_log import CELL, PICTURE, PROFILE, UM, read_track
+from tetractl_microscope.pictures.jpeg import LENS, jpeg_image
 from tetractl_microscope.results.cell_tables import cell_data
 from tetractl_microscope.results.geff_file import write_geff
 
@@ -88,7 +88,7 @@ def _write_pictures(
             log.write_message(TRANSFORMS, _transforms(cells[number], ns), ns, ns)
             if seconds >= due:
                 due = seconds + PICTURES_S
-                log.write_message(PICTURE, jpeg_image(picture, ns), ns, ns)
+                log.write_message(PICTURE, jpeg_image(picture, stamp(ns)), ns, ns)
             draw(picture, cells[number])
     part.replace(path)
 

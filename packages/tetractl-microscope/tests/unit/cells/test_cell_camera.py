@@ -1,6 +1,7 @@
 """The `cells` camera on synthetic films, in virtual time: frames, robots, health."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -94,6 +95,8 @@ def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
             heard.append((direction, sent_ns))
 
     class Calm:
+        rules = SimpleNamespace(names=("one",))
+
         def sent(self, *_):
             pass
 

@@ -1,0 +1,31 @@
+"""The pictures in a log: what the camera adds to its frames is logged as it is."""
+
+import pytest
+from support.dish_films import film
+from support.film_logs import write_film
+
+from tetractl.log.format import channels
+from tetractl.log.read.salvage import scan
+from tetractl.replay.verify import verify
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "trial-000.mcap"
+    samples = write_film(film(seed=52, side=384, cells=3, seconds=1.6), path)
+    return path, samples
+
+
+def test_what_the_camera_adds_is_logged_as_it_is_with_the_times_of_its_frame(shown):
+    path, samples = shown
+    log = scan(path)
+    begin = log.run.start_unix_ns
+    added = [
+        (topic, begin + one.observation.received_ns, begin + one.observation.sampled_ns, data)
+        for one in samples
+        for topic, data in one.messages
+    ]
+    logged = [*log.by_topic[channels.PICTURE], *log.by_topic[channels.BACKGROUND]]
+    assert sorted(map(tuple, logged)) == sorted(added)
+    assert {topic for topic, *_ in added} == {channels.PICTURE, channels.BACKGROUND}
+    assert verify(path).problems == ()

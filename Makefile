@@ -55,14 +55,15 @@ $(DEMO)/figure-3.png:
 $(DEMO)/all-trials.png:
 	@$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@ $(QUIETLY)
 
-PYTEST := $(BIN)/python -m pytest -n auto
+# The tests of a file share fixtures: one process runs them. Files begin in the order of `testpaths`.
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)
 	$(PYTEST) -m "not system"
 
 # What needs neither other processes nor much time: for work on the code.
 test-fast: $(STAMP)
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not system"
 
 # The rest: real wires in real time, browser, cluster, cold compiles, pages to the last digit.
 test-all: $(STAMP)

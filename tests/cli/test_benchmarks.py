@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 SMALLEST = [
     ("disturbed.py", "--part", "knowledge", "--trials", "1"),
@@ -18,7 +20,6 @@ SMALLEST = [
 ]
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("given", SMALLEST, ids=lambda given: given[0])
 def test_a_benchmark_prints_its_table(given):
     """Regression: three of these had followed no change of the controller's arguments."""

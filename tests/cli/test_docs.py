@@ -12,6 +12,8 @@ import pytest
 from support.paths import ROOT
 from support.running import TETRACTL
 
+pytestmark = pytest.mark.slow
+
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "docs").rglob("*.md")),
@@ -24,7 +26,7 @@ def _name(page):
     return str(page.relative_to(ROOT))
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.filterwarnings("default:.*its numbers were printed on")
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if "```console" in page.read_text("utf-8")], ids=_name
@@ -58,6 +60,7 @@ def test_the_small_table_of_the_readme_has_the_numbers_of_its_first_command():
     assert "left the arena: paper: 4 of 20" in printed
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if any(console.programs(page.read_text("utf-8")))], ids=_name
 )

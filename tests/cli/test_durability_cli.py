@@ -16,6 +16,8 @@ from support.running import QUICK
 from tetractl.log.read.reader import read_trial
 from tetractl.run.folder_lock import locked
 
+pytestmark = pytest.mark.slow
+
 LOSS_S = 1.2
 
 

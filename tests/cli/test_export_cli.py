@@ -9,6 +9,8 @@ from support.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_tables_hold_what_the_logs_hold(folder, kind):

@@ -20,6 +20,8 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import passes, tracks
 from tetractl.run import rows as log_rows
 
+pytestmark = pytest.mark.slow
+
 
 def refused(done, *words, code=2):
     assert done.returncode == code, done

@@ -21,6 +21,8 @@ from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
+pytestmark = pytest.mark.slow
+
 SECONDS, MEMORY_MB = 30, 1000
 
 

@@ -6,6 +6,8 @@ import pytest
 import yaml
 from support.cli import tetractl
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
     done = tetractl(folder, "identify", "logs", "-o", "found.yaml").ok()

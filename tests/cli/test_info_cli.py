@@ -11,6 +11,8 @@ from support.trials import SEED, three_robots, write_torn, write_trial
 
 from tetractl.log.read.reader import content_digest
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

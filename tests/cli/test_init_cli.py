@@ -12,6 +12,8 @@ from tetractl.cli.specs import example_names
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def tetractl(tmp_path):

@@ -11,6 +11,8 @@ from support.paths import ROOT
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import Registry
 
+pytestmark = pytest.mark.system
+
 PAGE = (ROOT / "docs" / "how-to" / "extend.md").read_text(encoding="utf-8")
 FURTHEST = re.search(r"title=furthest.py\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1]
 MODULES = {

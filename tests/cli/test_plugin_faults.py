@@ -4,6 +4,8 @@ import pytest
 from support.cli import process
 from support.packages import install
 
+pytestmark = pytest.mark.system
+
 SPEC = """
 name: one
 arena: {left: 0, bottom: 0, width: 1000, height: 1000}

@@ -10,6 +10,8 @@ import pytest
 from support.packages import install, python
 from support.paths import ROOT
 
+pytestmark = pytest.mark.system
+
 POINTS = """[tetractl.motions]
 pivot = pivot:PIVOT
 [tetractl.shapes]

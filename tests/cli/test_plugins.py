@@ -8,6 +8,8 @@ import pytest
 from support.packages import install, python
 from support.paths import ROOT
 
+pytestmark = pytest.mark.system
+
 EXAMPLE = ROOT / "examples" / "tetractl-example"
 SPEC = """
 name: two

@@ -15,6 +15,8 @@ from support.trials import three_robots, write_torn, write_trial
 
 from tetractl.log.read.reader import read_trial
 
+pytestmark = pytest.mark.slow
+
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
 LFLAG = 3
 

@@ -7,6 +7,8 @@ import pytest
 from support.chromium import chromium, needs_chromium
 from support.cli import tetractl
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 name: quick
 description: "<b>bold</b> & <script>alert(1)</script>"

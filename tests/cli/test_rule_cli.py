@@ -10,6 +10,8 @@ from support.studies import tetractl
 
 from tetractl.cli.app import app
 
+pytestmark = pytest.mark.slow
+
 
 def commands(command=None, words=()):
     """Yield every command with its words."""

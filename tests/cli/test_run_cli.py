@@ -24,6 +24,8 @@ from support.studies import tetractl
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENTS = [
     path
     for path in sorted((ROOT / "experiments").glob("*.yaml"))

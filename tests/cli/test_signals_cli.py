@@ -30,6 +30,8 @@ from support.studies import SMALL, tetractl, write
 
 from tetractl.log.read.reader import read_result
 
+pytestmark = pytest.mark.slow
+
 NAMES = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGRTMIN"]
 LINUX = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 

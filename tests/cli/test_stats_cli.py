@@ -11,6 +11,8 @@ from support import cli
 from support import random_trials as made
 from support.running import TETRACTL, first_of
 
+pytestmark = pytest.mark.slow
+
 REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 

@@ -9,6 +9,8 @@ from support.studies import FAILING, Running, results, rows, tetractl, write
 from tetractl.api import run_study
 from tetractl.log.read.reader import content_digest, read_result
 
+pytestmark = pytest.mark.slow
+
 
 def study(*args, cwd):
     return tetractl("study", *args, cwd=cwd)

@@ -13,6 +13,8 @@ from support.studies import LONGER, SMALL, Running, results, rows, tetractl, wri
 
 from tetractl.log.read.reader import content_digest
 
+pytestmark = pytest.mark.system
+
 pytest.importorskip("distributed")
 
 
@@ -118,7 +120,6 @@ def certificates(folder):
     return ca, own, key
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for certificates")
 def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypatch):
     write(tmp_path, SMALL)
@@ -142,7 +143,6 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypat
         assert rows(tmp_path / "there") == 6
 
 
-@pytest.mark.slow
 def test_an_address_without_a_scheduler_is_told(tmp_path):
     write(tmp_path)
     done = tetractl("study", "study.yaml", "--cluster", "nonsense", cwd=tmp_path)

@@ -15,6 +15,8 @@ from support.studies import SMALL, write
 
 from tetractl.cli.ui import announce_compiling
 
+pytestmark = pytest.mark.slow
+
 # A command, what its one line says and, where it matters, how its hint begins.
 USAGE = r"""
 run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl study study.yaml

@@ -7,6 +7,8 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENTS = ROOT / "experiments"
 ALIKE = """\
 name: alike

@@ -16,6 +16,8 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.run.task import log_path, run_trial
 
+pytestmark = pytest.mark.slow
+
 MEASURED = {"outside": (-2.694, 264.5), "in an obstacle": (250.0, 410.0)}
 
 

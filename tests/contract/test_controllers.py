@@ -21,6 +21,8 @@ from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
+pytestmark = pytest.mark.slow
+
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
 MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] in ("pso-mpc", "mpc")}
 

@@ -22,6 +22,8 @@ from tetractl.testing import (
     failed,
 )
 
+pytestmark = pytest.mark.slow
+
 SETUP = parse_spec(template("check", "check", "robots"), "check").experiment.setup
 SHAPES = {
     "circle": Circle(type="circle", center=(3.0, -2.0), radius=40.0),

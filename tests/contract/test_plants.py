@@ -13,10 +13,21 @@ from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import wrap
 
+pytestmark = pytest.mark.slow
+
 PERIOD = SECOND // 5
 
 
-@pytest.fixture(params=RIGS, ids=list(RIGS))
+# One plant for each kind of promise is enough for every change.
+OFTEN = ("lab", "sim, undisturbed", "sim, everything", "sim, wheels, radio", "sim, dish")
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=() if name.startswith(OFTEN) else pytest.mark.system)
+        for name in RIGS
+    ]
+)
 def make(request):
     return RIGS[request.param]
 

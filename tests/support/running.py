@@ -42,6 +42,16 @@ def first_of(values):
     return [first, *(pytest.param(value, marks=pytest.mark.system) for value in rest)]
 
 
+def take_signals():
+    """Let processes that tests start take signals, also under `nohup` and behind `&`.
+
+    Ignored signals stay ignored in a new program, but handled ones get their default there.
+    """
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
+
+
 def environment():
     return {k: v for k, v in os.environ.items() if not k.startswith(("COLUMNS", "_TETRACTL"))}
 

@@ -14,6 +14,8 @@ from support import hostile, targets
 from support.seeds import datagrams, mutant
 from support.targets import TARGETS
 
+pytestmark = pytest.mark.slow
+
 LINES, MEGABYTES = 3_000_000, 40
 every_target = pytest.mark.parametrize("name", TARGETS)
 
@@ -57,7 +59,6 @@ def caches():
             target.run(seed)
 
 
-@pytest.mark.slow
 @every_target
 @given(data=st.binary(max_size=400))
 @settings(max_examples=5)
@@ -66,7 +67,6 @@ def test_any_bytes(name, data):
         TARGETS[name].run(data)
 
 
-@pytest.mark.slow
 @every_target
 @given(rng=st.randoms(use_true_random=False))
 @settings(max_examples=5)
@@ -106,7 +106,7 @@ def test_good_conversations_come_through():
     assert all(stream.unit_mm == 1000 for stream in whole)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_long_run_prints_what_it_found(tmp_path):
     script = targets.ROOT / "benchmarks" / "fuzz.py"
     words = [sys.executable, str(script), "--target", "serial", "--seconds", "0.2"]
@@ -119,7 +119,6 @@ def test_the_long_run_prints_what_it_found(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", hostile.KINDS)
 def test_hostile_files_are_read_or_told_in_a_line(kind):
     """Twenty thousand of each in benchmarks/hostile.py, with bounds on memory and time."""

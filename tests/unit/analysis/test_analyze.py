@@ -18,6 +18,8 @@ from tetractl.experiment.choice import FoundCell
 from tetractl.experiment.load import load_spec
 from tetractl.view.figures.analysis import analysis_figure
 
+pytestmark = pytest.mark.slow
+
 SETUP = experiment().setup
 CONTROLLER = {
     "type": "mpc",

@@ -9,6 +9,8 @@ from support.running import QUICK
 from tetractl.control import build
 from tetractl.experiment.load import parse_spec
 
+pytestmark = pytest.mark.slow
+
 WATCH = """
 from pathlib import Path
 import numpy as np
@@ -39,7 +41,6 @@ print(late)
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_m3pi", "three_m3pi_paper"])
 def test_warming_up_leaves_nothing_to_compile(name):
     done = subprocess.run(

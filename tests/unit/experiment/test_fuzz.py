@@ -2,6 +2,7 @@
 
 import copy
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from support.paths import ROOT
@@ -11,6 +12,8 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec, resolved_yaml, spec_hash
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import parse_document
+
+pytestmark = pytest.mark.slow
 
 WRITTEN = (ROOT / "experiments" / "three_m3pi.yaml").read_text("utf-8")
 DATA = parse_document(WRITTEN, "three_m3pi.yaml").data

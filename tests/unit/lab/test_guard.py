@@ -16,6 +16,8 @@ from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard import Guard, GuardRules, GuardState
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 FRAME = 8 * MS
 RULES = GuardRules(

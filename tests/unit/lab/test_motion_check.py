@@ -8,6 +8,8 @@ import pytest
 from tetractl.core.poses import Pose
 from tetractl.lab.motion_check import STILL, MotionCheck
 
+pytestmark = pytest.mark.slow
+
 A, SPEED, RADIUS = 6.0, 180.0, 40.0  # rad/s, mm/s, mm
 FRAME, SEND, WATCHDOG = 8_333_333, 25_000_000, 250_000_000  # ns
 WIDE, CHATTER = (0.4, 2.5, -2.0, 1.0, 3.0), (1.2, -1.2)

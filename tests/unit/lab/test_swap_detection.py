@@ -7,6 +7,8 @@ import pytest
 
 from tetractl.lab.swap_detection import SwapDetector
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("green", "blue", "red")
 A = np.array([6.0, 4.0, 3.0])
 SPEED = 0.18  # m/s

@@ -11,6 +11,8 @@ from support.bounded import best_plan, seconds_of, spec
 
 from tetractl.model.bounds import drift, least_total_error, reach
 
+pytestmark = pytest.mark.slow
+
 
 def widest_gap(a_1, a_2, turned, seconds, steps=4000):
     """|w_1 - w_2| where u makes the headings part as fast as they can, and keeps them apart."""

@@ -13,6 +13,8 @@ from tetractl.core.poses import Poses
 from tetractl.model.free_space import _connected, clearance, shut_out
 from tetractl.model.obstacles import Obstacles
 
+pytestmark = pytest.mark.slow
+
 
 def wall(left, bottom, width, height):
     return {"type": "rectangle", "left": left, "bottom": bottom, "width": width, "height": height}

@@ -10,6 +10,8 @@ from scipy.integrate import quad, solve_ivp
 from tetractl.core.registries import MOTIONS as REGISTRY
 from tetractl.model.motion.exact import rates
 
+pytestmark = pytest.mark.slow
+
 MOTIONS = {name: REGISTRY.load(name) for name in REGISTRY.builtin}
 euler, arc, exact = (MOTIONS[name].step for name in ("euler", "arc", "exact"))
 

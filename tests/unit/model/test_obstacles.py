@@ -16,6 +16,8 @@ from tetractl.model.path_check import PathCheck, check_path
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.rectangle import Rectangle
 
+pytestmark = pytest.mark.slow
+
 ARENA = Bounds(0, 0, 3000, 3000)
 FIELD = Bounds(-2, 1, 5, 5)
 COORDINATES = st.integers(-6, 9)  # a grid: the edges themselves occur

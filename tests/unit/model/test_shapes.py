@@ -18,6 +18,8 @@ from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.polygon import Polygon
 
+pytestmark = pytest.mark.slow
+
 PLACES = st.floats(-12, 12)
 ENDS = GRID | PLACES
 MARGINS = st.sampled_from([0.0, 0.25, 1.0])

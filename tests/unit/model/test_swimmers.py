@@ -8,6 +8,8 @@ import pytest
 from tetractl.core.setup import Bounds
 from tetractl.model.swimmers import Swimmers, bodies, speed_factor
 
+pytestmark = pytest.mark.slow
+
 
 def cells(count=1, seed=1, **values):
     """Cells of a culture without noise, at the origin and heading along x."""

@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.wheels import train
 
+pytestmark = pytest.mark.slow
+
 gains = st.builds(lambda gain, back: -gain if back else gain, st.floats(4.0, 12.0), st.booleans())
 zones = st.tuples(st.integers(0, 20), st.integers(0, 20))
 trains = st.builds(train, st.tuples(gains, gains), zones, st.integers(21, 127), st.booleans())

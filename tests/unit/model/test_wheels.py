@@ -21,6 +21,8 @@ from tetractl.model.wheels import (
 )
 from tetractl.plant import wheel_kernel as kernels
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_papers_robot_by_hand():
     left, right = wheel_speeds(np.array([0.0]), math.pi / 2, np.array([6.0]), np.array([180.0]), 40)

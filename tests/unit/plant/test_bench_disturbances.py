@@ -15,6 +15,8 @@ from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.disturbances.robots import WanderSection
 
+pytestmark = pytest.mark.slow
+
 
 def plant(*disturbances, seed=1, robots=PAIR, wheels=None, **fields):
     section = {"disturbances": list(disturbances), **fields}

@@ -17,6 +17,8 @@ from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 name: cells
 units: {length: mm}

@@ -14,6 +14,8 @@ from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
+pytestmark = pytest.mark.slow
+
 STRAIGHT = [0.0] * 5  # directions of five periods
 
 

@@ -13,6 +13,8 @@ from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 
+pytestmark = pytest.mark.slow
+
 STEPS, PERIOD_S, REMAINDER_S = 8, 0.2, 0.15
 
 

@@ -15,6 +15,8 @@ from tetractl.core.tour import LossRule
 from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.rest_check import REST_NS
 
+pytestmark = pytest.mark.slow
+
 PERIOD = SECOND // 5
 SETUP = experiment().setup
 CELLS = {"individual": False, "halts": False}

@@ -14,6 +14,8 @@ from tetractl.experiment.load import load_spec
 from tetractl.plant.sim_plants import SimPlants
 from tetractl.plant.simulation import SimPlant
 
+pytestmark = pytest.mark.slow
+
 TRIALS, STEPS = 5, 60
 RADIO = {"type": "radio", "delay": 0.01, "jitter": 0.02, "spread": 0.03, "loss": 0.1}
 WHEELS = {"radius": 40, "watchdog": 0.25, "lag": 0.03}

@@ -15,6 +15,8 @@ from tetractl.core.poses import Observation, Poses
 from tetractl.model.wheels import body_velocity
 from tetractl.plant.standing import StandingCheck
 
+pytestmark = pytest.mark.slow
+
 STRAIGHT = [  # a robot that hardly turns, along +x at 100 mm/s
     {"name": "arrow", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100}
 ]

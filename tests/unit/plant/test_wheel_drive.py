@@ -20,6 +20,8 @@ from tetractl.lab.cobs import Flag
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import Drivetrains, body_velocity
 
+pytestmark = pytest.mark.slow
+
 COUNT = 1000 / 127
 ROBOTS = experiment().robots
 

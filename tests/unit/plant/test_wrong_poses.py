@@ -13,6 +13,8 @@ from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
+pytestmark = pytest.mark.slow
+
 
 class Wrong(DisturbanceSection):
     """Puts all robots at `x`, or returns the poses of one robot only."""

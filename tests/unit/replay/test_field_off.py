@@ -22,6 +22,8 @@ from tetractl.run.task import log_path, run_trial
 from tetractl.view.figures.draw import draw
 from tetractl.view.terminal.replay_screen import step_line
 
+pytestmark = pytest.mark.slow
+
 WHEELS = {"drive": {"rate": 40, "lag": 0.04}, "type": "sim"}
 CELLS = {"type": "sim", "lost_commands": 0.2, "heading_noise": 0.1}
 

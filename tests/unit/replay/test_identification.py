@@ -16,6 +16,8 @@ from tetractl.replay.identification.design import propose
 from tetractl.replay.identification.identify import identify, tables
 from tetractl.replay.identification.tracks import SETTLED_S, Track, csv_tracks, track_of
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 EXPECTED = np.array([6.0, 4.0, 3.0])
 NOISY = (

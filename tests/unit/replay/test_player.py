@@ -11,6 +11,8 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Poses
 from tetractl.replay.player import Playback, Player, Recording, span
 
+pytestmark = pytest.mark.slow
+
 SECOND = 1_000_000_000
 PERIOD = SECOND // 5
 KEYS = ["space", "left", "right", ",", ".", "e", "E", "home", "end", "+", "-", "x"]

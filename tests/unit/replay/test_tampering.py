@@ -9,6 +9,8 @@ from tetractl.log.format.channels import RUN
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 
+pytestmark = pytest.mark.slow
+
 STATED_ONCE = {
     (channels.RUN, "spec_name"),
     (channels.SPEC, "text"),

@@ -30,6 +30,8 @@ from tetractl.replay.verify import Method, verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 name: quick
 arena: {left: 0, bottom: 0, width: 1000, height: 1000}
@@ -223,7 +225,6 @@ run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "key"),
     [

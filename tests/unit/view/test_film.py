@@ -12,6 +12,8 @@ from support.trials import cut_short, three_robots
 from tetractl.core.errors import LogError, UsageError
 from tetractl.view.film import HOLD_S, FilmFrames, check_file, write_video
 
+pytestmark = pytest.mark.slow
+
 WIDTH = 320
 LASTS_S = 1.0  # of the trial
 
@@ -48,6 +50,7 @@ def test_a_film_lasts_as_long_as_the_trial(tmp_path, log, ending):
     assert again.read_bytes() == path.read_bytes()
 
 
+@pytest.mark.system  # decodes
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="there is no ffmpeg on this machine")
 def test_an_mp4_lasts_as_long_too(tmp_path, log):
     path = tmp_path / "film.mp4"

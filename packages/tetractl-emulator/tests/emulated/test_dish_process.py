@@ -11,6 +11,8 @@ from support.needs_opencv import cv2
 from support.paths import ROOT
 from tetractl_emulator import firmware
 
+pytestmark = pytest.mark.system
+
 assert cv2
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))

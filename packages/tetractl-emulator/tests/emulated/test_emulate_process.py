@@ -6,6 +6,8 @@ import subprocess
 import pytest
 from support.lab_processes import PATIENCE_S, SPEC, TETRACTL
 
+pytestmark = pytest.mark.system
+
 UNICAST = ("--set", "lab.camera.transport=unicast", "--command-port", "0", "--data-port", "0")
 
 

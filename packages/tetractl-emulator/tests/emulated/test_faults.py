@@ -9,6 +9,8 @@ from support.fault_checks import IN_PROCESS, SCRIPTS, check
 from support.lab_processes import camera_of, play
 from support.scripts import load_script
 
+pytestmark = pytest.mark.system
+
 LATE_S = 0.05  # half of the shortest tolerance: an emulator as late as that spoils the play
 AGAIN = ("no_server", "radio_unplugged", "stream_stops")  # in both, over sockets and ports
 CHOSEN = [path for path in SCRIPTS if path.stem in AGAIN or path not in IN_PROCESS]

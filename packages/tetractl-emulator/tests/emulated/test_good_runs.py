@@ -1,8 +1,11 @@
 """Runs in an emulated lab in which nothing goes wrong, on real wires."""
 
+import pytest
 from support.good_runs import RUNS, check, script_of
 from support.lab_processes import play
 from support.scripts import load_script
+
+pytestmark = pytest.mark.system
 
 
 def test_two_trials_over_multicast(tmp_path):

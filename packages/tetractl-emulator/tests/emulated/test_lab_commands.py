@@ -12,6 +12,8 @@ from support.terminal import Terminal
 from tetractl.lab.cobs import Flag
 from tetractl.log.read.reader import read_trial
 
+pytestmark = pytest.mark.system
+
 LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
 LONGER = ("controller.steps_max=400", *LONG[1:])  # than another program takes to start
 

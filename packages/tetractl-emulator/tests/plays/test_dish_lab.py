@@ -18,7 +18,10 @@ from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
 
-pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found"),
+]
 
 SMALL = (  # a smaller dish, and few cells
     "arena.width=2100",

@@ -12,6 +12,8 @@ from tetractl_emulator import firmware
 
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
+pytestmark = pytest.mark.slow
+
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
 SMALL = flags((*(one for one in FEW_STEPS if not one.startswith("lab")), "controller.deadline=60"))

@@ -2,6 +2,7 @@
 
 from unittest import mock
 
+import pytest
 from support.labs import fake_lab
 from support.paths import ROOT
 
@@ -12,6 +13,8 @@ from tetractl.log.read.reader import read_trial
 from tetractl.plant.lab_plant import LabPlantSection
 from tetractl.replay.verify import verify
 from tetractl.run.task import log_path, run_trial
+
+pytestmark = pytest.mark.slow
 
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 

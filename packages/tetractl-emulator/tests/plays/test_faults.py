@@ -5,6 +5,8 @@ from support.fault_checks import IN_PROCESS, check
 from support.scripts import load_script
 from support.virtual_lab import play
 
+pytestmark = pytest.mark.slow
+
 PLAN_S = {"late_steps": 0.08}
 
 

@@ -9,7 +9,10 @@ from tetractl_emulator import firmware
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer
 
-pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found"),
+]
 
 
 def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_path):

@@ -5,6 +5,8 @@ from support.good_runs import RUNS, check, script_of
 from support.scripts import load_script
 from support.virtual_lab import play
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_in_which_nothing_goes_wrong(name, tmp_path):

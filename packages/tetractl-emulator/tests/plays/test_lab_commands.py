@@ -14,6 +14,8 @@ from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.log.read.reader import read_trial
 
+pytestmark = pytest.mark.slow
+
 UNEVEN = """
 about: robots that differ from their spec
 emulation:

@@ -13,6 +13,8 @@ from tetractl.core.poses import wrap
 from tetractl.model.motion.exact import step as exact
 from tetractl.plant.simulation import SimPlant
 
+pytestmark = pytest.mark.system
+
 TRIALS = 20
 EVEN = (  # the bench of robots that are all as the spec says
     "plant.drive.gain_error=0",

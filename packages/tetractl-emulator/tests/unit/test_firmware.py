@@ -24,6 +24,8 @@ from tetractl.lab.actuators.m3pi.broadcast import (
 )
 from tetractl.lab.cobs import Flag, encode, frame_with_crc
 
+pytestmark = pytest.mark.slow
+
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 FOLDER = EMULATOR / "firmware"
 
@@ -150,7 +152,6 @@ def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [built]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(
     shutil.which("make") is None or shutil.which("gcc") is None, reason="no make or gcc found"
 )

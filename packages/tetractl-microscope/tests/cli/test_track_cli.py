@@ -13,6 +13,8 @@ from support.film_containers import UM_PX, folder, stack
 from support.needs_opencv import cv2, video
 from tetractl_microscope.results.geff_file import _edges
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def dish(tmp_path_factory):
@@ -72,7 +74,6 @@ def test_the_log_is_read_back_as_it_was_printed(tracks):
     assert refused.returncode == 2 and "was analysed already" in refused.stderr
 
 
-@pytest.mark.slow
 def test_all_figures_are_drawn_of_the_log(tracks, tmp_path):
     out, _ = tracks
     tetractl(out, "track", ".", "-o", tmp_path / "again").ok()
@@ -158,7 +159,6 @@ def test_json_has_intervals_and_says_when_the_scale_is_guessed(dish):
     assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
 
 
-@pytest.mark.slow
 def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
     stack(tmp_path / "still.tif", np.full((20, 64, 80), 700, np.uint16))
     without = tetractl(tmp_path, "track", "still.tif", "--scale", "2.3")
@@ -172,7 +172,6 @@ def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
     )
 
 
-@pytest.mark.slow
 def test_times_of_a_folder_are_those_of_the_table(tmp_path):
     made = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
     path = folder(tmp_path / "film", np.array(list(made.pictures())))

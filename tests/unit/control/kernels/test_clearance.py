@@ -11,6 +11,8 @@ from tetractl.core.kernels import kernel_options as options
 from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 
+pytestmark = pytest.mark.slow
+
 WALLS = st.none() | st.just(Bounds(-8.0, -7.5, 9.0, 7.0))
 REGIONS = st.builds(
     lambda sections, margin, walls: Obstacles.of([s.shape() for s in sections], margin, walls),

@@ -12,6 +12,8 @@ from tetractl.control.kernels import gradient
 from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.core.kernels.kernel_cache import compiled
 
+pytestmark = pytest.mark.slow
+
 
 @compiled()
 def trace(*args):

@@ -14,6 +14,8 @@ from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.control.kernels.rollout import lay_out
 
+pytestmark = pytest.mark.slow
+
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
 TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
 

@@ -18,6 +18,8 @@ from tetractl.control.kernels.rollout import lay_out
 from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
 
+pytestmark = pytest.mark.slow
+
 TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
 NONE = np.empty(0)
 

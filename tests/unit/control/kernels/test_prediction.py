@@ -23,6 +23,8 @@ from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 
+pytestmark = pytest.mark.slow
+
 
 @given(
     seed=st.integers(0, 2**32),

@@ -15,6 +15,8 @@ from tetractl.core.poses import Poses, wrap
 from tetractl.experiment.load import load_spec
 from tetractl.model.obstacles import Obstacles
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 NEAR = ["controller.collision.radius=20", "controller.collision.separation=0"]
 

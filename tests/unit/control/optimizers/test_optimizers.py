@@ -21,6 +21,8 @@ from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits, StopReason
 from tetractl.experiment.load import load_spec
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENT = ROOT / "experiments" / "three_m3pi_paper.yaml"
 SMALL = [CrossEntropy(particles=12, iterations=8), Mppi(particles=12, iterations=8)]
 SAMPLING = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])

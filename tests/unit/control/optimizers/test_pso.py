@@ -11,6 +11,8 @@ from tetractl.control.optimizers.pso import Pso, Swarm
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 
+pytestmark = pytest.mark.slow
+
 
 def search(problem, length, warm, section, key, evaluations=None):
     return section.search(problem, length, warm, key, Limits(evaluations))

@@ -89,8 +89,11 @@ print(sum(kernel.stats.cache_hits.values()), found.hex())
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "kernels"),
-    [(PARTS, 1), (SEARCH, 1), (KNOW, 2)],
-    ids=["parts", "search", "identification"],
+    [
+        pytest.param(PARTS, 1, id="parts"),
+        pytest.param(SEARCH, 1, id="search", marks=pytest.mark.system),
+        pytest.param(KNOW, 2, id="identification", marks=pytest.mark.system),
+    ],
 )
 def test_compiling_and_loading_give_the_same_bits(tmp_path, script, kernels):
     """Regression: a callee that was not inlined had two machine codes, one for each.

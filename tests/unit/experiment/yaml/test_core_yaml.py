@@ -9,6 +9,8 @@ from tetractl.experiment.yaml.core_yaml import compose, dump
 from tetractl.experiment.yaml.document import parse_value
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
+pytestmark = pytest.mark.slow
+
 SCALARS = {
     "1e3": 1000, "1.5e-3": 0.0015, ".5": 0.5, "5.": 5, "100.0": 100, "-0.5": -0.5, "012": 12,
     "0o17": 15, "0x1F": 31, "1_000": "1_000", "on": "on", "yes": "yes", "No": "No", "true": True,

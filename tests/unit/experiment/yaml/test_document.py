@@ -3,6 +3,8 @@ import pytest
 from tetractl.experiment.yaml.document import MAX_BYTES, parse_document, parse_value, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
+pytestmark = pytest.mark.slow
+
 TEXT = """\
 name: x
 robots:

@@ -9,6 +9,8 @@ from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.explain import MESSAGES
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
+pytestmark = pytest.mark.slow
+
 ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
     "int": {"int_type", "int_from_float"}
     | {"greater_than", "greater_than_equal", "less_than", "less_than_equal"},

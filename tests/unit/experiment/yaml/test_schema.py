@@ -11,6 +11,8 @@ from tetractl.experiment.load import load_spec, resolved_yaml
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.schema import experiment_schema, schema_json
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENTS = ROOT / "experiments"
 COMMITTED = EXPERIMENTS / "experiment.schema.json"
 SPECS = sorted(EXPERIMENTS.glob("*.yaml"))

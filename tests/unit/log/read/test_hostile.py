@@ -33,6 +33,8 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.open_batch import counts, open_batch
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):

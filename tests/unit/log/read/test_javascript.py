@@ -14,7 +14,7 @@ from support.random_trials import trial, write
 from tetractl.log.format.codec import unpacked
 from tetractl.log.read.salvage import scan
 
-pytestmark = pytest.mark.slow  # installs packages
+pytestmark = pytest.mark.system  # installs packages
 SOURCE = ROOT / "tests" / "js"
 INSTALL = (
     *("npm", "install", "--ignore-scripts", "--no-package-lock", "--no-audit", "--no-fund"),

@@ -18,6 +18,8 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, peek, scan
 from tetractl.replay.comparison import first_difference
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):

@@ -12,6 +12,8 @@ from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.read.reader import read_trial
 from tetractl.log.write.writer import LogWriter
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path):
     made = trial(steps=1)

@@ -9,6 +9,8 @@ from tetractl.core.plan import Outcome
 from tetractl.view.figures.batch import batch_figure
 from tetractl.view.style import save, svg
 
+pytestmark = pytest.mark.slow
+
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 

@@ -22,6 +22,8 @@ from tetractl.view.figures.axes import separated
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.trajectory import trajectory_figure
 
+pytestmark = pytest.mark.slow
+
 SEVERAL = ("trajectory", "errors", "arms", "ecdf", "scatter")  # kinds that show several trials
 ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
 OF_BATCHES = ("arms", "ecdf")

@@ -12,6 +12,8 @@ from tetractl.replay.player import Moment, Recording
 from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
 from tetractl.view.terminal.glyphs import ASCII, UNICODE, arrow, bar, sparkline
 
+pytestmark = pytest.mark.slow
+
 COLORS = ["#009E73", "#0072B2", "#D55E00"]
 lengths = st.floats(1e-3, 1e5)
 arenas = st.builds(

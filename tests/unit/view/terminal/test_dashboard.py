@@ -12,6 +12,8 @@ from tetractl.replay.player import Player, Recording, span
 from tetractl.view.terminal.glyphs import glyphs_for
 from tetractl.view.terminal.replay_screen import dashboard
 
+pytestmark = pytest.mark.slow
+
 
 class StillWall:
     def now(self):

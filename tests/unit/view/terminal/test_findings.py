@@ -1,8 +1,12 @@
 """What a lab check prints, and what scripts read of it."""
 
+import pytest
+
 from tetractl.core.commands import RobotStatus
 from tetractl.lab.preflight import Preflight, RobotFinding
 from tetractl.view.terminal.findings import as_json, print_findings, robots_table
+
+pytestmark = pytest.mark.slow
 
 READY = RobotFinding("green", 3.4, -0.02, "", "", RobotStatus(True, 7.41))
 LOST = RobotFinding("red", None, None, "", "red is not tracked", RobotStatus(None))

@@ -4,6 +4,8 @@ from hypothesis import strategies as st
 
 from tetractl.view.terminal.keys import decode
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("data", "keys"),

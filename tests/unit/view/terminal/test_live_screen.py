@@ -15,6 +15,8 @@ from tetractl.run.task import Task
 from tetractl.view.terminal.live_screen import LiveView
 from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
 
+pytestmark = pytest.mark.slow
+
 
 class Wall:
     """A wall clock that moves on by `tick` seconds at every look."""

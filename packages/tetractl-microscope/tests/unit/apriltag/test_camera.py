@@ -16,6 +16,8 @@ from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
 
+pytestmark = pytest.mark.slow
+
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 
 

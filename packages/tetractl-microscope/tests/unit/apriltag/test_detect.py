@@ -6,6 +6,8 @@ from support.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
 from tetractl_emulator.pictures.apriltag.side import CARD
 from tetractl_microscope.apriltag.detect import MODULES, Detector, tag_picture
 
+pytestmark = pytest.mark.slow
+
 # Codes of the family 36h11 and the places of their bits, most significant first, as defined by the
 # AprilTag project; the other three quarters follow by turning the first.
 CODES = {0: 0xD7E00984B, 1: 0xDDA664CA7, 586: 0xE8B772FE0}

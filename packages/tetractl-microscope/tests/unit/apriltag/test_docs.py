@@ -9,6 +9,8 @@ from support.paths import MICROSCOPE
 from tetractl_microscope.apriltag.detect import Detector
 from tetractl_microscope.apriltag.section import AprilTagSection
 
+pytestmark = pytest.mark.slow
+
 PAGE = (MICROSCOPE / "docs/apriltag.md").read_text()
 
 

@@ -8,6 +8,8 @@ from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_microscope.apriltag.floor import SQUARE, Plane
 
+pytestmark = pytest.mark.slow
+
 OPTICS = Optics.facing(FLOOR, MM, *LARGE)
 SIDE = 0.12
 

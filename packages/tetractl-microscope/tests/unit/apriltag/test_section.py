@@ -4,6 +4,8 @@ import pytest
 from pydantic import ValidationError
 from tetractl_microscope.apriltag.section import AprilTagSection
 
+pytestmark = pytest.mark.slow
+
 ROBOT = {"name": "green", "tag": 1, "size_mm": 80, "height_mm": 90}
 FLOOR = [
     {"tag": 100 + i, "at": at, "size_mm": 120}

@@ -22,6 +22,8 @@ from tetractl_microscope.apriltag.section import FloorTag
 
 from tetractl.core.poses import Poses
 
+pytestmark = pytest.mark.slow
+
 OVERHEAD = {"tilt": 0.0}
 
 

@@ -16,6 +16,8 @@ from tetractl.core.commands import Steer, Stop, Transmission
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.inner_loop import InnerLoop
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 name: dish
 units: {{length: um}}

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from tetractl_microscope.cells.detect_cells import BlobFinder
 
+pytestmark = pytest.mark.slow
+
 SIDE, LIGHT = 320, 160.0
 BODY = 11.3, 5.7  # half the length and half the width of a cell [px]
 

@@ -33,6 +33,8 @@ from tetractl_microscope.organisms import TETRAHYMENA, named
 from tetractl.core.setup import Bounds
 from tetractl.model.swimmers import Swimmers, bodies
 
+pytestmark = pytest.mark.slow
+
 POSITION, AXIS = 0.5, 0.03
 
 

@@ -1,7 +1,10 @@
 """The shift between two pictures."""
 
 import numpy as np
+import pytest
 from tetractl_microscope.cells.knocks import shift_of
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_picture_far_wider_than_high_has_no_shift() -> None:

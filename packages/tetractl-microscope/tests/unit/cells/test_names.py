@@ -11,6 +11,8 @@ from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
 from tetractl_microscope.cells.names import ASSERTED, LOST_S, Names
 from tetractl_microscope.cells.questions import Known, Question, orders
 
+pytestmark = pytest.mark.slow
+
 RARE = 0.3 / 2355**2  # density [1/um^2] with which other cells appear
 
 

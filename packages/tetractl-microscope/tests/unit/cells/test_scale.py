@@ -9,6 +9,8 @@ from support.virtual_lab import DISH
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("rotation", [0.0, 0.3, -2.5])
 def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measured(

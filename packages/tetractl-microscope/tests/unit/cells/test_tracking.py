@@ -11,6 +11,8 @@ from tetractl_microscope.cells.readings import note_size, own_path
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import no_field
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
 def test_poses_of_swimming_cells(seed, known):

@@ -7,6 +7,8 @@ from support.needs_opencv import cv2
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.organisms import TETRAHYMENA
 
+pytestmark = pytest.mark.slow
+
 SIDE, RATE = 256, 10.0
 
 

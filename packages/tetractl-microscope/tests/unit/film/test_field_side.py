@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from tetractl_microscope.film.field_file import read_field, side_remarks
 
+pytestmark = pytest.mark.slow
+
 
 def turned_by(field, rates=(3.0, 4.0, 5.0, 3.5)):
     """Paths (K, 3) of cells that turn towards a field for 9 s, every 1/30 s."""

@@ -19,6 +19,8 @@ from tetractl_microscope.results.kinematics import velocities
 
 from tetractl.core.errors import TetractlError, UsageError
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_speeds_and_biases_are_within_their_intervals():
     inside, found = [], 0

@@ -23,6 +23,8 @@ from tetractl_microscope.film.pictures import open_film
 
 from tetractl.core.errors import TetractlError, UsageError
 
+pytestmark = pytest.mark.slow
+
 COUNT = 6
 SLOW = {"many large pictures", "fifo named by tags", "deflate bomb"}
 
@@ -32,7 +34,6 @@ def made(count=COUNT, side=64):
     return np.random.default_rng(count).integers(0, 256, (count, side, side + 16), np.uint8)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_every_container_gives_the_pictures_that_were_written(tmp_path, name):
     write, has_scale, has_rate = CONTAINERS[name]
@@ -49,7 +50,6 @@ def test_every_container_gives_the_pictures_that_were_written(tmp_path, name):
     assert film.remarks == []
 
 
-@pytest.mark.slow
 def test_a_value_of_the_user_beats_the_tags_and_a_difference_is_said(tmp_path):
     film = open_film(imagej(tmp_path / "a.tif", made()), 25.0, 2.0)
     assert (film.rate_hz, film.um_px) == (25.0, 2.0)
@@ -61,7 +61,6 @@ def test_a_value_of_the_user_beats_the_tags_and_a_difference_is_said(tmp_path):
     assert open_film(imagej(tmp_path / "b.tif", made()), RATE_HZ, UM_PX).remarks == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("write", [folder, stack])
 def test_a_film_without_a_rate_needs_one(tmp_path, write):
     with pytest.raises(UsageError, match="states no rate") as error:
@@ -69,7 +68,6 @@ def test_a_film_without_a_rate_needs_one(tmp_path, write):
     assert "--rate" in error.value.hint
 
 
-@pytest.mark.slow
 def test_a_folder_may_have_a_file_of_times(tmp_path):
     path, file = folder(tmp_path / "film", made(3)), tmp_path / "film" / "times.csv"
     file.write_text("time_s\n5.0\n5.5\n5.6\n")
@@ -86,7 +84,6 @@ def test_a_folder_may_have_a_file_of_times(tmp_path):
             open_film(path)
 
 
-@pytest.mark.slow
 def test_uneven_times_of_the_tags_are_those_of_the_pictures(tmp_path, monkeypatch):
     uneven = [0.0, 40.0, 70.0, 150.0]
     monkeypatch.setattr("support.film_containers.times_ms", lambda count: uneven[:count])
@@ -98,7 +95,6 @@ def test_uneven_times_of_the_tags_are_those_of_the_pictures(tmp_path, monkeypatc
     assert film.um_px == UM_PX
 
 
-@pytest.mark.slow
 def test_a_film_that_was_stopped_early_ends_with_its_last_picture(tmp_path):
     path = ome_split(tmp_path / "film", made(8))
     (path / "dish_MMStack_Pos0_1.ome.tif").unlink()
@@ -106,7 +102,6 @@ def test_a_film_that_was_stopped_early_ends_with_its_last_picture(tmp_path):
     assert len(list(film)) == 4 and film.damaged == 0
 
 
-@pytest.mark.slow
 def test_of_channels_the_first_is_read_and_that_is_said(tmp_path):
     pictures = made(8)
     meta = {"axes": "TCYX", "finterval": 0.1}
@@ -169,7 +164,6 @@ def test_nd2_is_read_through_its_library(tmp_path, monkeypatch):
     assert film.remarks == ["the first of 2 slices is read", "the first of 2 channels is read"]
 
 
-@pytest.mark.slow
 def test_a_missing_library_is_named_with_its_extra(tmp_path):
     path = tmp_path / "film.nd2"
     path.write_bytes(b"\xda\xce\xbe\n" + bytes(100))
@@ -178,7 +172,6 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path):
     assert "nd2, which is not installed" in str(error.value) or "cannot be read" in str(error.value)
 
 
-@pytest.mark.slow
 def test_a_picture_is_measured_before_it_is_decoded(tmp_path):
     large = np.zeros((4097, 4096), np.uint8)
     for name in ("1.png", "1.tif"):
@@ -189,7 +182,6 @@ def test_a_picture_is_measured_before_it_is_decoded(tmp_path):
             open_film(path, 30.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(BOMBS) - SLOW))
 def test_a_hostile_film_ends_with_one_line(tmp_path, name):
     """Those that take seconds are among the films of `benchmarks/hostile_films.py`."""
@@ -200,7 +192,6 @@ def test_a_hostile_film_ends_with_one_line(tmp_path, name):
     assert len([line for line in told if not line.startswith("hint: ")]) == 1
 
 
-@pytest.mark.slow
 def test_the_decoder_has_no_more_memory_than_it_says(tmp_path):
     """400 MB of zeros in a strip of 0.4 MB are one picture that cannot be read."""
     BOMBS["deflate bomb"](tmp_path / "film.tif")

@@ -19,6 +19,8 @@ from tetractl_microscope.registries import ORGANISMS
 
 from tetractl.core.errors import TetractlError
 
+pytestmark = pytest.mark.slow
+
 SIDE, RATE_HZ, COUNT = 400, 30.0, 6
 
 

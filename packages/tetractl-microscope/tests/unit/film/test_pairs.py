@@ -7,6 +7,8 @@ import pytest
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.film.pairs import Shown, fill_pairs
 
+pytestmark = pytest.mark.slow
+
 BODY_UM, LONG, WIDE = 50.0, 52.0, 26.0
 APART_AT = 30  # the picture in which the second cell has a blob of its own
 TIMES = [k / 30 for k in range(45)]

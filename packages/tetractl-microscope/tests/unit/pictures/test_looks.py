@@ -5,6 +5,8 @@ from tetractl_microscope.pictures.looks import Look, stream_lines
 
 from tetractl.core.clock import SECOND
 
+pytestmark = pytest.mark.slow
+
 GOOD = {"ended": "", "now": 0.7, "declared": 30.0, "damaged": 0, "every": 1, "hz": 30.0}
 
 

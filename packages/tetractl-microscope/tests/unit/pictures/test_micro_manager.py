@@ -19,6 +19,8 @@ from tetractl.core.errors import AbortError
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
+pytestmark = pytest.mark.slow
+
 CONFIG = "# a microscope\nDevice,Camera,DemoCamera,DCam\nProperty,Core,Camera,Camera\n"
 DEEP = np.array([[0, 0x0FFF, 0x0800]], np.uint16)
 COLOUR = np.array([[0x00102030]], np.uint32)  # a byte each: blue, green, red, none

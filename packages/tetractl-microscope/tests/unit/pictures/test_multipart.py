@@ -1,8 +1,11 @@
 """The parser of multipart streams against good, cut and damaged streams; needs no OpenCV."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_microscope.pictures.multipart import BODY_MAX, HEAD_MAX, Multipart
+
+pytestmark = pytest.mark.slow
 
 MARK = "frame-4711"
 BODIES = st.lists(st.binary(max_size=300).filter(lambda body: b"--" not in body), max_size=6)

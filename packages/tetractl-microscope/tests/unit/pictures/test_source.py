@@ -19,6 +19,8 @@ from tetractl_microscope.pictures.source import decoded, open_feed
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 
+pytestmark = pytest.mark.slow
+
 PICTURE = np.tile(np.arange(0, 240, 2, dtype=np.uint8), (90, 1))
 
 

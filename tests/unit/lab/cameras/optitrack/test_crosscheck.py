@@ -12,6 +12,8 @@ from natnet.data_frame import DataFrame
 from natnet.packet_buffer import PacketBuffer
 from natnet.version import Version as TheirVersion
 
+pytestmark = pytest.mark.slow
+
 
 @every_version
 def test_frames_are_read_alike(version):

@@ -12,6 +12,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.cameras.optitrack import natnet
 
+pytestmark = pytest.mark.slow
+
 V41 = natnet.Version(4, 1)
 SHORT = 0.3  # s: what never comes is waited for in full
 ROBOTS = "robots: [{name: green, body: Green}, {name: blue, body: 7}]"

@@ -8,6 +8,8 @@ from tetractl_emulator.optitrack.tracked_body import View
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis, planar_pose
 
+pytestmark = pytest.mark.slow
+
 angles = st.floats(-math.pi, math.pi)
 
 

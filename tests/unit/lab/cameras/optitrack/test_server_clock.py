@@ -14,6 +14,8 @@ from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import ClockSync, Stream
 
+pytestmark = pytest.mark.slow
+
 V41 = natnet.Version(4, 1)
 HZ = 10_000_000
 BURST, BURST_NS, ECHO_NS = 20, SECOND // 50, SECOND // 2  # as the client asks

@@ -8,6 +8,8 @@ from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 
+pytestmark = pytest.mark.slow
+
 V41 = natnet.Version(4, 1)
 HZ = 10_000_000
 INFO = natnet.ServerInfo("Motive", V41, HZ, 1511)

@@ -12,6 +12,8 @@ from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.wire import datagram, number_in, pack, parse
 
+pytestmark = pytest.mark.slow
+
 EMPTY = natnet.NatNetFrame(1, ())
 V30, V41 = natnet.Version(3, 0), natnet.Version(4, 1)
 f32 = st.floats(width=32, allow_nan=False)

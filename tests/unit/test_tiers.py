@@ -1,0 +1,47 @@
+"""What a file's marks leave to chance: a test that starts much is marked as what it is."""
+
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+from support.paths import ROOT
+
+FILES = sorted([*ROOT.glob("tests/**/test_*.py"), *ROOT.glob("packages/*/tests/**/test_*.py")])
+TAKEN = re.compile(r"^from support\.(\w+ import (?:\([^)]*\)|.*))", re.M)
+STARTS = {  # what a file takes from `support`: the marks of which it needs one
+    "lab_processes import.*(Emulator|play)": "system",  # the lab in real time
+    "import.*(Killed|Running|Started|TETRACTL|chromium)": "slow|system",
+}
+CHILD = """
+import signal, subprocess, sys
+sys.path.insert(0, {!r})
+from support.running import take_signals
+take_signals()
+ask = "import signal; print([signal.getsignal(n) == signal.SIG_IGN for n in ({}, {}, {})])"
+subprocess.run([sys.executable, "-c", ask], check=True)
+"""
+DEAF = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT)  # under `nohup`, and behind `&`
+
+
+@pytest.mark.parametrize(("names", "marks"), STARTS.items(), ids=STARTS.values())
+def test_files_that_start_much_are_marked(names, marks):
+    texts = {path: path.read_text("utf-8") for path in FILES}
+    starts = re.compile(rf"\b{names}\b", re.S)
+    found = [path for path in FILES if any(map(starts.search, TAKEN.findall(texts[path])))]
+    assert found
+    assert [one for one in found if not re.search(rf"mark\.({marks})\b|first_of", texts[one])] == []
+
+
+@pytest.mark.slow
+def test_processes_that_tests_start_take_signals_that_the_tests_ignore():
+    program = CHILD.format(str(ROOT / "tests"), *map(int, DEAF))
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        preexec_fn=lambda: [signal.signal(number, signal.SIG_IGN) for number in DEAF],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "[False, False, False]\n"

@@ -81,7 +81,7 @@ def design(
     log = read_trial(drive(motion, logs or default, 0, yes))
     controller = loaded.experiment.controller
     found = found_in([track_of(log)], loaded.experiment.setup.a, controller.dead_time)
-    _show_found(found, out, as_json)
+    show_found(found, out, as_json)
     return Exit.DONE
 
 
@@ -124,14 +124,6 @@ def identify(
             "Logs of the same robots, folders or globs; or CSV files of poses and commands.",
         ),
     ],
-    scale: Annotated[
-        float | None,
-        option("UM", "Micrometres per pixel of tracks of another program.", min=0.05, max=100),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        option("HZ", "Pictures per second of tracks of another program.", min=0.1, max=2000),
-    ] = None,
     out: Annotated[
         Path | None,
         out_option(
@@ -147,30 +139,19 @@ def identify(
 
     `tetractl design SPEC` proposes a motion from which robots can be identified well.
 
-    Cells of a film are identified from their tracks and the field's direction over time: the
-    poses.csv of `tetractl track`, or tracks of another program in GEFF or in a CSV file with the
-    columns of napari or trackpy (particle or track_id, frame or t, y and x in pixels). Headings of
-    such tracks are directions of motion over 0.4 s, which lowers a by some 15 %.
-
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
 
-    Example: tetractl identify tracks.csv field.csv --scale 2.3 --rate 30
+    Example: tetractl identify tables/poses.csv tables/steps.csv
     """
     from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import CELL_S, csv_tracks, track_of
+    from tetractl.replay.identification.tracks import csv_tracks, track_of
 
     ui.refuse_existing(out)
-    tables = [path for path in logs if path.suffix.lower() in (".csv", ".geff", ".zarr")]
-    if not tables and (scale or rate):
-        raise UsageError("--scale and --rate are for tracks in pixels, in a CSV file or GEFF")
+    tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
     if tables:
-        found = csv_tracks(tables, scale, rate)
-        left_out = [name for track in found for name in track.left_out]
-        if left_out:
-            ui.tell(f"seen for less than {CELL_S:g} s, so left out: {', '.join(left_out)}")
-        _show_found(found_in(found, None), out, as_json)
+        show_found(found_in(csv_tracks(tables), None), out, as_json)
         return Exit.DONE
     tracks: list[Track] = []
     expected, dead_time, damaged = None, 0.0, False
@@ -185,11 +166,11 @@ def identify(
             expected, dead_time = log.start.setup.a, log.experiment.controller.dead_time
     if not tracks:
         raise UsageError("no direction was sent in any of the logs")
-    _show_found(found_in(tracks, expected, dead_time), out, as_json)
+    show_found(found_in(tracks, expected, dead_time), out, as_json)
     return Exit.FAILED if damaged else Exit.DONE
 
 
-def _show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
+def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.replay.identification.identify import identified, tables

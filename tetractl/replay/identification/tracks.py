@@ -5,7 +5,7 @@ from the CSV files of `tetractl export`, poses in one file and commands in anoth
 import math
 import re
 from array import array
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -16,11 +16,12 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.read.validate import VALUE_MAX
-from tetractl.replay.identification.foreign_tracks import POSES_MAX, pose_rows
 
-CELL, CELL_S = "cell ", 2.0  # begins the name of a cell; the shortest track that is used [s]
+Row = dict[str, str]
+POSES_MAX = 2_000_000  # largest number of poses of a trial
 SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
 
 
@@ -32,7 +33,7 @@ class Track:
     [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
     sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
-    command decided on it, None if unknown. `left_out` are cells that were seen too briefly. Robots
+    command decided on it, None if unknown. `left_out` are robots that were seen too briefly. Robots
     that receive nothing for `watchdog` [s] stop.
     """
 
@@ -129,7 +130,6 @@ _POSITION = re.compile(r"x_(um|mm|cm|m)$")
 ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
 """Largest numbers of robots and trials in CSV files."""
 
-Row = dict[str, str]
 Trial = tuple[str, str]
 
 
@@ -146,19 +146,21 @@ class _Numbers:
 
 
 def csv_tracks(
-    paths: list[Path], um_px: float | None = None, rate_hz: float | None = None
+    paths: list[Path],
+    rows_of: Callable[[Path], Iterator[Row]] = read_csv,
+    shortest_s: float = 0.0,
 ) -> list[Track]:
-    """Return the tracks in some CSV files and GEFF folders, each of poses or of commands.
+    """Return the tracks in some CSV files, each of poses or of commands.
 
-    Poses are rows of time_s, robot (or cell, a number), x_UNIT, y_UNIT, heading_rad and perhaps
-    valid, or what `pose_rows` reads with a scale and a rate; commands of time_s, direction_rad and
-    perhaps observed_s. Columns path and trial, if present, assign poses and commands to tracks.
-    Raises UsageError if data are missing, or very many.
+    Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
+    time_s, direction_rad and perhaps observed_s. Columns path and trial, if present, assign poses
+    and commands to tracks. `rows_of` reads the rows of a file; robots that are seen for less than
+    `shortest_s` [s] are left out. Raises UsageError if data are missing, or very many.
     """
     trials: dict[Trial, _Numbers] = {}
     unit = ""
     for path in paths:
-        rows = pose_rows(path, um_px, rate_hz)
+        rows = rows_of(path)
         first = next(rows, {})
         commands = all(name in first for name in COMMAND_COLUMNS)
         if not commands:
@@ -172,8 +174,7 @@ def csv_tracks(
             else:
                 known = row.get("valid", "True").strip().lower() in ("true", "1", "")
                 keys = (f"x_{unit}", f"y_{unit}", "heading_rad")
-                name = row["robot"] if "robot" in row else CELL + row["cell"]
-                robot = one.robots.setdefault(name, len(one.robots))
+                robot = one.robots.setdefault(row["robot"], len(one.robots))
                 one.poses.extend((_number(row, "time_s", path), robot))
                 one.poses.extend(_number(row, k, path, True) if known else math.nan for k in keys)
             if len(one.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
@@ -186,12 +187,12 @@ def csv_tracks(
             f"{trials[lonely[0]].path}: both poses and commands are needed for each trial",
             "name both files, such as poses.csv steps.csv of `tetractl export`",
         )
-    return [_track(one, unit, trial) for trial, one in trials.items()]
+    return [_track(one, unit, trial, shortest_s) for trial, one in trials.items()]
 
 
 def _unit(columns: Collection[str], unit: str, path: Path) -> str:
     """Return the length unit of a file of poses by its columns, which must be the given one."""
-    if not all(name in columns for name in POSE_COLUMNS) and "cell" not in columns:
+    if not all(name in columns for name in POSE_COLUMNS):
         raise UsageError(
             f"{path}: contains neither poses nor commands",
             f"poses have the columns {', '.join(POSE_COLUMNS)}, x_mm, y_mm; commands "
@@ -203,17 +204,17 @@ def _unit(columns: Collection[str], unit: str, path: Path) -> str:
     return found
 
 
-def _track(trial: _Numbers, unit: str, name: Trial) -> Track:
+def _track(trial: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
     rows = np.array(trial.poses).reshape(-1, 5)
     brief = {
         robot: number
         for robot, number in trial.robots.items()
-        if robot.startswith(CELL) and np.ptp(rows[rows[:, 1] == number, 0]) < CELL_S
+        if np.ptp(rows[rows[:, 1] == number, 0]) < shortest_s
     }
     rows = rows[~np.isin(rows[:, 1], list(brief.values()))]
     names = [robot for robot in trial.robots if robot not in brief]
     if not names:
-        raise UsageError(f"{trial.path}: has no cell that is seen for {CELL_S:g} s")
+        raise UsageError(f"{trial.path}: has no robot that is seen for {shortest_s:g} s")
     _, rows[:, 1] = np.unique(rows[:, 1], return_inverse=True)
     time, frame = np.unique(rows[:, 0], return_inverse=True)
     if len(time) * len(names) > POSES_MAX:

@@ -1,4 +1,4 @@
-"""`tetractl identify`: cells from tracks of other programs, in pixels and pictures."""
+"""`tetractl track`: cells from tracks of other programs, in pixels and pictures."""
 
 import json
 
@@ -40,7 +40,7 @@ def written(folder, name, header, table):
 def test_tracks_of_others_are_identified(dish, header):
     folder, rows = dish
     name = written(folder, "theirs.csv", header, rows)
-    words = ("identify", name, "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
+    words = ("track", name, "--field", "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
     done = tetractl(folder, *words).ok()
     found = json.loads(done.stdout)["robots"]
     assert [one["name"] for one in found] == ["cell 7", "cell 8"]
@@ -71,7 +71,7 @@ def test_a_graph_states_its_scale_and_rate(dish):
         {},
         GeffMetadata(directed=True, axes=axes, node_props_metadata={}, edge_props_metadata={}),
     )
-    done = tetractl(folder, "identify", "theirs.geff", "field.csv", "--json").ok()
+    done = tetractl(folder, "track", "theirs.geff", "--field", "field.csv", "--json").ok()
     found = json.loads(done.stdout)["robots"]
     assert [one["a"]["value"] for one in found] == pytest.approx(A, rel=0.1)
 
@@ -87,10 +87,10 @@ def test_a_graph_states_its_scale_and_rate(dish):
 def test_what_is_missing_is_one_line(dish, header, options, says):
     folder, rows = dish
     name = written(folder, "bad.csv", header, rows)
-    done = tetractl(folder, "identify", name, "field.csv", *options)
+    done = tetractl(folder, "track", name, "--field", "field.csv", *options)
     assert done.returncode == 2 and says in done.stderr
     assert len(done.stderr.splitlines()) == 2
     (folder / "no.geff").mkdir(exist_ok=True)
-    graph = tetractl(folder, "identify", "no.geff", "field.csv")
+    graph = tetractl(folder, "track", "no.geff", "--field", "field.csv")
     assert graph.returncode in (2, AbortError.exit) and "geff" in graph.stderr.lower()
-    assert tetractl(folder, "identify", "x.mcap", "--scale", 2).returncode == 2
+    assert tetractl(folder, "track", "bad.csv", "--scale", 2).returncode == 2

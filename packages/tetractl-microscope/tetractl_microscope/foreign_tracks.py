@@ -10,17 +10,19 @@ from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.number_columns import read_numbers
 from tetractl.core.table.table_files import read_csv
+from tetractl.replay.identification.tracks import POSES_MAX
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")
 TURN_S = 0.4  # time over which a heading is computed from a path, a turn of a cell's helix [s]
-POSES_MAX = 2_000_000  # largest number of poses in a graph
+CELL, SHORTEST_S = "cell ", 2.0  # begins the name of a cell; the shortest track that is used [s]
 
 Row = dict[str, str]
 
 
 def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterator[Row]:
-    """Yield the rows of a table of poses or commands; tracks of other programs as rows of poses.
+    """Yield the rows of a table of poses or of the field; cells as robots, tracks of other programs
+    as rows of poses.
 
     These are given in pixels, y downwards, and pictures, so that they need a scale `um_px` and a
     rate, unless a graph states them; headings are the directions of motion.
@@ -32,7 +34,8 @@ def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterato
     number = next((names[name] for name in NUMBERS if name in names), None)
     frame = next((names[name] for name in FRAMES if name in names), None)
     if number is None or frame is None or not {"x", "y"} <= set(names):
-        yield from read_csv(path)
+        for row in read_csv(path):
+            yield row | {"robot": CELL + row["cell"]} if "cell" in row else row
         return
     kept = (number, frame, names["x"], names["y"])
     yield from _poses(path, read_numbers(path, kept, {}), um_px, rate_hz)
@@ -55,7 +58,7 @@ def _poses(path: Path, table: Floats, um_px: float | None, rate_hz: float | None
         columns = (frame / rate_hz, um_px * x, -um_px * y, heading)
         for time, *pose in zip(*(column.tolist() for column in columns), strict=True):
             values = dict(zip(("x_um", "y_um", "heading_rad"), map(repr, pose), strict=True))
-            yield {"time_s": repr(time), "cell": f"{number:g}"} | values
+            yield {"time_s": repr(time), "robot": f"{CELL}{number:g}"} | values
 
 
 def _graph(

@@ -251,7 +251,7 @@ def test_help_imports_nothing_heavy(tmp_path, args):
     )
     assert done.returncode == 0
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "tetractl.cli.run" in imported
+    assert "tetractl.cli.app" in imported
     heavy = {"numpy", "numba", "matplotlib", "scipy", "mcap", "google.protobuf", "pydantic"}
     if args[0] == "run":
         heavy.remove("pydantic")  # typer's own, to read a command's options

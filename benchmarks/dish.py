@@ -28,10 +28,10 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Start, Step
-from tetractl.experiment.choice import FoundCell
+from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
-from tetractl.lab.find_cells import turn_field
+from tetractl.lab.candidates import turn_field
 from tetractl.lab.rig import build_rig
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_with
@@ -163,7 +163,7 @@ def reseeded(experiment: Experiment, seed: int) -> Experiment:
     return experiment.model_copy(update={"trials": trials})
 
 
-def true_cells(found: Sequence[FoundCell], dish: VirtualLab) -> dict[int, FoundCell]:
+def true_cells(found: Sequence[RobotCandidate], dish: VirtualLab) -> dict[int, RobotCandidate]:
     """The cells found, by number, with the a and speed that each truly has.
 
     Where two have met, places alone do not say which is which: then the speed does.
@@ -180,7 +180,7 @@ def true_cells(found: Sequence[FoundCell], dish: VirtualLab) -> dict[int, FoundC
     }
 
 
-def numbers(cells: tuple[FoundCell, ...]) -> frozenset[int]:
+def numbers(cells: tuple[RobotCandidate, ...]) -> frozenset[int]:
     return frozenset(cell.number for cell in cells)
 
 

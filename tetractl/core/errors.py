@@ -91,8 +91,8 @@ def printable(text: str, length: int | None = None) -> str:
     return shown
 
 
-def cell(text: str) -> str:
-    """Return text for a cell of a table that a spreadsheet may open.
+def entry(text: str) -> str:
+    """Return text for an entry of a table that a spreadsheet may open.
 
     A spreadsheet evaluates text that begins with =, +, - or @, even after white space or as
     full-width signs; an apostrophe is put in front to prevent that.

@@ -120,7 +120,7 @@ class Actuator(Device, Protocol):
 
     @property
     def halts(self) -> bool:
-        """Whether robots stand still after a stop; cells in a magnetic field swim on."""
+        """Whether robots stand still after a stop; swimmers in a magnetic field go on."""
         ...
 
     @property

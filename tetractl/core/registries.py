@@ -73,7 +73,7 @@ DISTURBANCES = Registry(
     {
         "battery": "tetractl.plant.disturbances.robots:BatterySection",
         "camera-latency": "tetractl.plant.disturbances.camera:CameraLatencySection",
-        "flow": "tetractl.plant.disturbances.cells:FlowSection",
+        "flow": "tetractl.plant.disturbances.swimmers:FlowSection",
         "frame-loss": "tetractl.plant.disturbances.camera:FrameLossSection",
         "frozen-camera": "tetractl.plant.disturbances.camera:FrozenCameraSection",
         "heading-drift": "tetractl.plant.disturbances.robots:HeadingDriftSection",
@@ -86,7 +86,7 @@ DISTURBANCES = Registry(
         "sticking": "tetractl.plant.disturbances.robots:StickingSection",
         "tracking-loss": "tetractl.plant.disturbances.camera:TrackingLossSection",
         "wander": "tetractl.plant.disturbances.robots:WanderSection",
-        "wobble": "tetractl.plant.disturbances.cells:WobbleSection",
+        "wobble": "tetractl.plant.disturbances.swimmers:WobbleSection",
     },
     "tetractl.experiment.disturbance:DisturbanceSection",
 )

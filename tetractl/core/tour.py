@@ -3,7 +3,7 @@
 All robots pass their M way-points together: leg j = 0, ..., M - 1 ends when the robots are nearest
 to their way-points j + 1, leg M at the targets, and leg M + 1 is the hold.
 
-A robot, for example a cell that swam away or died, is lost if it was not tracked for too long.
+A robot, for example one that swam away, is lost if it was not tracked for too long.
 """
 
 from collections.abc import Iterable

@@ -112,7 +112,7 @@ class OrChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundCell:
+class RobotCandidate:
     """A cell of the dish: its number, its pose in the spec's unit, and its response to the field.
 
     `a` [rad/s] is known with a standard deviation `a_sd`, `speed` [length unit/s] with `speed_sd`.
@@ -135,11 +135,11 @@ class FoundCell:
 
 @dataclass(frozen=True, slots=True)
 class FoundRobots:
-    """The cells that a plant found: `build(numbers, setup)` returns a plant of the cells with the
+    """The candidates that a plant found: `build(numbers, setup)` returns a plant of those with the
     given numbers, `close()` releases the devices.
     """
 
-    cells: Sequence[FoundCell]
+    candidates: Sequence[RobotCandidate]
     build: Callable[[Sequence[int], Setup], Plant]
     close: Callable[[], None]
 

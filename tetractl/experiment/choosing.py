@@ -8,14 +8,14 @@ import numpy as np
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import Choice, FoundCell, dealt
+from tetractl.experiment.choice import Choice, RobotCandidate, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
 UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
 MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
 
 
-def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
+def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
     """Return the cells that become the robots of a trial, in the order of falling turning rates.
 
     AbortError if there are too few cells, or a wanted cell is missing.
@@ -35,7 +35,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
     return list(max(every, key=lambda some: worth(some, experiment)))
 
 
-def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
+def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
     """Return the experiment with the given cells as robots, which start at the cells' poses and are
     assigned targets."""
     choice = experiment.chosen
@@ -67,7 +67,7 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
     return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
 
 
-def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
+def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool, float, float]:
     """Return a tuple that is greatest for the best choice of cells: whether all are clear of walls
     for 0.5 s, the `unlikeness` of their turning rates a up to UNLIKE, and the least."""
     arena = experiment.setup.arena
@@ -80,7 +80,7 @@ def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, flo
     return free, min(apart, UNLIKE), float(a.min())
 
 
-def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCell | None:
+def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> RobotCandidate | None:
     """Return the cell most like a robot in turning rate and speed, None if none is similar."""
     wanted = np.log([setup.a[robot], setup.speed[robot]])
     off = [float(np.abs(np.log([cell.a, cell.speed]) - wanted).max()) for cell in cells]
@@ -88,7 +88,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
     return None if best is None or off[best] > MISSED else cells[best]
 
 
-def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
+def _found_again(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
     """Return a different cell, similar in turning rate and speed, for each of `choice.wanted`."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])

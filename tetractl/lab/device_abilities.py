@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from tetractl.core.commands import FrameAddition
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import FoundCell
+from tetractl.experiment.choice import RobotCandidate
 
 
 @runtime_checkable
@@ -49,7 +49,7 @@ class TracksCells(Protocol):
         """The indices of the robots from whose blob another cell separated."""
         ...
 
-    def found_cells(self) -> list[FoundCell]:
+    def candidates(self) -> list[RobotCandidate]:
         """Return the cells in the newest picture whose identity is sure."""
         ...
 

@@ -32,8 +32,8 @@ from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.candidates import free_candidates, turn_field
 from tetractl.lab.device_abilities import AddsToFrames, TracksCells
-from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
@@ -290,7 +290,7 @@ class LabPlant:
         for i, seen_ns in list(guard.lost.items()):
             if now - seen_ns < loss.after_s * SECOND:
                 continue
-            other = most_alike(self.setup, i, free_cells(self.rig))
+            other = most_alike(self.setup, i, free_candidates(self.rig))
             if other is not None:
                 self.rig.tracker.replace(i, other.number)
                 self._identities.forget(i)

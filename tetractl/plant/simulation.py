@@ -27,7 +27,7 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
-from tetractl.experiment.choice import Choice, FoundCell, FoundRobots
+from tetractl.experiment.choice import Choice, FoundRobots, RobotCandidate
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
@@ -172,7 +172,7 @@ class SimSection(PlantSection):
         speed = choice.speed * np.exp(random.normal(0, SPEED_LOG_SD, count))
         rows = zip(*(each.tolist() for each in (x, y, heading, a, speed)), strict=True)
         cells = [
-            FoundCell(i + 1, Pose(*place), a, SURVEYED * a, speed, SURVEYED * speed)
+            RobotCandidate(i + 1, Pose(*place), a, SURVEYED * a, speed, SURVEYED * speed)
             for i, (*place, a, speed) in enumerate(rows)
         ]
 

@@ -22,7 +22,7 @@ from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.core.worker import Relay, Worker
-from tetractl.experiment.choosing import chosen_cells, settled
+from tetractl.experiment.choosing import chosen_from, settled
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.format.digest import LogDigests
@@ -228,9 +228,9 @@ def _built(
         return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)
     found = experiment.plant.find(experiment.chosen, experiment.setup, clock, seed, supervision)
     try:
-        cells = chosen_cells(experiment, found.cells)
-        spec = replace(spec, experiment=settled(experiment, cells))
-        numbers = [cell.number for cell in cells]
+        chosen = chosen_from(experiment, found.candidates)
+        spec = replace(spec, experiment=settled(experiment, chosen))
+        numbers = [one.number for one in chosen]
         return spec, found.build(numbers, spec.experiment.setup)
     except BaseException:
         found.close()

@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl.analysis.steering import planner, plans
-from tetractl.experiment.choice import FoundCell
+from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
@@ -26,14 +26,16 @@ class RankedChoice:
     """A choice of cells, in the order of falling turning rates, and its predicted mean total error
     [length unit], inf if no plan reaches the targets."""
 
-    cells: tuple[FoundCell, ...]
+    cells: tuple[RobotCandidate, ...]
     error: float
 
 
 class _Candidate:
     """A choice of cells, and the errors predicted for it along the plans of its first trials."""
 
-    def __init__(self, experiment: Experiment, cells: Sequence[FoundCell], noise: Noise) -> None:
+    def __init__(
+        self, experiment: Experiment, cells: Sequence[RobotCandidate], noise: Noise
+    ) -> None:
         self.cells = tuple(cells)
         self._errors: list[float] = []  # of plans that reach the targets
         self._more = self._predictions(settled(experiment, cells), noise)
@@ -67,7 +69,7 @@ class _Candidate:
 
 def ranked(
     experiment: Experiment,
-    cells: Sequence[FoundCell],
+    cells: Sequence[RobotCandidate],
     noise: Noise,
     plans: int,
     on_done: Callable[[int, int], object] = lambda *_: None,
@@ -100,14 +102,14 @@ def ranked(
 
 
 def predicted(
-    experiment: Experiment, cells: Sequence[FoundCell], noise: Noise, plans: int
+    experiment: Experiment, cells: Sequence[RobotCandidate], noise: Noise, plans: int
 ) -> float:
     """Return the mean total error [length unit] predicted for a choice of cells, inf if no plan
     reaches the targets."""
     return _Candidate(experiment, cells, noise).along(plans).error
 
 
-def alike(cells: Sequence[FoundCell]) -> Iterator[tuple[FoundCell, FoundCell]]:
+def alike(cells: Sequence[RobotCandidate]) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:
     """Yield pairs of cells with turning rates too similar to tell them apart after they meet."""
     for one, two in combinations([cell for cell in cells if cell.magnetised], 2):
         if abs(math.log(one.a / two.a)) < ALIKE:

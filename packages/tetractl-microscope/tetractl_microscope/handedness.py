@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.choice import Choice, FoundCell
-from tetractl.lab.find_cells import manoeuvre, turn_field
+from tetractl.experiment.choice import Choice, RobotCandidate
+from tetractl.lab.candidates import manoeuvre, turn_field
 from tetractl.lab.rig import Rig
 
 GRID_S = 0.05  # time step of the analysis
@@ -57,7 +57,7 @@ class Handedness:
 
 def watch_turning(
     rig: Rig, choice: Choice, seed: int, supervision: LabSupervision
-) -> tuple[list[FoundCell], Handedness | None]:
+) -> tuple[list[RobotCandidate], Handedness | None]:
     """Turn the field of an entered rig; return the cells in view, and how they turned, None if too
     few of them were seen for long enough. Raises as `turn_field`.
     """
@@ -67,7 +67,7 @@ def watch_turning(
         if (newest := rig.frames.newest) is None:
             return
         at = newest.frame.sampled_ns / SECOND
-        for cell in rig.tracker.found_cells():
+        for cell in rig.tracker.candidates():
             path = seen.setdefault(cell.number, [])
             if cell.free and (not path or at > path[-1][0]):
                 path.append((at, cell.pose.x, cell.pose.y))

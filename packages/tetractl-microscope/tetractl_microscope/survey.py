@@ -14,7 +14,7 @@ from tetractl.core.table.table_files import json_text
 from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
-    from tetractl.experiment.choice import FoundCell
+    from tetractl.experiment.choice import RobotCandidate
 
 
 def survey(
@@ -123,7 +123,9 @@ def survey(
 
 
 def _print_cells(
-    cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
+    cells: "Sequence[RobotCandidate]",
+    pairs: "Sequence[tuple[RobotCandidate, RobotCandidate]]",
+    unit: str,
 ) -> None:
     """Print each cell with 95 % intervals, and the pairs of cells whose turning rates a are too
     similar to tell the cells apart.

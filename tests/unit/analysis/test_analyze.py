@@ -14,7 +14,7 @@ from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Pose
 from tetractl.core.table.table_files import json_text
-from tetractl.experiment.choice import FoundCell
+from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.load import load_spec
 from tetractl.view.figures.analysis import analysis_figure
 
@@ -138,7 +138,9 @@ def test_robots_that_start_within_a_margin_are_steered_out_of_it(adaptive):
 def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_round():
     spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["controller.horizon_max=3"])
     cells = [
-        FoundCell(i, Pose(1000 + 300 * i, 900, 0.0), a=3.0 + i, a_sd=0.1, speed=400, speed_sd=4)
+        RobotCandidate(
+            i, Pose(1000 + 300 * i, 900, 0.0), a=3.0 + i, a_sd=0.1, speed=400, speed_sd=4
+        )
         for i in range(4)
     ]
     counted = []
@@ -150,7 +152,7 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
 
 
 def found_cell(number, a):
-    return FoundCell(number, Pose(1000 + 300 * number, 900, 0.0), a, 0.1, 400, 4)
+    return RobotCandidate(number, Pose(1000 + 300 * number, 900, 0.0), a, 0.1, 400, 4)
 
 
 def test_no_choice_has_cells_that_cannot_be_distinguished():

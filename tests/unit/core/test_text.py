@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.core.errors import UsageError, cell, printable
+from tetractl.core.errors import UsageError, entry, printable
 
 
 @pytest.mark.parametrize(
@@ -37,8 +37,8 @@ def test_text_once_printable_stays_as_it_is(text, length):
     ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx", " =1", "\n+1", "\xa0-1", "＝1", " ＋1", "﹫x"],
 )
 def test_a_spreadsheet_computes_nothing(text):
-    assert cell(text).startswith("'")
-    assert cell("arrived") == "arrived"
+    assert entry(text).startswith("'")
+    assert entry("arrived") == "arrived"
 
 
 def test_the_text_of_an_error_has_its_hint_in_words_of_python():

@@ -56,8 +56,8 @@ def _reached(function: Callable[..., Any]) -> Iterator[FunctionType]:
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """Yield name and value of all that a function's code names outside itself."""
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    yield from ((name, cell.cell_contents) for name, cell in cells)
+    held = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    yield from ((name, one.cell_contents) for name, one in held)
     names = sorted(_names(function.__code__))
     for name in names:
         if name in function.__globals__:

@@ -14,7 +14,7 @@ from tetractl.core.table.table_files import read_csv
 
 def read_numbers(path: Path, names: Sequence[str], defaults: Mapping[str, float]) -> Floats:
     """Return the columns `names` (R, N) of a CSV file with at least one row. UsageError if one is
-    missing, or has a text or an infinite number; an empty cell may have a default.
+    missing, or has a text or an infinite number; an empty entry may have a default.
     """
     table = []
     for line, row in enumerate(read_csv(path), 2):

@@ -113,11 +113,11 @@ class Table:
         """Return a table of words; a column that is empty in all rows is left out, unless it is
         the first.
 
-        A cell is empty if it is "" or "-".
+        An entry is empty if it is "" or "-".
         """
         values = list(zip(*rows, strict=True)) or [()] * len(header)
         columns = [
-            Column(name, cells, words=True) for name, cells in zip(header, values, strict=True)
+            Column(name, entries, words=True) for name, entries in zip(header, values, strict=True)
         ]
         filled = (one for one in columns[1:] if any(text not in ("", NONE) for text in one.texts))
         return cls(title, (columns[0], *filled), note)

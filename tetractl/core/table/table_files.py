@@ -14,7 +14,7 @@ from itertools import chain, groupby, repeat
 from pathlib import Path
 from typing import Any, TextIO
 
-from tetractl.core.errors import LogError, UsageError, cell
+from tetractl.core.errors import LogError, UsageError, entry
 from tetractl.core.table.table import Array, Column, Table
 
 PART = ".part"
@@ -40,7 +40,7 @@ def _write_csv(table: Table, stream: TextIO, header: bool) -> None:
 
 
 def _cells(columns: list[Sequence[Any]]) -> Iterator[Sequence[str]]:
-    """Yield columns of cells as R, MATLAB and spreadsheets read them: numbers with all digits,
+    """Yield columns of entries as R, MATLAB and spreadsheets read them: numbers with all digits,
     truth values as true and false, unknown values empty. Neighbouring columns of numbers are one.
 
     Text that a spreadsheet would evaluate gets an apostrophe in front.
@@ -62,7 +62,7 @@ def _cells(columns: list[Sequence[Any]]) -> Iterator[Sequence[str]]:
 def _text(value: Any) -> str:
     if not isinstance(value, str):
         return next(_cells([[value]]))[0] if type(value) in _NUMBERS else str(value)
-    text = cell(value)
+    text = entry(value)
     return '"{}"'.format(text.replace('"', '""')) if re.search('[",\r\n]', text) else text
 
 
@@ -84,11 +84,11 @@ def read_csv(path: Path) -> Iterator[dict[str, str]]:
                 if number > CSV_ROWS or len(line) == CSV_LINE:
                     raise too_large
                 # line by line, since a quoted field with line breaks may have any length
-                cells = next(csv.reader([line]), [])
+                entries = next(csv.reader([line]), [])
                 if number == 0:
-                    header = cells
-                elif cells:
-                    found = zip(header, chain(cells, repeat("")), strict=False)
+                    header = entries
+                elif entries:
+                    found = zip(header, chain(entries, repeat("")), strict=False)
                     yield {key: value for key, value in found if key}
     except (UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path}: is not a CSV file: {error}") from None
@@ -112,7 +112,7 @@ AddRows = Callable[[Table], None]
 
 @contextmanager
 def _csv_file(path: Path) -> Iterator[AddRows]:
-    """Write a table as CSV: UTF-8, a header, empty cells for unknown values."""
+    """Write a table as CSV: UTF-8, a header, empty entries for unknown values."""
     with path.open("w", encoding="utf-8", newline="") as file:
         yield lambda table: _write_csv(table, file, header=not file.tell())
 

@@ -67,7 +67,7 @@ def _print(table: Table, console: "Console") -> None:
             min_width=None if console.is_terminal else least,
         )
     for row in table.rows:
-        shown.add_row(*(Text(printable(cell)) for cell in row))
+        shown.add_row(*(Text(printable(entry)) for entry in row))
     if not console.is_terminal:
         console = Console(file=console.file, width=10_000, color_system=None)
         least = Measurement.get(console, console.options, shown).minimum
@@ -140,7 +140,7 @@ def _escaped(text: str) -> str:
 
 
 def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
-    """Return tables as HTML, each in an element that scrolls. `links` maps the text of a cell in
+    """Return tables as HTML, each in an element that scrolls. `links` maps the text of a entry in
     the first column to the address to which it links.
     """
     return "".join(_html(table, links or {}) for table in tables)
@@ -154,9 +154,9 @@ def _html(table: Table, links: Mapping[str, str]) -> str:
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     rows = "".join(
         f'<tr><th scope="row">{named(first)}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        + "".join(f"<td>{escape(entry)}</td>" for entry in entries)
         + "</tr>"
-        for first, *cells in table.rows
+        for first, *entries in table.rows
     )
     kind = ' class="words"' if table.words else ""
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""

@@ -101,8 +101,8 @@ class RawLog:
     def run(self) -> Run:
         """What identifies the trial; LogError if it is lost, unreadable or of another format."""
         if channels.TRACK in self.attachments:
-            said = f"{self.path}: holds the cells of a film, not a trial"
-            raise UsageError(said, "tetractl plot, report, stats and info take such a log")
+            said = f"{self.path}: was written by `tetractl track`, and holds no trial"
+            raise UsageError(said, "tetractl track shows such a log")
         stated = {item.name: item.metadata for item in self.metadata}
         if "format_version" in (before := stated.get("tetractl.run", {})):  # formats 1 and 2
             raise self._of_format(before["format_version"], stated.get("tetractl.host", {}))

@@ -67,7 +67,7 @@ class TrialLog(TrialRecords):
     """A whole trial, read from its log.
 
     `facts` are machine, time and versions of the run, `digest` is the content digest that the log
-    states. `pictures` are a microscope's pictures, each with its time of exposure on the trial's
+    states. `pictures` are a camera's pictures, each with its time of exposure on the trial's
     clock [ns] and a JPEG file.
     """
 

@@ -7,7 +7,7 @@ import pytest
 from tetractl_microscope.handedness import handedness, handedness_lines
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.find_cells import manoeuvre
+from tetractl.lab.candidates import manoeuvre
 
 RATES = 2.5, 3.0, 3.5, 4.0, 5.0, 0.0, 4.5  # turning rates a [rad/s]; one cell has no magnet
 

@@ -15,7 +15,7 @@ from tetractl.core.commands import FrameAddition, Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
-from tetractl.experiment.choice import FoundCell
+from tetractl.experiment.choice import RobotCandidate
 from tetractl.lab.identity_watch import SURE
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines
@@ -81,14 +81,14 @@ class CellCamera(PictureCamera[SeenDish]):
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
 
-    def found_cells(self) -> list[FoundCell]:
+    def candidates(self) -> list[RobotCandidate]:
         """Return the cells in the newest picture whose identity is sure, with the filter's
         estimates of a and of the mean speed since each was first seen. Cells near the arena's edge
         are not free.
         """
         return [self._found(c) for c in self._cells if c.found and c.probability >= SURE]
 
-    def _found(self, cell: SeenCell) -> FoundCell:
+    def _found(self, cell: SeenCell) -> RobotCandidate:
         per_um = 1e-6 / self._setup.metres
         since, before = self._since.get(cell.track, (self._now, 0.0))
         a, seconds = float(cell.mean[A]), self._now - since
@@ -101,7 +101,7 @@ class CellCamera(PictureCamera[SeenDish]):
         free = not self._near_wall(np.array([cell.x]), np.array([cell.y])).item()
         a_sd = math.hypot(a_sd, A_ERROR * a)
         pose = self._pose_of(cell)
-        return FoundCell(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)
+        return RobotCandidate(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track the cells with these numbers as the robots of a setup from now on."""

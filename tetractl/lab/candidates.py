@@ -9,7 +9,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.choice import Choice, FoundCell
+from tetractl.experiment.choice import Choice, RobotCandidate
 from tetractl.lab.rig import Rig
 
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
@@ -38,7 +38,7 @@ def turn_field(
     seed: int,
     supervision: LabSupervision,
     on_look: Callable[[], None] = lambda: None,
-) -> list[FoundCell]:
+) -> list[RobotCandidate]:
     """Turn the field of an entered rig for the time in `choice`; return the cells in view.
 
     The field continues to turn afterwards. `on_look` is called about every 50 ms. AbortError if no
@@ -50,7 +50,7 @@ def turn_field(
     began, before = rig.clock.now(), rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
-        walled |= {cell.number for cell in rig.tracker.found_cells() if not cell.free}
+        walled |= {cell.number for cell in rig.tracker.candidates() if not cell.free}
         on_look()
         if supervision.emergency.is_set():
             raise AbortError("emergency stop by the operator")
@@ -60,7 +60,7 @@ def turn_field(
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.guard.no_frame(rig.silent_ns()))
-    now = rig.tracker.found_cells()
+    now = rig.tracker.candidates()
     cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
     # a cell is recognised if it moves by at most 35 um between two pictures
     least = choice.speed * rig.setup.metres * 1e6 / 35.0
@@ -74,8 +74,8 @@ def turn_field(
     return cells
 
 
-def free_cells(rig: Rig) -> list[FoundCell]:
+def free_candidates(rig: Rig) -> list[RobotCandidate]:
     """Return the cells that follow the field, are away from the walls, and are not robots."""
     tracker = rig.tracker
-    cells = [cell for cell in tracker.found_cells() if cell.magnetised and cell.free]
+    cells = [cell for cell in tracker.candidates() if cell.magnetised and cell.free]
     return [cell for cell in cells if cell.number not in tracker.robots]

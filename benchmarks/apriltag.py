@@ -28,7 +28,7 @@ from typing import Any
 import cv2
 import numpy as np
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
-from tetractl_emulator.pictures.stream_side import EmulatedNetworkCamera
+from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera
 from tetractl_microscope.apriltag.camera import AprilTagCamera, Tracker
 from tetractl_microscope.apriltag.detect import MODULES, refined
 from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag

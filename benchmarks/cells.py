@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.names import Names
 

@@ -54,7 +54,7 @@ def parse_spec(text: str, *sets: str) -> LoadedSpec:
 
 def experiment_schema() -> dict[str, Any]:
     """Return the JSON schema of a spec, with the kinds that installed packages add."""
-    from tetractl.experiment.yaml import schema
+    from tetractl.experiment import schema
 
     return schema.experiment_schema()
 

@@ -228,7 +228,7 @@ TARGETS = {
     "serial": Target(serial, seeds.serial_bytes),
 }
 if find_spec("cv2"):
-    from tetractl_emulator.pictures.stream_side import BOUNDARY, coded, part
+    from tetractl_emulator.pictures.network_camera import BOUNDARY, coded, part
     from tetractl_microscope.pictures.feed import Picture
     from tetractl_microscope.pictures.multipart import Multipart
     from tetractl_microscope.pictures.source import decoded

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors, of_each
-from tetractl.control.mpc_section import Collision, RecommendedMpc, SearchFields
+from tetractl.control.collision import Collision
+from tetractl.control.mpc_section import RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation

@@ -201,7 +201,7 @@ def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
 def _xbee(port: str, baud: int) -> "XbeeSection":
     from pydantic import ValidationError
 
-    from tetractl.experiment.yaml.explain import words
+    from tetractl.experiment.explain import words
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
     try:

@@ -293,7 +293,7 @@ def schema(
 
     Example: tetractl schema -o experiment.schema.json
     """
-    from tetractl.experiment.yaml.schema import experiment_schema, schema_json
+    from tetractl.experiment.schema import experiment_schema, schema_json
     from tetractl.study.load_study import study_schema
 
     text = schema_json(study_schema() if study else experiment_schema())

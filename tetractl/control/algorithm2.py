@@ -17,15 +17,15 @@ from tetractl.control.rng import mix
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
+from tetractl.experiment.controller import Host
 
 
 class Algorithm2:
     """The controller of one trial; `key` seeds all its random numbers."""
 
-    def __init__(self, section: PsoMpc, setup: Setup, key: int, optimizer: Optimizer) -> None:
-        self.section, self.key, self.optimizer = section, key, optimizer
+    def __init__(self, section: PsoMpc, setup: Setup, key: int, host: Host) -> None:
+        self.section, self.key, self.optimizer = section, key, host.wrap(section.optimizer)
         self.estimator = StateEstimator(
             section.problem(setup), section.period, section.known(setup), loss=setup.loss
         )

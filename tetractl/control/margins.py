@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.control.collision import Collision
 from tetractl.control.kernels import clearance
 from tetractl.control.kernels.motion import flat
 from tetractl.control.kernels.prediction import unheard
-from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem, Region
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds

@@ -4,11 +4,13 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveInt
 
+from tetractl.control.collision import Collision
 from tetractl.control.plain import PlainSection
 from tetractl.control.prior import Prior
 from tetractl.core.plan import Limits, Problem
@@ -25,36 +27,6 @@ from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
 _PSO, _MULTISTART = (KindSection(OPTIMIZERS, default=name) for name in ("pso", "multistart"))
-
-
-class Collision(Model):
-    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
-    neither stop nor count with silence by default."""
-
-    margin: NonNegative = 0.0
-    """Distance by which obstacles are grown for the planner [length unit]."""
-    walls: bool = True
-    """Whether leaving the arena counts as entering an obstacle."""
-    radius: NonNegative = 0.0
-    """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
-    separation: NonNegative = Field(default_factory=lambda given: 2 * given.get("radius", 0.0))
-    """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
-    meet. The distance is tested at the predicted positions. The default is two radii."""
-    adaptive: bool = True
-    """Whether the margin grows by a robot's greatest deviation from its course before the next
-    command acts, given the uncertainty of its motion. If a robot or target is within the margin,
-    the margin is reduced to its distance.
-    """
-    stop_before_collision: bool = True
-    """Whether all robots rest if the best plan found leads one into an obstacle, or if a new plan
-    from rest is worth more. From rest, robots of which no plan keeps clear leave their corner or
-    turn on the spot first; the trial ends if that does not help either. Robots also end at rest,
-    and drive on if their total error is then too large. Only for robots that can stand still, which
-    have `wheels`."""
-    silence: NonNegative = 1.0
-    """Time for which robots may receive no command and keep their direction [s]. The planner
-    prefers plans in which robots keep clear even if this happens after any one of the signals.
-    """
 
 
 class PriorSection(Model):
@@ -103,6 +75,9 @@ class PriorSection(Model):
 
 class SearchFields(PlainSection):
     """The fields that `pso-mpc` and `mpc` share, with the paper's defaults."""
+
+    controller: ClassVar[str]
+    """The controller as "module:class", called with (section, setup, key, host)."""
 
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
     """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
@@ -154,6 +129,10 @@ class SearchFields(PlainSection):
         compiled_foresee(problem, found.signals)
         super().warm_up(setup)
 
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
+        """Return the controller of one trial."""
+        return resolve_name(self.controller)(self, setup, key, host)
+
 
 class PsoMpc(SearchFields):
     """Algorithm 2 as published: the Euler model, particle swarms, obstacles tested at the predicted
@@ -161,11 +140,7 @@ class PsoMpc(SearchFields):
 
     type: Literal["pso-mpc"] = "pso-mpc"
 
-    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
-        """Return the controller of one trial."""
-        from tetractl.control.algorithm2 import Algorithm2
-
-        return Algorithm2(self, setup, key, host.wrap(self.optimizer))
+    controller: ClassVar[str] = "tetractl.control.algorithm2:Algorithm2"
 
 
 @defaults(
@@ -208,6 +183,7 @@ class RecommendedMpc(SearchFields):
     """The optimiser of each search."""
 
     tours: ClassVar[bool] = True
+    controller: ClassVar[str] = "tetractl.control.mpc:Mpc"
 
     @property
     def body_radius(self) -> float:
@@ -260,9 +236,3 @@ class RecommendedMpc(SearchFields):
         path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
         margins.entered(path)
         margins.clear_unheard(problem, path, np.zeros(1), 0.0, 0.0, 0.0)
-
-    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
-        """Return the controller of one trial."""
-        from tetractl.control.mpc import Mpc
-
-        return Mpc(self, setup, key, host)

@@ -5,8 +5,8 @@ from pathlib import Path
 from pydantic import Field
 
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
+from tetractl.experiment.explain import validated
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
-from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
 

@@ -21,6 +21,7 @@ from tetractl.experiment.consistency import (
     too_large,
 )
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.registry_fields import STRICT, packages
 from tetractl.experiment.yaml.core_yaml import MAX_DEPTH, dump
@@ -32,7 +33,6 @@ from tetractl.experiment.yaml.document import (
     parse_value,
     read_text,
 )
-from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 

@@ -12,12 +12,12 @@ from tetractl.core.registries import PLANTS
 from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.explain import validated
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
 from tetractl.experiment.packages import not_installed
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
-from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 
 

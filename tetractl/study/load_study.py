@@ -19,12 +19,12 @@ from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
+from tetractl.experiment.explain import validated
 from tetractl.experiment.load import LoadedSpec, arm_hash, load_spec
 from tetractl.experiment.registry_fields import KindSection
+from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
-from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
-from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check

@@ -9,8 +9,8 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.experiment.base import Finite, Model, Name, Point
+from tetractl.experiment.explain import words
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
-from tetractl.experiment.yaml.explain import words
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
 from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS

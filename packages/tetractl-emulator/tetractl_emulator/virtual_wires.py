@@ -74,11 +74,6 @@ def memory_wires(clock: LabClock) -> Wires:
     network: Network = {}
     plugged: Plugged = {}
 
-    def network_camera(*arguments: Any, **settings: Any) -> Any:
-        from tetractl_emulator.pictures.memory_camera import MemoryCamera  # imports OpenCV
-
-        return MemoryCamera(*arguments, **settings)
-
     def make_socket(turn: Callable[[], None]) -> MemorySocket:
         if turn not in clock.steps:
             clock.steps.insert(1, turn)  # after the emulation, before the guard
@@ -89,14 +84,8 @@ def memory_wires(clock: LabClock) -> Wires:
         opened.bind((host, port))
         return opened
 
-    return Wires(
-        lambda: clock,
-        partial(MemoryPort, plugged),
-        bound,
-        network_camera,
-        partial(MemorySerial, plugged),
-        make_socket,
-    )
+    ends = partial(MemoryPort, plugged), partial(MemorySerial, plugged)
+    return Wires(lambda: clock, ends[0], bound, False, ends[1], make_socket)
 
 
 class MemorySocket:

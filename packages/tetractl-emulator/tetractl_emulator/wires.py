@@ -28,25 +28,18 @@ def bound_udp(address: str, port: int) -> socket.socket:
     return bound
 
 
-def _network_camera(*arguments: Any, **settings: Any) -> Any:
-    from tetractl_emulator.pictures.stream_side import EmulatedNetworkCamera  # imports OpenCV
-
-    return EmulatedNetworkCamera(*arguments, **settings)
-
-
 @dataclass(frozen=True, slots=True)
 class Wires:
     """Functions that make the ends of connections; by default those of this computer, in real time.
 
     Of the emulation: `port` makes a serial port from the name that programs open, `bound` a UDP
-    socket at an address and port, `network_camera` a camera from the arguments of
-    EmulatedNetworkCamera, and `clock` its clock. Of programs: `ports` and `make_socket`, None for
-    the devices' own.
+    socket at an address and port, and `clock` its clock; cameras serve pictures over `http` or in
+    memory. Of programs: `ports` and `make_socket`, None for the devices' own.
     """
 
     clock: Callable[[], Clock] = MonotonicClock
     port: Callable[[Path], PseudoPort] = PseudoPort
     bound: Callable[[str, int], Any] = bound_udp
-    network_camera: Callable[..., Any] = _network_camera
+    http: bool = True
     ports: Ports | None = None
     make_socket: Callable[[Callable[[], None]], Any] | None = None

@@ -87,12 +87,12 @@ def track(
     import numpy as np
 
     from tetractl_microscope.film.field_file import read_field, side_remarks
-    from tetractl_microscope.film.film_files import write_results
     from tetractl_microscope.film.film_tables import as_items
     from tetractl_microscope.film.fit_cell import fit_cells
     from tetractl_microscope.film.follow import follow
     from tetractl_microscope.film.pictures import open_film
     from tetractl_microscope.film.track_log import track_log_of
+    from tetractl_microscope.film_files import write_results
     from tetractl_microscope.organisms import named
     from tetractl_microscope.results.cell_tables import cell_tables
 

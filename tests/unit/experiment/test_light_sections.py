@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.experiment.load import load_spec
-from tetractl.experiment.yaml.schema import experiment_schema
+from tetractl.experiment.schema import experiment_schema
 for registry in SPEC_REGISTRIES:
     for name in registry.names():
         registry.load(name)

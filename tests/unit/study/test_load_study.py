@@ -5,8 +5,8 @@ from support.running import QUICK
 from support.studies import STUDY, write
 
 from tetractl.core.registries import SWEEPS
+from tetractl.experiment.schema import schema_json
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.experiment.yaml.schema import schema_json
 from tetractl.study.load_study import Study, load_study, spec_of, study_schema
 from tetractl.study.sweep import Range
 

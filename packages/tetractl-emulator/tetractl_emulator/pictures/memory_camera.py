@@ -7,7 +7,7 @@ from typing import Self
 from tetractl_microscope.pictures.multipart import Multipart
 
 from tetractl.core.clock import SECOND
-from tetractl_emulator.pictures.stream_side import BOUNDARY, EmulatedNetworkCamera, coded, part
+from tetractl_emulator.pictures.network_camera import BOUNDARY, EmulatedNetworkCamera, coded, part
 from tetractl_emulator.virtual_wires import LabClock
 
 

@@ -1,16 +1,8 @@
-"""A tracked object of a dish, and a cell's state in one picture."""
+"""A cell in one picture, and what is said of it: its name, and where it appeared."""
 
-import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-import numpy as np
+from dataclasses import dataclass
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.detect_cells import Blob
-
-if TYPE_CHECKING:
-    from tetractl_microscope.cells.names import Meeting, Question
 
 Entry = tuple[float, float, float, float, float, float]
 """A blob: time [s], x, y [um], axis [rad], length and width [um], NaN if it is cut off."""
@@ -79,56 +71,3 @@ class Born:
     certainty: float
     divided: int | None
     near: int | None
-
-
-@dataclass(slots=True, eq=False)
-class CellTrack:
-    """An object that the tracker follows: a cell, or, before it has swum, a speck.
-
-    `path` holds its newest blobs. A cell has a `row` in the filter; a speck has none. `long` and
-    `wide` are the usual length and width [um], `missed_s` is the time since the last blob [s], and
-    `odd` counts successive blobs far from the expected position. `near` is the cell near which a
-    speck was first seen, or None.
-    """
-
-    number: int
-    path: list[Entry]
-    row: int | None = None
-    identity: int = 0
-    certainty: float = 1.0  # probability of the identity, without an open question
-    long: float = math.nan
-    wide: float = math.nan
-    missed_s: float = 0.0
-    odd: int = 0
-    near: "CellTrack | None" = None
-    blob: Blob | None = None
-    place: Floats | None = None  # x, y, axis, length and width of its blob (5,) [um, rad]
-    merged: bool = False  # whether its blob shows other cells, too
-    hidden_s: float = math.inf  # since then, its shared blob has been as small as one cell
-    large: bool = False  # whether its own blob is too large for one cell
-    sized_s: float = 0.0  # last time when the blob had the cell's size
-    pair_s: float = -math.inf  # until then, its blob may show two cells that came together
-    measured: tuple[float, ...] | None = None
-    # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough
-    begun: tuple[float, float, float] | None = None
-    meeting: "Meeting | None" = None
-    together_s: float = (
-        -math.inf
-    )  # last time when it was too near to another cell to be distinguished
-    question: "Question | None" = None
-    last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
-
-    @property
-    def filter_row(self) -> int:
-        """The cell's row in the filter."""
-        assert self.row is not None, "a speck has no row in the filter"
-        return self.row
-
-    def ahead(self, seconds: float) -> tuple[float, float]:
-        """Return the position x, y [um] that the last motion predicts for a time [s]."""
-        last = self.path[-1]
-        if len(self.path) < 2 or self.missed_s > 0.1:
-            return last[1], last[2]
-        first = self.path[max(0, len(self.path) - 4)]
-        ratio = (seconds - last[0]) / max(last[0] - first[0], 1e-3)
-        return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Bools, Floats
-from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import Blob
 
 NONE = 100.0  # cost of leaving a cell without a blob

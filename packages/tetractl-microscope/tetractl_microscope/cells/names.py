@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import CellAnswer, CellTrack
-from tetractl_microscope.cells.helix import HEADING, HelixFilter
-from tetractl_microscope.cells.questions import (
+from tetractl_microscope.cells.cell import CellAnswer
+from tetractl_microscope.cells.cell_tracks import (
+    CellTrack,
     Known,
     Meeting,
     Question,
@@ -24,6 +24,7 @@ from tetractl_microscope.cells.questions import (
     orders,
     return_density,
 )
+from tetractl_microscope.cells.helix import HEADING, HelixFilter
 from tetractl_microscope.cells.readings import MERGED
 
 TOGETHER = 4  # most tracks whose identities are resolved together

@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.specks import usual_size
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell import Born, CellAnswer, CellTrack, Entry, SeenCell
+from tetractl_microscope.cells.cell import Born, CellAnswer, Entry, SeenCell
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import Blob, BlobFinder
 from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl_microscope.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN

@@ -8,7 +8,7 @@ from tetractl.replay.identification.fit import SampleInterval
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import CellSummary
 from tetractl_microscope.film.follow import CellPath, Followed
-from tetractl_microscope.results.kinematics import velocities
+from tetractl_microscope.film.kinematics import velocities
 
 POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
 POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
-from tetractl_emulator.pictures.stream_side import EmulatedNetworkCamera
+from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
 

@@ -5,11 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.cell_tracks import CellTrack, Known, Question, orders
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
 from tetractl_microscope.cells.names import ASSERTED, LOST_S, Names
-from tetractl_microscope.cells.questions import Known, Question, orders
 
 pytestmark = pytest.mark.slow
 

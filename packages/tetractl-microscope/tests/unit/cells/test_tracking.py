@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from support.dish_films import Score, film, followed
-from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
 from tetractl_microscope.cells.readings import note_size, own_path
 from tetractl_microscope.cells.tracking import CellTracker

@@ -13,9 +13,9 @@ from tetractl_microscope.film.field_file import read_field
 from tetractl_microscope.film.film_tables import LISTED, as_items, notes
 from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
 from tetractl_microscope.film.follow import CellPath, _faded_line, _flagged, _paths, _split, follow
+from tetractl_microscope.film.kinematics import velocities
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import TETRAHYMENA
-from tetractl_microscope.results.kinematics import velocities
 
 from tetractl.core.errors import TetractlError, UsageError
 

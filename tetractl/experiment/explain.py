@@ -7,9 +7,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tetractl.experiment.registry_fields import STRICT
+from tetractl.experiment.schema import alternatives, child, describe, homes, schema_of, tag
 from tetractl.experiment.yaml.document import Document, frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
-from tetractl.experiment.yaml.schema import alternatives, child, describe, homes, schema_of, tag
 
 Schema = dict[str, Any]
 

@@ -5,8 +5,8 @@ from tetractl_emulator.script import Script
 
 from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.explain import MESSAGES
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.yaml.explain import MESSAGES
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
 pytestmark = pytest.mark.slow

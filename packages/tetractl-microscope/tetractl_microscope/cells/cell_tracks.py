@@ -1,4 +1,4 @@
-"""The question which cell is on which track, and what is known of the cells."""
+"""The tracks of a dish's objects, and the question which cell is on which track."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,8 @@ from itertools import permutations
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import CellTrack
+from tetractl_microscope.cells.cell import Entry
+from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.helix import SPEED, HelixFilter
 
 SURE = 0.998  # probability at which a question ends
@@ -26,6 +27,59 @@ REACH = 1.15  # largest distance of a lost cell from its last place, besides spe
 SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
 RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
 TURNS = 0.2  # probability that a cell has turned by itself while it was with others
+
+
+@dataclass(slots=True, eq=False)
+class CellTrack:
+    """An object that the tracker follows: a cell, or, before it has swum, a speck.
+
+    `path` holds its newest blobs. A cell has a `row` in the filter; a speck has none. `long` and
+    `wide` are the usual length and width [um], `missed_s` is the time since the last blob [s], and
+    `odd` counts successive blobs far from the expected position. `near` is the cell near which a
+    speck was first seen, or None.
+    """
+
+    number: int
+    path: list[Entry]
+    row: int | None = None
+    identity: int = 0
+    certainty: float = 1.0  # probability of the identity, without an open question
+    long: float = math.nan
+    wide: float = math.nan
+    missed_s: float = 0.0
+    odd: int = 0
+    near: "CellTrack | None" = None
+    blob: Blob | None = None
+    place: Floats | None = None  # x, y, axis, length and width of its blob (5,) [um, rad]
+    merged: bool = False  # whether its blob shows other cells, too
+    hidden_s: float = math.inf  # since then, its shared blob has been as small as one cell
+    large: bool = False  # whether its own blob is too large for one cell
+    sized_s: float = 0.0  # last time when the blob had the cell's size
+    pair_s: float = -math.inf  # until then, its blob may show two cells that came together
+    measured: tuple[float, ...] | None = None
+    # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough
+    begun: tuple[float, float, float] | None = None
+    meeting: "Meeting | None" = None
+    together_s: float = (
+        -math.inf
+    )  # last time when it was too near to another cell to be distinguished
+    question: "Question | None" = None
+    last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
+
+    @property
+    def filter_row(self) -> int:
+        """The cell's row in the filter."""
+        assert self.row is not None, "a speck has no row in the filter"
+        return self.row
+
+    def ahead(self, seconds: float) -> tuple[float, float]:
+        """Return the position x, y [um] that the last motion predicts for a time [s]."""
+        last = self.path[-1]
+        if len(self.path) < 2 or self.missed_s > 0.1:
+            return last[1], last[2]
+        first = self.path[max(0, len(self.path) - 4)]
+        ratio = (seconds - last[0]) / max(last[0] - first[0], 1e-3)
+        return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
 
 
 @dataclass(slots=True, eq=False)

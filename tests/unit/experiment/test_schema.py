@@ -8,8 +8,8 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, resolved_yaml
+from tetractl.experiment.schema import experiment_schema, schema_json
 from tetractl.experiment.yaml.document import parse_document
-from tetractl.experiment.yaml.schema import experiment_schema, schema_json
 
 pytestmark = pytest.mark.slow
 

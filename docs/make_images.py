@@ -1,4 +1,4 @@
-"""Make the pictures of README and docs/, docs/images: figures, a film, the live arena, the report.
+"""Make the pictures of README and docs/, docs/images: figures, a video, the live arena, the report.
 
 Run `python docs/make_images.py` after a change of what they show; it takes some minutes and needs
 Chromium for the screenshots. All trials are simulated, that of cells emulated in virtual time.
@@ -28,13 +28,13 @@ from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.replay.player import Recording  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.task import run_trial  # noqa: E402
-from tetractl.view.film import write_video  # noqa: E402
+from tetractl.view.video import write_video  # noqa: E402
 from tetractl.view.terminal.dashboard import Dashboard, Footer  # noqa: E402
 
 FOLDERS = ("reference", "swarm", "ours", "paper")
-FILM_WIDTH = 640
+VIDEO_WIDTH = 640
 THIN, COLORS = 5, 24
-"""Of the film, the pictures between those that are kept, and its colours: a sixth of the bytes."""
+"""Of the video, the pictures between those that are kept, and its colours: a sixth of the bytes."""
 SCREENS = ((1280, 800),)
 MIDDLE = 0.55
 """The share of the trial after which the report is photographed."""
@@ -70,7 +70,7 @@ def main() -> None:
             run_trial(dish.spec, folder, 0, [], Interrupt())
         tetractl("plot", folder / first, "--kind", "trajectory", "-o", IMAGES / "dish.png")
         cells(folder)
-        write_video(read_trial(bench / first), folder / "trial.gif", width=FILM_WIDTH)
+        write_video(read_trial(bench / first), folder / "trial.gif", width=VIDEO_WIDTH)
         thin(folder / "trial.gif", IMAGES / "trial.gif")
         live(read_trial(bench / first), IMAGES / "live.svg")
         tetractl("report", bench, paper, "-o", folder / "report.html")
@@ -101,9 +101,9 @@ def cells(folder: Path) -> None:
         small.quantize(160, dither=Image.Dither.NONE).save(IMAGES / "cells.png", optimize=True)
 
 
-def thin(film: Path, out: Path) -> None:
-    """Write a film with fewer pictures and colours, which lasts as long."""
-    with Image.open(film) as found:
+def thin(video: Path, out: Path) -> None:
+    """Write a video with fewer pictures and colours, which lasts as long."""
+    with Image.open(video) as found:
         pictures = [
             (one.convert("RGB"), one.info["duration"]) for one in ImageSequence.Iterator(found)
         ]

@@ -232,7 +232,7 @@ def test_a_figure_of_two_folders_is_named_after_what_holds_them(folder, tmp_path
     assert (done.returncode, done.stdout) == (0, "demo-errors.png\n"), done.stderr
 
 
-def test_a_film_is_written_beside_where_it_was_asked_for(folder):
+def test_a_video_is_written_beside_where_it_was_asked_for(folder):
     done = run("plot", "cut.mcap.part", "--kind", "video", cwd=folder)
     assert (done.returncode, done.stdout) == (1, "cut-video.gif\n")
     assert "damaged: cut.mcap.part" in done.stderr

@@ -73,8 +73,8 @@ plot LOG -o a | needs an ending
 plot LOG -o nowhere/a.png | nowhere/a.png: there is no folder nowhere
 plot LOG --kind pie | no figure is called 'pie'
 plot logs --kind timing | shows one trial, not 3
-plot logs --kind video | a film shows one trial, not 3
-plot LOG --kind video -o film.avi | film.avi: cannot write '.avi' films
+plot logs --kind video | a video shows one trial, not 3
+plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
 export logs -o x.csv | one file holds one table
 export logs -o x --table no | there is no table 'no'
 export logs -o x --format xls | cannot write 'xls' tables

@@ -56,7 +56,7 @@ def plot(
         check_kind(kind)  # before the logs are read
     logs = find_logs(logs)
     if kind == VIDEO:
-        return _film(logs, out)
+        return _video(logs, out)
     kind = kind or TRAJECTORY
     check_kind(kind)
     path = out or _default_name(logs, kind)
@@ -67,11 +67,11 @@ def plot(
     return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
 
 
-def _film(logs: list[Path], out: Path | None) -> int:
-    from tetractl.view.film import check_file, write_video
+def _video(logs: list[Path], out: Path | None) -> int:
+    from tetractl.view.video import check_file, write_video
 
     if len(logs) > 1:
-        raise UsageError(f"a film shows one trial, not {len(logs)}", "give one log")
+        raise UsageError(f"a video shows one trial, not {len(logs)}", "give one log")
     path = out or _default_name(logs, VIDEO).with_suffix(".gif")
     check_file(path)
     log = ui.open_trial(logs[0])

@@ -50,6 +50,16 @@ def test_a_module_has_a_name_of_its_own():
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
+def test_a_film_is_a_recording_that_track_follows_and_a_video_shows_a_trial():
+    pages = [ROOT / "docs/how-to" / page for page in ("replay-and-plot.md", "share.md")]
+    said = {
+        path.relative_to(ROOT).as_posix()
+        for path in (*(ROOT / "tetractl").rglob("*.py"), *pages)
+        if "film" in path.name + path.read_text("utf-8").lower()
+    }
+    assert said <= {f"tetractl/log/{name}.py" for name in ("format/channels", "read/raw_log")}
+
+
 def test_the_disturbances_of_the_solvers_figures_are_those_of_its_page():
     page = (ROOT / "docs/explanation/solver.md").read_text()
     assert all(f"`{setting}`" in page for setting in DISTURBED)

@@ -1,4 +1,4 @@
-"""Films of a trial: their length, what moves in them, and what cannot be written."""
+"""Videos of a trial: their length, what moves in them, and what cannot be written."""
 
 import shutil
 import subprocess
@@ -10,7 +10,7 @@ from PIL import Image
 from support.trials import cut_short, three_robots
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.view.film import HOLD_S, FilmFrames, check_file, write_video
+from tetractl.view.video import HOLD_S, VideoFrames, check_file, write_video
 
 pytestmark = pytest.mark.slow
 
@@ -24,25 +24,25 @@ def log():
 
 
 def milliseconds(path):
-    with Image.open(path) as film:
+    with Image.open(path) as video:
         found = []
-        for frame in range(film.n_frames):
-            film.seek(frame)
-            film.load()
-            found.append(film.info["duration"])
+        for frame in range(video.n_frames):
+            video.seek(frame)
+            video.load()
+            found.append(video.info["duration"])
         return found
 
 
 @pytest.mark.parametrize("ending", ["gif", "webp"])
-def test_a_film_lasts_as_long_as_the_trial(tmp_path, log, ending):
+def test_a_video_lasts_as_long_as_the_trial(tmp_path, log, ending):
     said = []
-    path = tmp_path / f"film.{ending}"
+    path = tmp_path / f"video.{ending}"
     assert write_video(log, path, lambda *done: said.append(done), WIDTH) == 1
     total = sum(milliseconds(path)) / 1000
     assert total == pytest.approx(LASTS_S + HOLD_S, abs=0.1)
-    with Image.open(path) as film:
-        assert film.size[0] == WIDTH
-        assert film.size[1] % 2 == 0
+    with Image.open(path) as video:
+        assert video.size[0] == WIDTH
+        assert video.size[1] % 2 == 0
     assert said[0][0] == 1
     assert said[-1][0] == said[-1][1] == len(said)
     again = tmp_path / f"again.{ending}"
@@ -53,7 +53,7 @@ def test_a_film_lasts_as_long_as_the_trial(tmp_path, log, ending):
 @pytest.mark.system  # decodes
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="there is no ffmpeg on this machine")
 def test_an_mp4_lasts_as_long_too(tmp_path, log):
-    path = tmp_path / "film.mp4"
+    path = tmp_path / "video.mp4"
     write_video(log, path, width=WIDTH)
     ask = ["ffprobe", "-v", "error", "-show_entries", "format=duration", "-of", "csv=p=0"]
     said = subprocess.run([*ask, path], capture_output=True, text=True, check=True).stdout
@@ -61,38 +61,38 @@ def test_an_mp4_lasts_as_long_too(tmp_path, log):
 
 
 def test_each_picture_shows_its_instant(log):
-    frames = FilmFrames(log, WIDTH)
+    frames = VideoFrames(log, WIDTH)
     start, later, start_again = (frames.at(t).copy() for t in (0.0, 0.9, 0.0))
     assert start.shape[1:] == (WIDTH, 3)
     assert np.array_equal(start, start_again)
     assert (start != later).any()
-    still = FilmFrames(replace(log, steps=log.steps[:1]), WIDTH)
+    still = VideoFrames(replace(log, steps=log.steps[:1]), WIDTH)
     assert still.at(0.0).any()
 
 
 def test_a_long_trial_plays_faster(tmp_path, log, monkeypatch):
-    monkeypatch.setattr("tetractl.view.film.LONGEST_S", 0.6)
-    path = tmp_path / "film.gif"
+    monkeypatch.setattr("tetractl.view.video.LONGEST_S", 0.6)
+    path = tmp_path / "video.gif"
     assert write_video(log, path, width=WIDTH) == 2
     assert sum(milliseconds(path)) / 1000 == pytest.approx(LASTS_S / 2 + HOLD_S, abs=0.1)
 
 
-def test_a_log_without_steps_is_no_film(tmp_path, log):
+def test_a_log_without_steps_is_no_video(tmp_path, log):
     with pytest.raises(LogError, match="contains no control steps"):
-        write_video(cut_short(log, 0), tmp_path / "film.gif")
+        write_video(cut_short(log, 0), tmp_path / "video.gif")
 
 
 def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda program: None)
     with pytest.raises(UsageError, match="needs ffmpeg, which is not installed"):
-        check_file(tmp_path / "film.mp4")
+        check_file(tmp_path / "video.mp4")
 
 
-def test_a_film_that_fails_leaves_no_file(tmp_path, log, monkeypatch):
+def test_a_video_that_fails_leaves_no_file(tmp_path, log, monkeypatch):
     def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Image.Image, "save", full)
     with pytest.raises(LogError, match="No space left"):
-        write_video(log, tmp_path / "film.gif", width=WIDTH)
+        write_video(log, tmp_path / "video.gif", width=WIDTH)
     assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,6 @@
-"""Films of a trial: the arena with the robots, the error over time, and numbers. The static part is
-drawn once; each picture adds the moving parts. ffmpeg, if installed, writes MP4; Pillow writes GIF
-and animated WebP.
+"""Videos of a trial: the arena with the robots, the error over time, and numbers. The static part
+is drawn once; each picture adds the moving parts. ffmpeg, if installed, writes MP4; Pillow writes
+GIF and animated WebP.
 """
 
 import shutil
@@ -44,11 +44,11 @@ Picture = NDArray[np.uint8]
 
 
 def check_file(path: Path) -> str:
-    """Return the format of a film, which the ending of its name states.
+    """Return the format of a video, which the ending of its name states.
 
     Raises UsageError for another ending, for a missing folder, and for MP4 without ffmpeg.
     """
-    ending = style.file_format(path, FORMATS, "film")
+    ending = style.file_format(path, FORMATS, "video")
     if ending == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError(
             f"{path}: an MP4 needs ffmpeg, which is not installed",
@@ -63,7 +63,7 @@ def write_video(
     progress: Callable[[int, int], None] = lambda done, total: None,
     width: int = 960,
 ) -> int:
-    """Write a film of a trial and return how many times faster than the trial it plays.
+    """Write a video of a trial and return how many times faster than the trial it plays.
 
     A trial of more than a minute plays faster, by a factor of 2, 5, 10 and so on. `progress` is
     called with the numbers of pictures drawn and of all pictures. Raises LogError if the file
@@ -71,7 +71,7 @@ def write_video(
     """
     ending = check_file(path)
     rate = FORMATS[ending]
-    frames = FilmFrames(log, width)
+    frames = VideoFrames(log, width)
     recording = frames.recording
     end_s = max(recording.elapsed_s(recording.end_ns), 0.0)
     steps = (m * 10**power for power in count() for m in (1, 2, 5))
@@ -91,7 +91,7 @@ def write_video(
             _animation(path, pictures(), len(times), rate, hold)
     except OSError as error:
         path.unlink(missing_ok=True)
-        raise LogError(f"{path}: cannot write the film: {error}") from error
+        raise LogError(f"{path}: cannot write the video: {error}") from error
     return speed
 
 
@@ -133,8 +133,8 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
             raise OSError(said.splitlines()[-1] if said else "ffmpeg failed")
 
 
-class FilmFrames:
-    """Draws the pictures of a film of a trial: arrays (height, width, 3) with even height and
+class VideoFrames:
+    """Draws the pictures of a video of a trial: arrays (height, width, 3) with even height and
     width.
 
     Raises LogError for a log without control steps.

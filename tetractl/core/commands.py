@@ -166,9 +166,9 @@ class Verdict:
         return [apart < 2 * radius for apart in self.apart]
 
 
-VIRTUAL_LAB = "emulated"
+EMULATED_PLANT = "emulated"
 """The type of the plant that emulates a lab in virtual time."""
-EMULATED = "emulated"
+EMULATED_DEVICES = "emulated"
 """The key of `PlantInfo.facts` whose value names the emulated devices."""
 EMULATED_NAME = "EMULATED by tetractl"
 """Text in the name that an emulated device reports to its client."""
@@ -179,7 +179,7 @@ class PlantInfo:
     """A description of an open plant: `kind` is its type, and the log's metadata hold its `facts`.
 
     The fact HALTS of a lab is "yes" if its robots stand still after a stop, otherwise "no". The
-    fact EMULATED names the lab's devices that are not real, such as "camera".
+    fact EMULATED_DEVICES names the lab's devices that are not real, such as "camera".
     """
 
     kind: str
@@ -190,7 +190,7 @@ class PlantInfo:
     @property
     def virtual(self) -> bool:
         """Whether trials run in virtual time: those of a simulation, or of plant `emulated`."""
-        return self.simulated or self.kind == VIRTUAL_LAB
+        return self.simulated or self.kind == EMULATED_PLANT
 
 
 @dataclass(frozen=True, slots=True)

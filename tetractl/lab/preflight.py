@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import EMULATED, RobotStatus
+from tetractl.core.commands import EMULATED_DEVICES, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
@@ -110,7 +110,7 @@ def inspect(rig: Rig) -> Preflight:
         rate_hz(seen),
         tuple(problems),
         (*camera.warnings, *actuator.warnings, *((dropped(outdated),) if outdated else ())),
-        {**camera.facts, **actuator.facts} | ({EMULATED: emulated} if emulated else {}),
+        {**camera.facts, **actuator.facts} | ({EMULATED_DEVICES: emulated} if emulated else {}),
         (*camera.questions, *actuator.questions),
     )
 

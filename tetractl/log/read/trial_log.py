@@ -6,7 +6,7 @@ from enum import StrEnum
 from itertools import islice, pairwise
 
 from tetractl.core.clock import SECOND, seconds
-from tetractl.core.commands import EMULATED, Command, PlantInfo
+from tetractl.core.commands import EMULATED_DEVICES, Command, PlantInfo
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
@@ -28,7 +28,7 @@ class Origin(StrEnum):
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
-        return cls.EMULATED if plant.facts.get(EMULATED) else cls.LAB
+        return cls.EMULATED if plant.facts.get(EMULATED_DEVICES) else cls.LAB
 
     @property
     def simulated(self) -> bool:

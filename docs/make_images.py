@@ -28,8 +28,8 @@ from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.replay.player import Recording  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.task import run_trial  # noqa: E402
-from tetractl.view.video import write_video  # noqa: E402
 from tetractl.view.terminal.dashboard import Dashboard, Footer  # noqa: E402
+from tetractl.view.video import write_video  # noqa: E402
 
 FOLDERS = ("reference", "swarm", "ours", "paper")
 VIDEO_WIDTH = 640

@@ -2,6 +2,7 @@
 
 import os
 import stat
+import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -28,7 +29,7 @@ from tetractl.log.read.validate import stated_result
 
 ALTERED = "the content does not match the digest that the log states"
 # flags that some systems lack
-_NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)
+_FLAGS = os.O_BINARY if sys.platform == "win32" else os.O_NONBLOCK
 
 
 Tally = tuple[int, int, int, int]
@@ -227,7 +228,7 @@ def read_file(path: Path) -> tuple[bytes, int, str | None]:
     """
     try:
         # O_NONBLOCK, since opening a pipe that no process writes to would wait for ever
-        handle = os.open(path, os.O_RDONLY | _NO_WAIT | _BYTES)
+        handle = os.open(path, os.O_RDONLY | _FLAGS)
         with os.fdopen(handle, "rb") as file:
             found, limit = os.fstat(handle), file_limit()
             if not stat.S_ISREG(found.st_mode):
@@ -236,8 +237,10 @@ def read_file(path: Path) -> tuple[bytes, int, str | None]:
             size = found.st_size
     except IsADirectoryError:
         raise LogError(f"{path}: is a folder, not a log") from None
-    except (OSError, ValueError) as error:
-        raise LogError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    except OSError as error:
+        raise LogError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:  # a null byte in the name
+        raise LogError(f"{path}: {error}") from None
     if not data:
         raise LogError(f"{path}: the file is empty")
     problem = None

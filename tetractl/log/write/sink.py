@@ -4,6 +4,7 @@ import errno
 import fcntl
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -33,7 +34,7 @@ TRIAL_PART = ".part"
 
 P = ParamSpec("P")
 Method = Callable[Concatenate["Sink", P], None]
-_sync_data = getattr(os, "fdatasync", os.fsync)  # not every system has fdatasync
+_sync_data = os.fsync if sys.platform in ("darwin", "win32") else os.fdatasync
 
 
 def _while_open(method: Method[P]) -> Method[P]:

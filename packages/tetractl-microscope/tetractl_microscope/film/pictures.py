@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -46,7 +47,7 @@ class FilmPictures:
     _stream: Iterator[Any]  # pictures that are not decoded yet
     damaged: int = 0
     _next: int = 0  # number of the picture that the stream gives next
-    _file: IO[bytes] = field(default_factory=lambda: TemporaryFile(buffering=0))  # noqa: SIM115
+    _file: IO[bytes] = field(default_factory=partial(TemporaryFile, buffering=0))
     _kept: list[int] = field(default_factory=list)  # places of pictures in the file; -1: damaged
     _shape: tuple[int, ...] = (0, 0)
 

@@ -15,7 +15,6 @@ As in Algorithm 2 of the paper, plans of several lengths are searched, each from
 plan under way, and only the first signal is exerted.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -74,6 +73,22 @@ class Leg:
     outcome: Outcome
 
 
+@dataclass(frozen=True, slots=True)
+class StepStart:
+    """What a step begins with: the `problem`, what is left of the plan under way (H,), u_(warm),
+    None if none is under way, the most signals of a plan that ends before `steps_max`, and how
+    plans are valued."""
+
+    problem: Problem
+    warm: Floats | None
+    signals_max: int
+    value: Worth
+
+    def is_new(self, signals: Floats) -> bool:
+        """Return whether signals (L,) are longer than the plan under way and one signal more."""
+        return self.warm is None or len(signals) > len(self.warm) + 1
+
+
 class Candidate(NamedTuple):
     """A search, the prediction for its signals, and what their plan is worth."""
 
@@ -121,13 +136,10 @@ class Mpc:
         if self.estimator.left is not self.left:
             self._begin(replace(self.leg, moving=self._moving))
         while True:
-            self._phase, self._warm = self._left_of_plan()
-            first_period = (self.section.signal_periods - self._phase) * self.section.period
-            now = {"targets": self._targets, "first_period": first_period}
-            problem = self._with_margins(known, self.estimator.known, **now)
-            decision = self._decide(problem, observation)
+            step = self._step(known)
+            decision = self._decide(step, observation)
             if isinstance(decision, Plan):
-                self.began = self.k if self._warm is None else self.began
+                self.began = self.k if step.warm is None else self.began
                 self.last, self.k = decision, self.k + 1
                 found = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
                 return found.of_all(self.left, observation.poses)
@@ -151,22 +163,23 @@ class Mpc:
         """Whether the robots drive when the step begins."""
         return self.leg.moving if self.last is None else not self.last.pauses
 
-    def _left_of_plan(self) -> tuple[int, Floats | None]:
-        """Return for how many control periods the present signal has been held, and what is left of
-        the plan under way (H,), u_(warm); None if none is under way."""
-        if self.last is None or self.last.pauses:
-            return 0, None
-        phase = (self.k - self.began) % self.section.signal_periods
-        return phase, self.last.signals[phase == 0 :]
+    def _step(self, known: Problem) -> StepStart:
+        """Return what the step decides on, given the robots' states and `known` motion."""
+        section, phase, warm = self.section, 0, None
+        if self.last is not None and not self.last.pauses:
+            phase = (self.k - self.began) % section.signal_periods  # periods held, of the signal
+            warm = self.last.signals[phase == 0 :]
+        first_period = (section.signal_periods - phase) * section.period
+        now = {"targets": self._targets, "first_period": first_period}
+        problem = self._with_margins(known, self.estimator.known, **now)
+        most = (section.steps_max + 1 - self.k + phase) // section.signal_periods
+        spent_s = (self.k - self.leg.k) * section.period
+        value = Worth(section.accept_error, spent_s, problem.period)
+        return StepStart(problem, warm, min(section.horizon_max, most), value)
 
-    @property
-    def _signals_left(self) -> int:
-        """Largest number of signals of a plan that ends before `steps_max`."""
-        steps = self.section.steps_max + 1 - self.k + self._phase
-        return min(self.section.horizon_max, steps // self.section.signal_periods)
-
-    def _decide(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
+    def _decide(self, step: StepStart, observation: Observation) -> Plan | Outcome | End:
         """Return the candidate of least value, or how the leg ends."""
+        problem = step.problem
         gaps = problem.poses.distances(problem.targets)
         holds = self.leg.index == len(self._legs)
         if holds:
@@ -180,28 +193,23 @@ class Mpc:
         if self._state is State.STUCK:
             return Outcome.NO_BETTER_PLAN
         if holds and self.setup.wheel_radius is None:
-            return self._circle(problem)
-        spent_s = (self.k - self.leg.k) * self.section.period
-        value = Worth(self.section.accept_error, spent_s, problem.period)
-        if self._warm is None:
-            return self._at_rest(problem, value, gaps, holds)
+            return self._circle(step)
+        if step.warm is None:
+            return self._at_rest(step, gaps, holds)
         if self._state is State.LEAVING:
-            left = self._warm
-            if not len(left) or self._enters(problem, left):
+            if not len(step.warm) or self._enters(problem, step.warm):
                 return self._given(problem, State.RESTING)
-            return self._given(problem, State.LEAVING, left)
-        return self._under_way(problem, value, holds)
+            return self._given(problem, State.LEAVING, step.warm)
+        return self._under_way(step, step.warm, holds)
 
-    def _under_way(self, problem: Problem, value: Worth, holds: bool) -> Plan | Outcome | End:
-        """Decide while a plan is under way."""
-        warm = self._warm
-        assert warm is not None
-        last = self._last_leg
+    def _under_way(self, step: StepStart, warm: Floats, holds: bool) -> Plan | Outcome | End:
+        """Decide while a plan is under way, of which the signals `warm` are left."""
+        problem, value, last = step.problem, step.value, self._last_leg
         goes_on = np.inf
         if len(warm):
-            goes_on = self._worth(problem, warm, value, compiled_foresee(problem, warm))
+            goes_on = self._worth(step, warm, compiled_foresee(problem, warm))
         rest = np.inf
-        if (least := least_length(problem)) <= self._signals_left:  # time for a new attempt
+        if (least := least_length(problem)) <= step.signals_max:  # time for a new attempt
             goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
             wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
             driven_s = (self.k - self.began) * self.section.period
@@ -216,7 +224,7 @@ class Mpc:
                 outcome = Outcome.NO_BETTER_PLAN if len(warm) else Outcome.SEQUENCE_COMPLETED
                 return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
-        valued = self._search_on(searcher, value, warm)
+        valued = self._search_on(searcher, step, warm)
         for candidate in sorted(valued, key=lambda one: one.worth):
             if self.stands and candidate.worth > rest:
                 break
@@ -225,11 +233,11 @@ class Mpc:
                 return plan
         return self._given(problem, State.RESTING, before=searcher.found)
 
-    def _search_on(self, searcher: Searcher, value: Worth, warm: Floats) -> list[Candidate]:
+    def _search_on(self, searcher: Searcher, step: StepStart, warm: Floats) -> list[Candidate]:
         """Search plans about as long as the one under way, and longer ones if these can be worth
         more; return them with their values. The next step continues after the longest searched."""
-        section, count, most = self.section, len(warm), self._signals_left
-        good_enough = section.optimizer.good_enough or 0.0
+        value, count, most = step.value, len(warm), step.signals_max
+        good_enough = self.section.optimizer.good_enough or 0.0
         nearest = [(count, warm), (count - 1, warm[1:]), (count + 1, np.append(warm, 0.0))]
         valued = list[Candidate]()
         for length, start in nearest:
@@ -238,7 +246,7 @@ class Mpc:
             search = searcher.search(length, start)
             if search is None:
                 return valued
-            valued.append(self._valued(searcher, search, value))
+            valued.append(self._valued(search, step))
             if search.cost <= good_enough and valued[-1].worth <= value.plan(
                 good_enough, length, False
             ):
@@ -251,64 +259,59 @@ class Mpc:
             search = searcher.search(length)
             if search is None:
                 break
-            valued.append(self._valued(searcher, search, value))
+            valued.append(self._valued(search, step))
         return valued
 
     def _worth(
-        self,
-        problem: Problem,
-        signals: Floats,
-        value: Worth,
-        seen: Foreseen,
-        cost: float = math.inf,
+        self, step: StepStart, signals: Floats, seen: Foreseen, cost: float = np.inf
     ) -> float:
         """Return the value of a plan of given signals (L,), whose cost may be known."""
-        touched = cost >= problem.obstacle_weight
+        touched = cost >= step.problem.obstacle_weight
         error, touches = (seen.target, seen.obstacle > 0) if touched else (cost, False)
-        new = self._warm is None or len(signals) > len(self._warm) + 1
-        unheard = not self._safe(problem, signals, seen)
-        return value.plan(error, len(signals), new, touches, unheard)
+        unheard = not self._safe(step, signals, seen)
+        return step.value.plan(error, len(signals), step.is_new(signals), touches, unheard)
 
-    def _valued(self, searcher: Searcher, search: Search, value: Worth) -> Candidate:
+    def _valued(self, search: Search, step: StepStart) -> Candidate:
         """Return a plan found, with its value and its prediction."""
-        problem, signals = searcher.problem, search.signals
-        seen = compiled_foresee(problem, signals)
-        return Candidate(self._worth(problem, signals, value, seen, search.cost), search, seen)
+        seen = compiled_foresee(step.problem, search.signals)
+        return Candidate(self._worth(step, search.signals, seen, search.cost), search, seen)
 
-    def _at_rest(self, problem: Problem, value: Worth, gaps: Floats, holds: bool) -> Plan | Outcome:
+    def _at_rest(self, step: StepStart, gaps: Floats, holds: bool) -> Plan | Outcome:
         """Decide while no plan is under way."""
+        problem, value = step.problem, step.value
         error = float(gaps.sum())
         least = least_length(problem)
-        again = value.plan(0.0, least, True) if least <= self._signals_left else np.inf
+        again = value.plan(0.0, least, True) if least <= step.signals_max else np.inf
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)
         if self.k > 0 and not self._moving and error <= again:
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         expired = self._expired() if self._moving else never
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
-        most, good_enough = max(1, self._signals_left), self.section.optimizer.good_enough or 0.0
+        most, good_enough = max(1, step.signals_max), self.section.optimizer.good_enough or 0.0
 
         def good(search: Search) -> bool:
             seen = compiled_foresee(problem, search.signals)
-            return search.cost <= good_enough and self._safe(problem, search.signals, seen)
+            return search.cost <= good_enough and self._safe(step, search.signals, seen)
 
         reached = searcher.spread(least, most, good)
-        plan = self._best(searcher, value)
+        plan = self._best(searcher, step)
         out = self._out(searcher, plan)
         accepted = max(good_enough, self.section.accept_error)
         # in a corner, thorough searches take longer than a way out, and are mostly in vain
         if not (out or reached) and min(one.cost for one in searcher.found) > accepted:
             later = self._with_margins(problem, None)  # the motion will be identified by then
             searcher.thoroughly(later, most, good_enough)
-            plan = self._best(searcher, value)
+            step = replace(step, problem=searcher.problem)
+            plan = self._best(searcher, step)
             out = self._out(searcher, plan)
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
         return out or plan
 
-    def _best(self, searcher: Searcher, value: Worth) -> Plan:
+    def _best(self, searcher: Searcher, step: StepStart) -> Plan:
         """Return the plan of least value that was found."""
-        valued = (self._valued(searcher, search, value) for search in searcher.found)
+        valued = (self._valued(search, step) for search in searcher.found)
         return self._planned(searcher, min(valued, key=lambda one: one.worth))
 
     def _out(self, searcher: Searcher, best: Plan) -> Plan | None:
@@ -346,13 +349,13 @@ class Mpc:
         instead = Stop() if state is State.RESTING else None
         return replace(plan, state=state, instead=instead, delay_ns=delay_ns)
 
-    def _circle(self, problem: Problem) -> Plan:
+    def _circle(self, step: StepStart) -> Plan:
         """Return a plan that keeps robots near their targets if they cannot stand still."""
         assert self.setup.hold is not None
-        problem = replace(problem, within=self.setup.hold.radius)
+        problem = replace(step.problem, within=self.setup.hold.radius)
         limits, length = Limits(None, self._expired()), signals_ahead(problem.period)
         key = mix(self.key, self.k)
-        found = self.circler.search(problem, length, self._warm, key, limits)
+        found = self.circler.search(problem, length, step.warm, key, limits)
         seen = compiled_foresee(problem, found.signals)
         return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 
@@ -382,16 +385,15 @@ class Mpc:
         end = self.timer() + round(self.section.deadline * SECOND)
         return lambda _: self.timer() >= end
 
-    def _safe(self, problem: Problem, signals: Floats, seen: Foreseen) -> bool:
+    def _safe(self, step: StepStart, signals: Floats, seen: Foreseen) -> bool:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
         command for `silence` or until their watchdog stops them.
 
         The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
-        collision, warm = self.section.collision, self._warm
-        under_way = warm is not None and len(signals) <= len(warm) + 1
-        count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
+        collision, count = self.section.collision, len(signals)
+        count = min(count - UNSURE, count if step.is_new(signals) else NEXT)
         if not collision.silence or count <= 0:
             return True
         kept = KEPT * collision.radius, collision.separation
         seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
-        return self.margins.clear_unheard(problem, seen.path, signals[:count], seconds, *kept)
+        return self.margins.clear_unheard(step.problem, seen.path, signals[:count], seconds, *kept)

@@ -90,11 +90,12 @@ def stop(
 
     if spec is not None:
         lab, experiment = _lab(spec, sets)
-        stop_all = partial(lab.actuator.stop_all, experiment.setup)
+        stop_all = partial(lab.actuator.stop_all, experiment.setup, lab.clock())
     else:
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
+        from tetractl.plant.lab_plant import RigSection
 
-        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud))
+        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud), RigSection.clock())
     try:
         typer.echo(stop_all())
     except PortHeldError as held:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, model_validator
 
-from tetractl.core.clock import SECOND, Clock, MonotonicClock
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
@@ -109,12 +109,11 @@ class ActuatorSection(DeviceSection):
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
         return resolve_name(self.device)(self, setup, clock)
 
-    def stop_all(self, setup: Setup, alone: bool = True) -> str:
+    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
         """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
         port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
         about the stops sent; AbortError if nothing can be sent.
         """
-        clock = MonotonicClock()
         with self.build(setup, clock) as actuator:
             for _ in range(STOPS):
                 actuator.stop(emergency=True)

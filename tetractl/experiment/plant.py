@@ -65,8 +65,9 @@ class PlantSection(Model):
         """Rate at which a simulation computes poses [Hz]; 0 if it has no rate of its own."""
         return 0.0
 
+    @classmethod
     @abstractmethod
-    def clock(self) -> Clock:
+    def clock(cls) -> Clock:
         """Return a new clock, virtual for a simulation and monotonic for the lab."""
 
     @property

@@ -47,7 +47,8 @@ PAUSED_NS = 3 * REST_NS  # time after a stop after which robots have stood for R
 class RigSection(LabSection):
     """A lab whose camera and actuator, real or emulated, work together in a rig."""
 
-    def clock(self) -> Clock:
+    @classmethod
+    def clock(cls) -> Clock:
         """Return the host's monotonic clock."""
         return MonotonicClock()
 

@@ -142,7 +142,8 @@ class SimSection(PlantSection):
         made = self.drive is not None or self.cells is not None
         return made or any((*sizes, *chances, *self.disturbances))
 
-    def clock(self) -> Clock:
+    @classmethod
+    def clock(cls) -> Clock:
         """Return a new virtual clock."""
         return VirtualClock()
 

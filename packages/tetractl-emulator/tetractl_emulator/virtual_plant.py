@@ -27,7 +27,8 @@ class EmulatedPlantSection(RigSection):
         """False: trials take virtual time and need no operator."""
         return False
 
-    def clock(self) -> Clock:
+    @classmethod
+    def clock(cls) -> Clock:
         """Return a clock in virtual time."""
         from tetractl_emulator.virtual_wires import LabClock
 

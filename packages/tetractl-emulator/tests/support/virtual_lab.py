@@ -31,18 +31,12 @@ from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec
 from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.inner_loop import InnerLoop
+from tetractl.plant.lab_plant import RigSection
 from tetractl.run.checked_controller import build_controller
 
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0
 AFTER_NS = SECOND  # a lab is watched for that long after a play
-HOST_CLOCKS = (
-    "tetractl.core.clock",
-    "tetractl.experiment.lab_section",
-    "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.broadcast",
-    "tetractl.plant.lab_plant",
-)
 
 
 class PatientClock(LabClock):
@@ -89,12 +83,13 @@ def joined(lab, clock):
 
     with contextlib.ExitStack() as stack:
         for name, value in (
-            *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
             ("tetractl.lab.actuators.xbee.link.SerialPort", lab.wires.ports),
             ("tetractl_microscope.coils.driver.SerialPort", lab.wires.ports),
             ("tetractl.lab.serial_port.require_port", lambda name, device: None),
         ):
             stack.enter_context(mock.patch(name, value))
+        made = mock.patch.object(RigSection, "clock", lambda *_: TrialClock(clock))
+        stack.enter_context(made)
         start = mock.patch.object(InnerLoop, "start", lambda loop: clock.steps.append(loop.turn))
         stack.enter_context(start)
         stack.enter_context(mock.patch.object(InnerLoop, "close", close))

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntFlag
 
-from tetractl.core.clock import MILLISECOND, SECOND, Clock, MonotonicClock
+from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
@@ -143,14 +143,13 @@ class Broadcaster:
         return [found.get(index) for index in self._indices]
 
 
-def stop_all(module: XbeeSection, alone: bool = True) -> str:
+def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
     """Latch the emergency stop of every robot in radio range by ten frames within 200 ms; return a
     summary.
 
     The module is not checked, because sending through a wrong module is better than no stop. If not
     `alone`, another process may have the port open.
     """
-    clock = MonotonicClock()
     link = Link(module, clock)
     try:
         link.open(checked=False, alone=alone)

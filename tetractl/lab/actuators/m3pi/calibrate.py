@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, MonotonicClock, wait_for
+from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.commands import Steer, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
@@ -132,7 +132,7 @@ class _Bench:
         limit: int,
         emergency: threading.Event,
     ) -> None:
-        self.clock = MonotonicClock()
+        self.clock = lab.clock()
         (self.name,) = setup.names
         self._home: Pose | None = None
         self._offset = lab.camera.heading_offset(self.name)

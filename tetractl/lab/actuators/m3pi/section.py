@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
@@ -96,11 +97,11 @@ class M3piSection(XbeeSection, ActuatorSection):
         robot = self.robot(name)
         return self.robots.index(robot) if robot.index is None else robot.index
 
-    def stop_all(self, setup: Setup, alone: bool = True) -> str:
+    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
         """Stop every robot in radio range until it is switched off and on; return a summary.
 
         If not `alone`, another process may have the port open.
         """
         from tetractl.lab.actuators.m3pi.broadcast import stop_all
 
-        return stop_all(self, alone)
+        return stop_all(self, clock, alone)

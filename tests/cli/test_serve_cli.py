@@ -70,7 +70,7 @@ def test_without_the_extra_one_clear_line_says_how_to_get_it(tmp_path):
     assert done.returncode == 2
     assert done.stderr == (
         "error: this needs websockets, which is not installed\n"
-        "hint: pip install 'tetractl[serve]'\n"
+        "hint: in the clone of tetractl: pip install '.[serve]'\n"
     )
     assert done.stdout == ""
     assert not (tmp_path / "logs").exists()

@@ -188,8 +188,8 @@ sys.exit(run_app())
     ("module", "words", "hinted"),
     [
         ("cv2", f"lab emulate {DISH} --port-link coils", "./packages/tetractl-microscope"),
-        ("pyarrow", "export logs/trial-000.mcap --format parquet -o out", "'tetractl[parquet]'"),
-        ("distributed", "study study.yaml --cluster tcp://localhost:1", "'tetractl[dask]'"),
+        ("pyarrow", "export logs/trial-000.mcap --format parquet -o out", "'.[parquet]'"),
+        ("distributed", "study study.yaml --cluster tcp://localhost:1", "'.[dask]'"),
     ],
 )
 def test_a_missing_extra_is_named_in_one_line(folder, module, words, hinted):

@@ -189,7 +189,7 @@ def run_app() -> int:
             raise
         package, extra = EXTRAS[module]
         missing = f"this needs {package}, which is not installed"
-        return complain(Exit.USAGE, missing, f"pip install 'tetractl[{extra}]'")
+        return complain(Exit.USAGE, missing, f"in the clone of tetractl: pip install '.[{extra}]'")
     except BrokenPipeError:  # the reader of the output has ended, as in `tetractl stats | head`
         return Exit.DONE
     except SystemExit as end:

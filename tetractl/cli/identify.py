@@ -173,8 +173,9 @@ def identify(
 def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.experiment.yaml.core_yaml import dump
-    from tetractl.replay.identification.identify import identified, tables
+    from tetractl.replay.identification.identify import identified, stated, tables
 
+    found = stated(found)
     ui.show(as_json, found, tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -13,7 +13,15 @@ from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 from tetractl.replay.identification.design import propose
-from tetractl.replay.identification.identify import identify, tables
+from tetractl.replay.identification.fit import SampleInterval
+from tetractl.replay.identification.identify import (
+    IdentifiedRobots,
+    RobotFound,
+    identified,
+    identify,
+    stated,
+    tables,
+)
 from tetractl.replay.identification.tracks import SETTLED_S, Track, csv_tracks, track_of
 
 pytestmark = pytest.mark.slow
@@ -95,6 +103,22 @@ def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time):
         assert abs(interval.value - truth) <= 2 * width + 1e-4
     held = sum(interval.low <= truth <= interval.high for interval, truth in intervals)
     assert held >= 0.8 * len(intervals)
+
+
+def test_intervals_that_hold_too_seldom_are_not_stated():
+    robot = RobotFound("one", *[SampleInterval(0.0123, 0.01, 0.02)] * 6, 0, 100, ())
+    found = IdentifiedRobots(
+        "CSV", ("p.csv",), "mm", 9, SampleInterval(0.1, 0, 0.2), None, (robot,)
+    )
+    (table,) = tables(stated(found))
+    text = str([*table.rows])
+    assert text.count("0.0123 (0.0100 to 0.0200)") == 4 and text.count("'0.012'") == 2
+    written = identified(stated(found), "now").robots["one"]
+    assert (written.a.low, written.heading_noise.low, written.heading_walk.high) == (
+        0.01,
+        None,
+        None,
+    )
 
 
 def noise_is_right(found):

@@ -151,7 +151,7 @@ def check_format(name: str) -> None:
     if name == "parquet" and find_spec("pyarrow") is None:
         raise UsageError(
             "Parquet needs pyarrow, which is not installed",
-            "pip install 'tetractl[parquet]', or choose csv",
+            "in the clone of tetractl: pip install '.[parquet]', or choose csv",
         )
 
 

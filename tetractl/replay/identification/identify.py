@@ -3,7 +3,7 @@ section of a spec.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,8 +111,24 @@ QUANTITIES = {
     "heading_walk": "rad/sqrt(s)",
 }
 """The fields of a robot in a table, with their units."""
+UNSTATED = ("heading_noise", "heading_walk")
+"""Those whose intervals are not stated."""
 _ABREAST = 3  # largest number of robots in one table
 DECIMALS_MAX = 6  # decimals
+
+
+def stated(found: IdentifiedRobots) -> IdentifiedRobots:
+    """Return the values as they are printed and written: without the ends of intervals that hold in
+    fewer than 92 % of the logs of trials (docs/how-to/identify.md).
+    """
+
+    def bare(robot: RobotFound) -> RobotFound:
+        values = {name: getattr(robot, name).value for name in UNSTATED}
+        return replace(
+            robot, **{q: SampleInterval(v, math.nan, math.nan) for q, v in values.items()}
+        )
+
+    return replace(found, robots=tuple(map(bare, found.robots)))
 
 
 def identified(found: IdentifiedRobots, when: str) -> Identified:
@@ -171,6 +187,8 @@ def cell(interval: SampleInterval) -> str:
     """Return a value and the ends of its interval as text, rounded to two significant digits of
     half the interval's width.
     """
+    if math.isnan(interval.low):  # not stated; infinite if the data do not bound the value
+        return f"{interval.value:.2g}"
     ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
     width = max((abs(one - interval.value) for one in ends), default=0.0)
     digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), DECIMALS_MAX)

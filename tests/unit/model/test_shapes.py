@@ -7,7 +7,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numba import njit
-from oracles.levenberg import outward
 from pydantic import ValidationError
 from support.geometry import gap, meets
 from support.shapes import GRID, L_SHAPE, SHAPES, circles, combs, rectangles
@@ -115,7 +114,6 @@ def test_the_kernels_agree(section, x0, y0, x1, y1, margin):
 def test_outward_of_a_point_on_an_edge_is_its_normal(x, y, out):
     found = compiled(row(L_SHAPE.shape()), float(x), float(y), float(x), float(y))[1]
     assert found[1:] == out
-    assert tuple(outward(L_SHAPE.shape(), x, y)) == out
 
 
 def test_two_corners_with_a_radius_are_a_capsule():

@@ -8,7 +8,8 @@ damped step is computed from an R x R system:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
 
-The readable version of this algorithm is `tests/oracles/levenberg.py`; tests compare the two.
+A step that lowers the merit, `_merit`, is taken, and lambda falls; else lambda grows, and the step
+is tried again (Marquardt, SIAM Journal 11, 1963).
 """
 
 import math

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages/tetractl-emulator/tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
 
 from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 

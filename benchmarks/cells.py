@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from scipy.stats import beta
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.names import Names

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages/tetractl-emulator/tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
 from scipy.optimize import linear_sum_assignment
 from support.virtual_lab import DISH, VirtualLab, virtual_dish
 from tetractl_microscope.choices import predicted, ranked

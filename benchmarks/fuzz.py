@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.append(str(ROOT / "tests"))
+sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 HANG_S = 120  # on a busy host a report takes half a minute
 FUZZED = ["tetractl.experiment", "tetractl.lab", "tetractl.log", "yaml", "support.targets"]

@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.append(str(ROOT / "tests"))
+sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 MEMORY_MB, CPU_S, WALL_S = 500, 30, 120
 FRESH_MB = 300  # of a process of one command; one of many commands keeps what all have imported

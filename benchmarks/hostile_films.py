@@ -29,7 +29,8 @@ from unittest import mock
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.append(str(ROOT / "tests"))
+sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 from support.film_containers import CONTAINERS, folder, imagej, ome, stack  # noqa: E402
 from support.hostile import bytes_like  # noqa: E402

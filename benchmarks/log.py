@@ -32,7 +32,8 @@ from pathlib import Path
 from typing import ClassVar
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.append(str(ROOT / "tests"))
+sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 import numpy as np  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402

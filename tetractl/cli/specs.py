@@ -51,7 +51,7 @@ def example_files(name: str) -> dict[str, str]:
         guess = did_you_mean(name, known)
         top = ", ".join(one for one in known if "/" not in one)
         raise UsageError(
-            f"there is no example '{name}'{guess}", f"the examples are {top}, studies/, faults/"
+            f"there is no example '{name}'{guess}", f"the examples are {top}, studies/"
         )
     found: dict[str, str] = {}
     waiting = [folder / f"{name}.yaml"]
@@ -83,7 +83,7 @@ def init(
 ) -> int:
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
-    With --example it writes a shipped spec, study or fault script, and the files it names, to
+    With --example it writes a shipped spec or study, and the files it names, to
     experiments/, as the examples of other commands expect. With an unknown NAME it lists the
     examples.
 

@@ -56,7 +56,7 @@ def kinds(
 def _list(as_json: bool) -> int:
     from tetractl.core.registries import all_registries
     from tetractl.core.registry import PluginError
-    from tetractl.experiment.packages import missing
+    from tetractl.experiment.packages import BRINGS, missing
 
     problems: dict[Kind, str] = {}
     broken: list[str] = []
@@ -67,10 +67,11 @@ def _list(as_json: bool) -> int:
             registry.load(kind.name)
         except (PluginError, ModuleNotFoundError) as error:
             cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
-            own = kind.code.partition(".")[0]
-            if isinstance(cause, ModuleNotFoundError) and not (cause.name or own).startswith(own):
-                problems[kind] = f"needs {cause.name}, which is not installed"
-            else:
+            module = cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
+            lacks = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
+            if lacks and kind.package in ("", *BRINGS.values()):
+                problems[kind] = f"needs {module}, which is not installed"
+            else:  # of another's package, each problem is an error
                 problems[kind] = str(error)
                 broken.append(str(error))
     if as_json:

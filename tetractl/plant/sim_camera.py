@@ -124,6 +124,9 @@ class SimCamera:
                 at = receive(when, at)
                 if at is None:
                     break
+                if not at >= when:  # NaN, too
+                    text = f"the arrival of a frame before its exposure: {at} ns"
+                    raise WrongValueError(self, "a disturbance", text)
             if at is not None and at > self._arrived_ns:
                 self._arrived_ns = at
             found.append(NEVER if at is None else self._arrived_ns)

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from tetractl.core.clock import SECOND, Clock, VirtualClock
+from tetractl.core.clock import NEVER, SECOND, Clock, VirtualClock
 from tetractl.core.commands import (
     Action,
     Command,
@@ -21,7 +21,7 @@ from tetractl.core.commands import (
     Turn,
     Verdict,
 )
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, WrongValueError
 from tetractl.core.poses import Floats, Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import DISTURBANCES, MOTIONS
@@ -366,7 +366,10 @@ class SimPlant:
 
     def planned_ns(self, now: int) -> int:
         """Return the time [ns] at which a command planned from `now` on is sent."""
-        return now + round(sum(one.planning_s(now / SECOND) for one in self._planning) * SECOND)
+        took_s = sum(one.planning_s(now / SECOND) for one in self._planning)
+        if not 0 <= took_s < NEVER / SECOND:
+            raise WrongValueError(self, "a disturbance", f"a planning time of {took_s} s")
+        return now + round(took_s * SECOND)
 
     def _due_ns(self, answered: Observation, now: int) -> int:
         """Return the time [ns] at which a command sent `now` in answer to a frame acts if

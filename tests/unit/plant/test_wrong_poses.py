@@ -1,4 +1,4 @@
-"""A disturbance whose poses no log can hold ends the trial before they are logged."""
+"""A disturbance whose poses or times no log can hold ends the trial before they are logged."""
 
 from typing import Literal
 
@@ -48,6 +48,33 @@ def test_poses_that_no_log_can_hold_end_the_trial(method, x):
     plant = sim(spec.model_copy(update={"plant": plant}))
     with pytest.raises(WrongValueError, match="pose that no log can hold"):
         plant.open()
+        plant.send(Steer(0.0))
+        plant.clock.sleep_until(SECOND)
+        plant.samples()
+
+
+class Untimely(DisturbanceSection):
+    """Returns `value` as a frame's arrival or as a planning time."""
+
+    type: Literal["untimely"] = "untimely"
+    method: str
+    value: float
+
+    def build(self, setup, rng):
+        return type("Made", (Disturbance,), {self.method: lambda *_: self.value})()
+
+
+@pytest.mark.parametrize(
+    ("method", "value"),
+    [("received", np.nan), ("received", -1), *(("planning_s", x) for x in (np.nan, -1.0, 10**30))],
+)
+def test_times_that_no_log_can_hold_end_the_trial(method, value):
+    section = Untimely.model_construct(type="untimely", method=method, value=value)
+    spec = experiment()
+    plant = spec.plant.model_copy(update={"disturbances": (section,)})
+    plant = sim(spec.model_copy(update={"plant": plant}))
+    plant.open()
+    with pytest.raises(WrongValueError, match=r"arrival of a frame before|a planning time of"):
         plant.send(Steer(0.0))
         plant.clock.sleep_until(SECOND)
         plant.samples()

@@ -162,10 +162,9 @@ class InnerLoop:
         """Make one step; an error during the step stops the robots, but not this loop."""
         try:
             self._tick()
-        except AbortError as error:
-            self.guard.abort(error.message)
         except (Exception, SystemExit) as error:
-            reason, now = text_of(error), self._clock.now()
+            reason = error.message if isinstance(error, AbortError) else text_of(error)
+            now = self._clock.now()
             self.guard.abort(reason)
             if not self._aborted:
                 self._aborted, self._stops_left, self._next_ns = True, STOPS, now

@@ -117,3 +117,19 @@ def test_a_frame_that_no_log_can_hold_stops_the_robots(number, value):
     assert guard.state is GuardState.ABORT
     assert "a camera returned a frame that no log can hold" in guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
+
+
+def test_a_camera_that_raises_for_good_stops_the_robots():
+    """Regression: the stop was left to the next step, which failed before it: robots drove on."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+
+    def frames():
+        raise AbortError("the camera is gone")
+
+    lab.camera.frames = frames
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert lab.plant.rig.guard.reason == "the camera is gone"
+    assert [sent.direction for sent in lab.actuator.sent[-10:]] == [None] * 10
+    assert lab.world.moving == (False,) * 3

@@ -66,14 +66,14 @@ def _list(as_json: bool) -> int:
         try:
             registry.load(kind.name)
         except (PluginError, ModuleNotFoundError) as error:
-            cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
+            cause = error.__cause__ if isinstance(error, PluginError) else error
             module = cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
             lacks = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
             if lacks and kind.package in ("", *BRINGS.values()):
                 problems[kind] = f"needs {module}, which is not installed"
             else:  # of another's package, each problem is an error
-                problems[kind] = str(error)
-                broken.append(str(error))
+                problems[kind] = error.message if isinstance(error, PluginError) else str(error)
+                broken.append(problems[kind])
     if as_json:
         listed = [
             {

@@ -121,10 +121,15 @@ def say_once(text: str) -> None:
             print(f"note: {text}", file=sys.stderr)
 
 
+@functools.cache
+def file_digest(source: Path) -> bytes:
+    """Return the SHA-256 of a file, which is read once in a process."""
+    return hashlib.sha256(source.read_bytes()).digest()
+
+
 def digest(sources: Iterable[Path], options: str = "") -> str:
-    """Return 12 hex digits of a hash of the contents of files and of compiler options."""
-    found = hashlib.sha256()
-    for source in sorted(sources):
-        found.update(source.read_bytes())
+    """Return 12 hex digits of a hash of the contents of files, wherever they are, and of compiler
+    options."""
+    found = hashlib.sha256(b"".join(sorted(map(file_digest, sources))))
     found.update(options.encode())
     return found.hexdigest()[:12]

@@ -1,10 +1,10 @@
 """Registries of kinds, the objects that a spec names by `type`, of tetractl and other packages."""
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
@@ -104,18 +104,6 @@ class Registry:
             f"its entry point is '{where}'; update or uninstall the package",
         )
 
-    def files(self, packages: Container[str]) -> Iterator[Path]:
-        """Yield all source files of some packages that provide kinds; nothing is imported."""
-        points = self._installed.values()
-        modules = [point.module for point in points if _package(point)[0] in packages]
-        for top in dict.fromkeys(module.partition(".")[0] for module in modules):
-            spec = find_spec(top)
-            if spec is not None and spec.submodule_search_locations:
-                for folder in spec.submodule_search_locations:
-                    yield from Path(folder).rglob("*.py")
-            elif spec is not None and spec.origin is not None and Path(spec.origin).exists():
-                yield Path(spec.origin)
-
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
@@ -129,3 +117,18 @@ _builtin = cache(resolve_name)  # controllers load the motion several times in a
 def _package(point: EntryPoint) -> tuple[str, str]:
     """Return the name and the version of the package that declares an entry point."""
     return (point.dist.name, point.dist.version) if point.dist else ("unknown", "")
+
+
+def package_files(package: str) -> Iterator[Path]:
+    """Yield all source files of a package that adds to tetractl; nothing is imported."""
+    modules = list[str]()
+    with suppress(PackageNotFoundError):
+        points = distribution(package).entry_points
+        modules += [one.module for one in points if one.group.startswith("tetractl.")]
+    for top in dict.fromkeys(module.partition(".")[0] for module in modules):
+        spec = find_spec(top)
+        if spec is not None and spec.submodule_search_locations:
+            for folder in spec.submodule_search_locations:
+                yield from Path(folder).rglob("*.py")
+        elif spec is not None and spec.origin is not None and Path(spec.origin).exists():
+            yield Path(spec.origin)

@@ -16,7 +16,7 @@ from tetractl.core.clock import NEVER, SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError, WrongValueError, text_of
 from tetractl.core.plugin_fault import plugin_fault
-from tetractl.core.poses import POSE_MAX
+from tetractl.core.poses import POSE_MAX, CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
@@ -178,11 +178,7 @@ class InnerLoop:
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()
         for frame in self._camera.frames():
-            known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
-            fit = all(abs(value) <= POSE_MAX for pose in known for value in pose)
-            times = frame.number, frame.sampled_ns, frame.received_ns
-            fit &= all(isinstance(one, int) and abs(one) < NEVER for one in times)
-            if not (fit and len(frame.poses) == len(guard.rules.names)):
+            if not _holdable(frame, len(guard.rules.names)):
                 text = "a frame that no log can hold"
                 raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
@@ -256,6 +252,14 @@ class InnerLoop:
         self._pass_on(sent)
         self._sent.append(sent)
         self.guard.sent(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
+
+
+def _holdable(frame: CameraFrame, robots: int) -> bool:
+    """Return whether a log can hold a camera's frame of N robots."""
+    known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
+    times = frame.number, frame.sampled_ns, frame.received_ns
+    fit = len(frame.poses) == robots and all(abs(value) <= POSE_MAX for p in known for value in p)
+    return fit and all(isinstance(one, int) and abs(one) < NEVER for one in times)
 
 
 def _loggable(sent: object, robots: int) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
 from tetractl.core.errors import printable
-from tetractl.core.registries import REGISTRIES
+from tetractl.core.registry import package_files
 from tetractl.core.version import __version__
 
 COMPUTING = ("numpy", "numba", "llvmlite", "scipy")
@@ -115,8 +115,7 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     name and version of each package that provides a kind used by the spec, with its source files.
     """
     sources = {file for part in TRIAL_CODE for file in (HERE / part).rglob("*.py")}
-    for registry in REGISTRIES:
-        sources.update(registry.files([name for name, _ in packages]))
+    sources.update(*(package_files(name) for name, _ in packages))
     computing = [(name, metadata.version(name)) for name in COMPUTING]
     return cache_name(sources, repr([*computing, *packages]))
 

@@ -121,9 +121,7 @@ class Row(ResultSummary):
         end = HostEnd(solve_ns=stated.solve_ns, deadline_misses=stated.deadline_misses)
         check_counts("warnings", [message.warnings])
         return cls(
-            **stated.model_dump(
-                exclude={"result", "solve_ns", "deadline_misses", "content_digest"}
-            ),
+            **stated.model_dump(exclude=OTHERWISE),
             **simulated(experiment),
             path=place,
             digest=stated.content_digest,

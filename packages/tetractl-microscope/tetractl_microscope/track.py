@@ -138,7 +138,7 @@ def track(
 
 def _show(log: Path, out: Path | None, as_json: bool) -> int:
     """Print the cells in the log of a film; draw all figures and write the table into `out`."""
-    from tetractl.core.table.table_files import csv_text
+    from tetractl.core.table.table_files import table_files
     from tetractl.view.style import save
     from tetractl_microscope.figures.draw_cells import draw_cells
     from tetractl_microscope.film.track_log import read_track
@@ -151,7 +151,8 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
     ui.tell(*(f"damaged: {log}: {line}" for line in found.damage))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        (out / "cells.csv").write_text(csv_text(cell_data(found.record)), encoding="utf-8")
+        with table_files({"cells": out / "cells.csv"}, "csv") as add:
+            add("cells", cell_data(found.record), "")
         for kind in CELL_FIGURES.names():
             with suppress(UsageError):  # this film has no field, or no cell
                 save(draw_cells(kind, [found]), out / f"{kind}.png")

@@ -1,6 +1,5 @@
 """What the code of a kernel is compiled from: the files and constants that its function reaches."""
 
-import hashlib
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
@@ -12,46 +11,43 @@ import numpy as np
 from numba.core import types
 from numba.core.registry import CPUDispatcher
 
+from tetractl.core.cache import digest as files_digest
+
 
 def digest(function: Callable[..., Any], sig: Any) -> str:
-    """Return 16 hex digits of all that the code of a function depends on, for a signature.
+    """Return 12 hex digits of all that the code of a function depends on, for a signature.
 
     These are the file of each function that it calls, directly or not, the constants that they
     name, and the modules of the classes of its arguments: a motion is such a class, whose module
     may use others of its package's folder.
     """
-    files: set[Path] = set()
-    found = hashlib.sha256()
-    for one in _reached(function):
-        files.update(_own_file(one))
-        for name, value in _named(one):
-            found.update(f"{name} = {_frozen(value)}".encode())
-            if isinstance(value, FunctionType):  # an overload: its code is in the same file
-                files.update(_own_file(value))
+    files, constants = set[Path](), list[str]()
+    for one, named in _reached(function):
+        overloads = (value for _, value in named if isinstance(value, FunctionType))
+        files.update(*map(_own_file, (one, *overloads)))  # an overload's code is in the same file
+        constants += [f"{name} = {_frozen(value)}" for name, value in named]
     for kind in _classes(sig if isinstance(sig, tuple) else sig.args):
         files.update(_module_files(kind.__module__))
-    for each in sorted(map(_contents, files)):  # wherever the package is installed
-        found.update(each)
-    return found.hexdigest()[:16]
+    return files_digest(files, "\n".join(constants))
 
 
-def _reached(function: Callable[..., Any]) -> Iterator[FunctionType]:
-    """Yield a plain function and each that is compiled into it, once."""
-    seen, open_ends = set(), [function]
-    while open_ends:
-        one = open_ends.pop()
+Named = list[tuple[str, Any]]
+
+
+def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named]]:
+    """Yield a plain function and each that is compiled into it, once, with what they name."""
+    seen, left = set[FunctionType](), [function]
+    while left:
+        one = left.pop()
         if not isinstance(one, FunctionType) or one in seen:
             continue
         seen.add(one)
-        yield one
-        values = [value for _, value in _named(one)]
-        values += [
-            beside
-            for value in values
-            if isinstance(value, FunctionType)
-            for beside in value.__globals__.values()
-        ]
-        open_ends += [value.py_func for value in values if isinstance(value, CPUDispatcher)]
+        named = list(_named(one))
+        yield one, named
+        values = [value for _, value in named]
+        for overload in (value for value in values if isinstance(value, FunctionType)):
+            values = [*values, *overload.__globals__.values()]
+        left += [value.py_func for value in values if isinstance(value, CPUDispatcher)]
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
@@ -104,8 +100,3 @@ def _module_files(name: str) -> frozenset[Path]:
 def _own_file(function: FunctionType) -> tuple[Path, ...]:
     file = Path(function.__code__.co_filename)
     return (file,) if file.is_file() else ()
-
-
-@cache
-def _contents(file: Path) -> bytes:
-    return hashlib.sha256(file.read_bytes()).digest()

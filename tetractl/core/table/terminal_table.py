@@ -140,7 +140,7 @@ def _escaped(text: str) -> str:
 
 
 def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
-    """Return tables as HTML, each in an element that scrolls. `links` maps the text of a entry in
+    """Return tables as HTML, each in an element that scrolls. `links` maps the text of an entry in
     the first column to the address to which it links.
     """
     return "".join(_html(table, links or {}) for table in tables)

@@ -51,9 +51,9 @@ def stranger(tmp_path, monkeypatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def after(edited: str = "stranger_entry", old: str = "", new: str = "") -> str:
-        from tetractl.core.kernels import sources
+        from tetractl.core.cache import file_digest
 
-        sources._contents.cache_clear()
+        file_digest.cache_clear()
         for name, text in files.items():
             text = text.replace(old, new) if name == edited and old else text
             (tmp_path / f"{name}.py").write_text(text)
@@ -99,13 +99,13 @@ def test_a_constant_that_is_computed_counts_by_its_value():
 
 def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):
     """Steps of a motion are found by the class of its constants, which no code names."""
-    from tetractl.core.kernels import sources
+    from tetractl.core.cache import file_digest
 
     monkeypatch.syspath_prepend(str(tmp_path))
     found = []
     for text in ("STEP = 1", "STEP = 2"):
         (tmp_path / "stranger_lanes.py").write_text(text)
-        sources._contents.cache_clear()
+        file_digest.cache_clear()
         importlib.invalidate_caches()
         importlib.import_module("stranger_lanes")
         lanes = namedtuple("Lanes", "a b", module="stranger_lanes")

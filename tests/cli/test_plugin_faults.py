@@ -97,7 +97,7 @@ def test_a_controllers_exception_names_it_and_its_calls_are_in_the_log(tetractl,
     assert done.returncode == 1
     assert done.stderr.startswith(f"error: trial 1: {text} zero\n")
     shown = tetractl("info", "logs/trial-000.mcap").stdout
-    assert f"error    {where} in plan: 1 / (self.section.fails_at - self.k)" in shown
+    assert f"debug    {where} in plan: 1 / (self.section.fails_at - self.k)" in shown
     assert f"aborted ({text} zero) after 3 control steps" in shown
 
 

@@ -24,6 +24,8 @@ study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run 
 replay spec.yaml | spec.yaml: is not a log (*.mcap) | run it with: tetractl run spec.yaml
 stats out/trials.csv | out/trials.csv: is not a log (*.mcap) | name the folder: out
 report out/times.csv | out/times.csv: is not a log (*.mcap) | name the folder: out
+replay picture.png | picture.png: is not a log (*.mcap)
+replay logs/figure.png | logs/figure.png: is not a log (*.mcap) | name a log, such as logs/trial-0
 run | SPEC
 run nowhere.yaml | nowhere.yaml: there is no such file
 run . | .: is a folder
@@ -145,6 +147,8 @@ def folder(tmp_path_factory):
     for name, content in {
         "noise.mcap": b"no log",
         "empty.yaml": b"",
+        "picture.png": b"",
+        "logs/figure.png": b"",
         "binary.yaml": bytes(range(256)) * 4,
         "wrong.yaml": QUICK.replace("speed: 200", "speed: -1").encode(),
         "huge.yaml": f"{QUICK}\nreference: {{source: x, n: 20, mean: 6, std: 1.0e+308}}\n".encode(),
@@ -171,6 +175,7 @@ def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     assert lines[0].startswith("error: ") and message in lines[0], lines
     assert len(hints) == len(lines) - 1 <= 1
     assert hints or not hint
+    assert "folder: ." not in done.stderr
     assert contents(folder) == before
 
 

@@ -108,8 +108,8 @@ class Command(Sent):
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A message for the operator with its time in the trial; `level` is "info", "warning" or
-    "error"."""
+    """A message for the operator with its time in the trial; `level` is "info", "warning",
+    "error", or "debug" for one of the calls that led to an exception, which only the log has."""
 
     t_ns: int
     level: str

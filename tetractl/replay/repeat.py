@@ -32,6 +32,8 @@ from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
 
 ENDED = "the log ends here"
+CALLS = ("debug", "error")
+"""Levels of the notes of an exception's calls: those of format 4, or earlier, are errors."""
 
 
 class Repetition(Encoder):
@@ -75,7 +77,7 @@ class Repetition(Encoder):
 
     def on_note(self, note: Note) -> None:
         """Add a message, but for the calls that led to an exception: those logged are added."""
-        if not (self._failed and note.level == "error"):
+        if not (self._failed and note.level in CALLS):
             super().on_note(note)
 
     def on_stop(self, stop: Command, result: Result) -> None:
@@ -85,7 +87,7 @@ class Repetition(Encoder):
             self.failure = result.reason
         if self._failed:
             for note in self._log.notes[:-1]:  # the calls that led to a plug-in's exception
-                if note.level == "error":
+                if note.level in CALLS:
                     super().on_note(note)
         super().on_stop(stop, replace(result, outcome=logged.outcome, reason=logged.reason))
 

@@ -278,7 +278,7 @@ class Trial:
                 outcome, reason = self._failed(error.message if known else text_of(error))
         if bug is not None and (fault := plugin_fault(bug, self.start.packages)):
             reason, bug = fault.message, None
-            news = [*news, *(Note(stop.sent_ns, "error", call) for call in fault.calls)]
+            news = [*news, *(Note(stop.sent_ns, "debug", call) for call in fault.calls)]
         if verdict.not_at_rest and outcome is not Outcome.ABORTED:
             outcome, reason = Outcome.ABORTED, verdict.not_at_rest
         result = Result.of(

@@ -43,7 +43,6 @@ def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> N
 
 def _print(table: Table, console: "Console") -> None:
     from rich import box
-    from rich.cells import cell_len
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
@@ -55,10 +54,11 @@ def _print(table: Table, console: "Console") -> None:
         # without a terminal, names, paths and numbers are not broken, and words are wrapped
         whole = not console.is_terminal and (i == 0 or not column.words)
         if whole:
-            least = max(map(cell_len, texts))
+            least = max(Text(text).cell_len for text in texts)
         else:
-            least = max(cell_len(word) for text in texts for word in text.split() or [""])
-            least = max(least, min(16, max(map(cell_len, texts))))
+            words = [word for text in texts for word in text.split()]
+            least = max((Text(word).cell_len for word in words), default=0)
+            least = max(least, min(16, max(Text(text).cell_len for text in texts)))
         shown.add_column(
             Text(column.heading),
             justify="left" if column.words or i == 0 else "right",

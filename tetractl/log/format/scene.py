@@ -39,7 +39,7 @@ from tetractl.log.format.codec import Frames, drawn
 WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
-_LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
+_LEVELS = {"debug": Log.DEBUG, "info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _STRIP = LinePrimitive.LINE_STRIP
 _UPRIGHT = Quaternion(w=1.0)  # must be set: the default is a zero quaternion
 _PAIR = np.dtype([("tags", "V3"), ("one", "<f8"), ("tag", "V1"), ("two", "<f8")])

@@ -1,8 +1,8 @@
 """Finds the logs and the rows of studies in given files, folders and patterns."""
 
-import glob
 import re
 from collections.abc import Container, Iterable
+from glob import has_magic
 from pathlib import Path
 
 from tetractl.core.errors import UsageError
@@ -58,7 +58,12 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     if places and not kept:
         first = places[0]
         spec = first.suffix.lower() in (".yaml", ".yml")
-        hint = f"run it with: tetractl run {first}" if spec else f"name the folder: {first.parent}"
+        if spec:
+            hint = f"run it with: tetractl run {first}"
+        elif near := sorted(first.parent.glob(f"*{SUFFIX}"), key=_natural):
+            hint = f"name a log, such as {near[0]}"
+        else:
+            hint = f"name the folder: {first.parent}" if first.parent.name else None
         raise UsageError(f"{first}: is not a log (*{SUFFIX})", hint)
     return kept
 
@@ -69,7 +74,7 @@ def find_rows(path: Path) -> list[Path]:
     Sub-folders are searched too; files are sorted by name, with numbers in numerical order. What is
     no file is returned too, since an arm whose rows are lost must not be left out.
     """
-    folders = [path] if path.is_dir() or not glob.has_magic(str(path)) else _matches(path)
+    folders = [path] if path.is_dir() or not has_magic(str(path)) else _matches(path)
     # rglob(ROWS) would leave out a broken link
     files = (file for folder in folders if folder.is_dir() for file in folder.rglob("*"))
     return sorted({file for file in files if file.name == ROWS}, key=_natural)
@@ -100,7 +105,7 @@ def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
         return [path]
     if path.exists():  # reading a FIFO or a device may never end
         raise UsageError(f"{path}: is not a regular file")
-    if not glob.has_magic(str(path)):
+    if not has_magic(str(path)):
         raise UsageError(f"{path}: no such file or folder")
     logs = [
         log
@@ -113,8 +118,11 @@ def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
 
 
 def _matches(pattern: Path) -> list[Path]:
-    found = glob.glob(str(pattern), recursive=True)  # noqa: PTH207, Path.glob refuses absolute ones
-    return sorted(map(Path, found), key=_natural)
+    root = Path(pattern.anchor)  # Path.glob refuses absolute patterns
+    try:
+        return sorted(root.glob(str(pattern.relative_to(root))), key=_natural)
+    except ValueError as error:
+        raise UsageError(f"{pattern}: {error}") from None
 
 
 def _in_folder(folder: Path, attempts: bool) -> list[Path]:

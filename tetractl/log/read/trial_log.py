@@ -54,7 +54,7 @@ class Event:
     """A message for the operator; `time_s` [s] counts from the first direction sent, negative
     before it.
 
-    `level` is "info", "warning" or "error".
+    `level` is that of a `Note`.
     """
 
     time_s: float

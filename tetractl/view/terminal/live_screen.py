@@ -210,7 +210,9 @@ class LabWatch(LiveView):
         super().on_start(start)
 
     def on_note(self, note: Note) -> None:
-        """Print a note, or keep it until the live view is closed."""
+        """Print a note, or keep it until the live view is closed; leave out calls."""
+        if note.level == "debug":
+            return
         self._unprinted.append(note)
         if self._live.is_started:
             super().on_note(note)

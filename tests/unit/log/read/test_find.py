@@ -2,6 +2,7 @@
 
 import pytest
 
+from tetractl.core.errors import UsageError
 from tetractl.log.read.find import find_logs
 
 
@@ -38,6 +39,7 @@ def folder(tmp_path):
                    "a/trial-3.mcap.part", "a/trial-10.mcap"]),
         (["**/trial-0.mcap", "[b]"], ["b/deep/er/trial-0.mcap"]),
         (["odd/odd[1].mcap"], ["odd/odd[1].mcap"]),
+        (["b/**"], ["b/deep/er/trial-0.mcap"]),
         (["a/trial-2.mcap", "a", "b/../a/trial-1.mcap", "a/*.mcap"],  # each once, as they come
          ["a/trial-2.mcap", "a/trial-1.mcap", "a/trial-3.mcap.part", "a/trial-10.mcap"]),
     ],
@@ -45,6 +47,14 @@ def folder(tmp_path):
 def test_paths_folders_and_patterns_name_logs(folder, paths, names):
     found = find_logs(folder / path for path in paths)
     assert [str(log.relative_to(folder)) for log in found] == names
+
+
+def test_a_pattern_may_be_relative_and_what_is_none_is_named(folder, monkeypatch):
+    monkeypatch.chdir(folder / "b")
+    assert list(map(str, find_logs(["d*/**/*.mcap"]))) == ["deep/er/trial-0.mcap"]
+    assert list(map(str, find_logs(["../o*/*.mcap"]))) == ["../odd/odd[1].mcap"]
+    with pytest.raises(UsageError, match=r"^a\*\*:"):
+        find_logs(["a**"])
 
 
 def test_what_was_set_aside_is_found_where_it_is_asked_for(folder):

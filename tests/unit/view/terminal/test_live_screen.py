@@ -12,7 +12,7 @@ from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Outcome
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
-from tetractl.view.terminal.live_screen import LiveView
+from tetractl.view.terminal.live_screen import LabWatch, LiveView
 from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
 
 pytestmark = pytest.mark.slow
@@ -100,6 +100,16 @@ def test_the_live_view_gives_the_terminal_back_whatever_happens():
     text = written(console)
     assert text.rindex("\x1b[?1049l") > text.rindex("\x1b[?1049h")
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
+
+
+def test_the_lab_prints_messages_but_no_calls_of_an_exception():
+    """Regression: with --quiet, too, up to 20 lines of calls stood above the error."""
+    always = Console(file=io.StringIO(), force_terminal=False, width=80)
+    watch = LabWatch(always, Console(quiet=True), "mm", live=False)
+    watch.on_start(three_robots().start)
+    for level, text in (("warning", "low battery"), ("debug", "a.py:7 in plan: 1 / 0")):
+        watch.on_note(Note(SECOND, level, text))
+    assert written(always) == "warning: low battery\n"
 
 
 def test_without_a_terminal_progress_is_one_plain_line_a_trial():

@@ -4,10 +4,10 @@ Run `python docs/console.py README.md docs/tutorial.md --write` to put in what t
 now; a test fails while a page differs from it.
 
 The blocks of a page are run one after another in one empty folder that holds a copy of
-`experiments/`. A fence with `title=NAME` is a file of that name there. Below a command stands what
-it prints, stdout and stderr together; without that, it only has to succeed. `...` stands for what
-varies from run to run, such as a time: alone on a line for any lines, within a line for anything
-there. Everything else is compared to the last digit.
+`experiments/`, with the examples of the packages among them. A fence with `title=NAME` is a file
+of that name there. Below a command stands what it prints, stdout and stderr together; without that,
+it only has to succeed. `...` stands for what varies from run to run, such as a time: alone on a
+line for any lines, within a line for anything there. Everything else is compared to the last digit.
 
 But another processor, or another version of a library, rounds differently, and a trial then goes
 another way: a search follows another particle. So the last line of a page whose numbers come from
@@ -75,7 +75,8 @@ def run(page: str) -> list[tuple[Example, str, int]]:
     asked = list(examples(page))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        shutil.copytree(ROOT / "experiments", folder / "experiments")
+        for specs in (ROOT / "experiments", *ROOT.glob("packages/*/tetractl_*/examples")):
+            shutil.copytree(specs, folder / "experiments", dirs_exist_ok=True)
         for fence in _FENCE.finditer(page):
             if fence[2]:
                 (folder / fence[2]).write_text(fence[3], encoding="utf-8")

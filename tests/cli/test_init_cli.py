@@ -8,7 +8,7 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
-from tetractl.cli.specs import example_names
+from tetractl.cli.specs import examples
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
 
@@ -21,11 +21,9 @@ def tetractl(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "unit", "lab"),
-    [([], "mm", False), (["--cells"], "um", False), (["--lab"], "mm", True)],
-    ids=["robots", "cells", "lab"],
+    ("options", "lab"), [([], False), (["--lab"], True)], ids=["robots", "lab"]
 )
-def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, unit, lab):
+def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, lab):
     made = tetractl("init", "first", *options)
     assert (made.returncode, made.stdout) == (0, "first.yaml\n")
     assert made.stderr == "run it with: tetractl run first.yaml\n"
@@ -33,11 +31,11 @@ def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, unit,
     assert (checked.returncode, checked.stderr) == (0, "")
     assert checked.stdout.startswith("first.yaml: ok: name first, robots 2")
     experiment = load_spec(tmp_path / "first.yaml").experiment
-    assert (experiment.units.length, experiment.lab is not None) == (unit, lab)
+    assert (experiment.units.length, experiment.lab is not None) == ("mm", lab)
     done = tetractl("run", "first.yaml", "--trials", 2, "--json").ok()
     result = json.loads(done.stdout)
     assert (result["n_counted"], result["obstacle_violations"]) == (2, 0)
-    assert result["total_error"]["max"] < (50 if unit == "um" else 1)
+    assert result["total_error"]["max"] < 1
 
 
 def test_the_lab_of_a_new_spec_can_be_used(tetractl):
@@ -61,10 +59,19 @@ def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):
     assert "experiments/three_m3pi.yaml: exists already" in again.stderr
 
 
+def test_what_other_packages_bring_is_among_the_examples(tetractl, tmp_path):
+    done = tetractl("init", "--example", "faults/apriltag/drips").ok()
+    assert done.stdout == "experiments/faults/apriltag/drips.yaml\n"
+    tetractl("init", "--example", "two_cells").ok()
+    assert load_spec(tmp_path / "experiments/two_cells.yaml").experiment.units.length == "um"
+    unknown = tetractl("init", "--example", "faults/nothing")
+    assert unknown.returncode == 2
+    assert "there is no example 'faults/nothing'" in unknown.stderr
+    assert "tetrahymena_dish, tetrahymena_lab, two_cells, benchmark/, faults/" in unknown.stderr
+
+
 def test_every_file_that_a_help_or_a_hint_names_is_an_example():
     named = re.compile(r"experiments/([\w/]+)\.yaml|--example (\w+)`")
     sources = "".join(path.read_text() for path in (ROOT / "tetractl").rglob("*.py"))
     found = {one or other for one, other in named.findall(sources)}
-    assert (
-        {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= found <= {*example_names(), "NAME"}
-    )
+    assert {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= found <= {*examples(), "NAME"}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from support import cli
-from support.paths import ROOT
+from support.paths import SPECS
 from support.running import (
     ENDLESS,
     HEAVY,
@@ -26,11 +26,7 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 pytestmark = pytest.mark.slow
 
-EXPERIMENTS = [
-    path
-    for path in sorted((ROOT / "experiments").glob("*.yaml"))
-    if "type: lab" not in path.read_text()
-]
+EXPERIMENTS = [path for path in SPECS if "type: lab" not in path.read_text()]
 EXPERIMENTS.sort(key=lambda path: path.stem != "three_m3pi")
 
 

@@ -9,7 +9,7 @@ from unittest import mock
 
 import pytest
 from support.cli import tetractl
-from support.paths import ROOT
+from support.paths import EXAMPLES, ROOT
 from support.running import QUICK
 from support.studies import SMALL, write
 
@@ -107,7 +107,6 @@ lab emulate LAB --port-link /no/such/folder/radio | cannot make the port
 lab emulate LAB --port-link . | exists already
 lab emulate LAB --script none.yaml | no such file
 init Käse | 'Käse' cannot be the name of an experiment | use up to 64 characters: a to z, A to Z
-init --lab --cells | --lab and --cells
 init no/first | no/first.yaml: cannot be written: No such file or directory
 init spec | spec.yaml: exists already | give another NAME
 init mine --example three_m3pi | --example cannot be combined with other options
@@ -179,7 +178,7 @@ def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     assert contents(folder) == before
 
 
-DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+DISH = EXAMPLES / "tetrahymena_dish.yaml"
 MISSING = """
 import sys
 from unittest import mock

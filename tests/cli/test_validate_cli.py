@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 from support import cli
-from support.paths import ROOT
+from support.paths import ROOT, SPECS
 
 pytestmark = pytest.mark.slow
 
@@ -36,12 +36,11 @@ def tetractl(tmp_path):
 
 
 def test_good_specs_are_ok(tetractl):
-    specs = sorted(EXPERIMENTS.glob("*.yaml"))
-    result = tetractl("validate", *specs).ok()
+    result = tetractl("validate", *SPECS).ok()
     assert result.stderr == ""
     lines = result.stdout.splitlines()
-    assert len(lines) == len(specs)
-    assert all(line.startswith(f"{spec}: ok: ") for spec, line in zip(specs, lines, strict=True))
+    assert len(lines) == len(SPECS)
+    assert all(line.startswith(f"{spec}: ok: ") for spec, line in zip(SPECS, lines, strict=True))
     assert "name three-m3pi, robots 3, obstacles 1" in result.stdout
 
 

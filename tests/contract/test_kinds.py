@@ -24,7 +24,7 @@ from tetractl.testing import (
 
 pytestmark = pytest.mark.slow
 
-SETUP = parse_spec(template("check", "check", "robots"), "check").experiment.setup
+SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 SHAPES = {
     "circle": Circle(type="circle", center=(3.0, -2.0), radius=40.0),
     "rectangle": Rectangle(type="rectangle", left=-5, bottom=2, width=30, height=12),

@@ -6,8 +6,10 @@ import sys
 import tomllib
 
 import pytest
+from support.paths import EXAMPLES as MICROSCOPE_EXAMPLES
 from support.paths import ROOT
 
+from tetractl.core.registries import EXAMPLES
 from tetractl.core.version import __version__
 from tetractl.experiment.packages import BRINGS
 
@@ -60,7 +62,21 @@ def test_what_a_package_brings_is_named_where_it_is_missing(project):
             for (of, name), package in BRINGS.items()
             if (of, package) == (group, found["name"])
         }
-        assert brought <= set(found["entry-points"].get(group, {})), group
+        points = found["entry-points"].get(group, {})
+        if group == EXAMPLES.group:
+            brings = {name.partition("/")[0] for name in _names(project.parent)}
+            assert brought == brings and list(points.values()) == [f"{module(project)}:EXAMPLES"]
+        else:
+            assert brought <= set(points), group
+
+
+def module(project):
+    return f"{project.parent.name.replace('-', '_')}.registries"
+
+
+def _names(package):
+    (folder,) = package.glob("tetractl_*/examples")
+    return [path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml")]
 
 
 ALL = """
@@ -85,7 +101,9 @@ def test_the_core_imports_whole_without_the_packages_and_opencv():
         ("tetractl-emulator", ["lab", "emulate", "x.yaml"]),
         ("tetractl-emulator", ["run", "experiments/three_m3pi_lab.yaml", "--plant", "emulated"]),
         ("tetractl-microscope", ["track", "dish.avi"]),
-        ("tetractl-microscope", ["validate", "experiments/tetrahymena_dish.yaml"]),
+        ("tetractl-microscope", ["validate", str(MICROSCOPE_EXAMPLES / "tetrahymena_dish.yaml")]),
+        ("tetractl-microscope", ["init", "--example", "two_cells"]),
+        ("tetractl-emulator", ["init", "--example", "faults/apriltag/drips"]),
     ],
 )
 def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_it(package, words):

@@ -1,5 +1,6 @@
 """`tetractl.testing` and `tetractl kinds --check`: each thing wrong with a kind is found."""
 
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from pydantic import PrivateAttr
 from support.cli import tetractl
+from support.paths import ROOT
 
 from tetractl.cli.specs import template
 from tetractl.control.optimizers.mppi import Mppi
@@ -36,7 +38,7 @@ from tetractl.testing import (
     check_shape,
 )
 
-SETUP = parse_spec(template("check", "check", "robots"), "check").experiment.setup
+SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
 
 
@@ -345,7 +347,7 @@ def test_nothing_is_sent_to_the_port_of_a_network():
 
 
 def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
-    (tmp_path / "one.yaml").write_text(template("one", "one", "cells"), encoding="utf-8")
+    shutil.copy(ROOT / "experiments" / "single_cell.yaml", tmp_path / "one.yaml")
     words = ("kinds", "--check", "tetractl.control.sequence:SequenceSection", "--json")
     words += ("--set", "directions=[0.5]")
     done = tetractl(tmp_path, *words, "--spec", "one.yaml")

@@ -117,7 +117,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
         if not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
         fields[name] = frozen(parse_value(text, f"--set {setting}", (name,)))
-    text = template("check", "check", "robots")
+    text = template("check", "check")
     loaded = parse_spec(text, "check") if spec is None else ui.load(spec, None)
     found = list(check_kind(code, fields, loaded.experiment.setup))
     wrong = [finding for finding in found if finding.problem]

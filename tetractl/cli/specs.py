@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.core.registries import EXAMPLES
 from tetractl.core.table.table_files import json_text
+from tetractl.experiment.packages import not_installed
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -30,38 +32,47 @@ def shipped_folder() -> Path:
     raise UsageError("the examples are missing from this installation")
 
 
-def example_names() -> list[str]:
-    """Return the names of the examples: paths in their folder, without `.yaml`."""
-    folder = shipped_folder()
-    files = sorted(folder.rglob("*.yaml"))
-    return [file.relative_to(folder).with_suffix("").as_posix() for file in files]
+def examples() -> dict[str, Path]:
+    """Return the files of all examples, those of other packages too, by name: a path in their
+    folder, without `.yaml`."""
+    found: dict[str, Path] = {}
+    for folder in (shipped_folder(), *EXAMPLES.usable().values()):
+        for file in sorted(folder.rglob("*.yaml")):
+            found.setdefault(file.relative_to(folder).with_suffix("").as_posix(), file)
+    return found
 
 
 def example_files(name: str) -> dict[str, str]:
     """Return the texts of an example and of the files it names, by path in the examples' folder.
 
-    Raises UsageError if there is no such example.
+    Raises UsageError if there is no such example, or its package is not installed.
     """
     from tetractl.experiment.yaml.document import parse_document, read_text
     from tetractl.experiment.yaml.problems import did_you_mean
 
-    known, folder = example_names(), shipped_folder()
+    known = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
     if name not in known:
-        guess = did_you_mean(name, known)
-        top = ", ".join(one for one in known if "/" not in one)
+        group, first = EXAMPLES.group, name.partition("/")[0]
+        if first not in (one.partition("/")[0] for one in known) and (
+            needs := not_installed(group, first)
+        ):
+            raise UsageError(f"the example '{name}' {needs[0]}", needs[1])
+        folders = sorted({f"{one.partition('/')[0]}/" for one in known if "/" in one})
+        listed = ", ".join([*(one for one in known if "/" not in one), *folders])
         raise UsageError(
-            f"there is no example '{name}'{guess}", f"the examples are {top}, studies/"
+            f"there is no example '{name}'{did_you_mean(name, list(known))}",
+            f"the examples are {listed}",
         )
+    names = {file.resolve(): one for one, file in known.items()}
     found: dict[str, str] = {}
-    waiting = [folder / f"{name}.yaml"]
+    waiting = [name]
     while waiting:
-        file = waiting.pop()
-        text = read_text(file)
-        found[file.relative_to(folder).as_posix()] = text
+        file = known[inner := waiting.pop()].resolve()
+        found[f"{inner}.yaml"] = text = read_text(file)
         data = parse_document(text, str(file)).data
-        named = [(file.parent / data[key]).resolve() for key in NAMED if key in data]
-        waiting += [one for one in named if one.relative_to(folder).as_posix() not in found]
+        named = [names[(file.parent / data[key]).resolve()] for key in NAMED if key in data]
+        waiting += [one for one in named if f"{one}.yaml" not in found]
     return found
 
 
@@ -71,9 +82,6 @@ def init(
         argument("[NAME]", "Name of the experiment and of the file to write. [experiment]"),
     ] = None,
     lab: Annotated[bool, switch("Add a lab of m3pi robots to the spec.", "--lab")] = False,
-    cells: Annotated[
-        bool, switch("Write a spec of two cells, in um, in place of robots.", "--cells")
-    ] = False,
     example: Annotated[
         str | None,
         option(
@@ -83,35 +91,29 @@ def init(
 ) -> int:
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
-    With --example it writes a shipped spec or study, and the files it names, to
+    With --example it writes a shipped spec, study or fault script, and the files it names, to
     experiments/, as the examples of other commands expect. With an unknown NAME it lists the
-    examples.
+    examples of tetractl and of the packages that are installed.
 
     Example: tetractl init first
 
     Example: tetractl init --example studies/dead_time
     """
     if example is not None:
-        if name is not None or lab or cells:
+        if name is not None or lab:
             raise UsageError(
                 "--example cannot be combined with other options: it writes a file as shipped",
                 "give --example alone",
             )
         return _example(example)
     name = "experiment" if name is None else name
-    if lab and cells:
-        raise UsageError(
-            "--lab and --cells exclude each other: the lab has robots, not cells",
-            "leave out one of the two options",
-        )
     path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
     if not NAME.fullmatch(path.stem):
         raise UsageError(
             f"'{printable(name, 80)}' cannot be the name of an experiment",
             "use up to 64 characters: a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
-    kind = "cells" if cells else "lab" if lab else "robots"
-    _write(path, template(path.stem, path.name, kind), "give another NAME")
+    _write(path, template(path.stem, path.name, lab), "give another NAME")
     ui.tell(f"run it with: tetractl run {path}")
     return Exit.DONE
 
@@ -140,16 +142,15 @@ def _write(path: Path, text: str, hint: str) -> None:
     print(path)
 
 
-def template(name: str, file: str, kind: str) -> str:
-    """Return a commented spec of an experiment called `name`, to be kept in `file`.
-
-    `kind` is a file in experiment/templates: two robots, two cells, or robots with a lab.
-    """
+def template(name: str, file: str, lab: bool = False) -> str:
+    """Return a commented spec of an experiment called `name` with two robots, to be kept in `file`;
+    with a `lab` if wanted."""
     from importlib.resources import files
 
     from tetractl.experiment.yaml.core_yaml import dump
 
-    text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
+    kind = "lab.yaml" if lab else "robots.yaml"
+    text = (files("tetractl.experiment") / "templates" / kind).read_text("utf-8")
     named = dump({"name": name}).strip("{}\n")  # in quotes if YAML would read the name as a number
     return text.replace("@NAME@", named).replace("@FILE@", file)
 
@@ -233,7 +234,7 @@ def warm(
         list[Path] | None,
         argument(
             "[SPEC|STUDY]...",
-            "Specs and studies to compile for. [the specs that `tetractl init` writes]",
+            "Specs and studies to compile for. [the spec that `tetractl init` writes]",
         ),
     ] = None,
     sets: Sets = None,
@@ -267,14 +268,13 @@ def warm(
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield the experiments to compile for: the specs, one arm per controller of each study, or,
-    without files, the templates of `tetractl init`.
+    without files, the spec that `tetractl init` writes.
     """
     from tetractl.experiment.load import parse_spec
     from tetractl.study.load_study import is_study, load_study
 
     if not files:
-        for kind in ("robots", "cells"):
-            yield parse_spec(template("warm", "warm", kind), "warm", sets).experiment
+        yield parse_spec(template("warm", "warm"), "warm", sets).experiment
     for file in files:
         if is_study(file):
             arms = load_study(file).arms

@@ -184,6 +184,8 @@ LAB_COMMANDS = Registry(
     },
 )
 """Commands, and those of `tetractl lab`, in the order in which the help lists them."""
+EXAMPLES = Registry("tetractl.examples", {})
+"""The folders of further examples, each a `Path`: by the name of what brings it."""
 
 
 def all_registries() -> list[Registry]:

@@ -13,8 +13,13 @@ BRINGS = {
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
     ("tetractl.actuators", "field"): MICROSCOPE,
+    ("tetractl.examples", "tetrahymena_dish"): MICROSCOPE,
+    ("tetractl.examples", "tetrahymena_lab"): MICROSCOPE,
+    ("tetractl.examples", "two_cells"): MICROSCOPE,
+    ("tetractl.examples", "faults"): EMULATOR,
 }
-"""For a group of entry points and a name in it, the package that provides it."""
+"""For a group of entry points and a name in it, the package that provides it; for an example, its
+name or that of its folder."""
 
 
 def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:

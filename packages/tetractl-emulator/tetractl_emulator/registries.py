@@ -1,6 +1,11 @@
-"""The registries of emulated devices."""
+"""The registries of emulated devices, and the folder of examples."""
+
+from pathlib import Path
 
 from tetractl.core.registry import Registry
+
+EXAMPLES = Path(__file__).parent / "examples"
+"""The folder of the examples that `tetractl init --example` writes."""
 
 EMULATED_CAMERAS = Registry(
     "tetractl.emulated_cameras",

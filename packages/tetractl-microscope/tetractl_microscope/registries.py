@@ -1,6 +1,12 @@
-"""Registries of what a film's command names: figures of cells, and organisms."""
+"""Registries of what a film's command names: figures of cells, and organisms; and the
+folder of examples."""
+
+from pathlib import Path
 
 from tetractl.core.registry import Registry
+
+EXAMPLES = Path(__file__).parent / "examples"
+"""The folder of the examples that `tetractl init --example` writes."""
 
 CELL_FIGURES = Registry(
     "tetractl.cell_figures",

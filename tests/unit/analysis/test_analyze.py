@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from support.paths import EXAMPLES
 from support.trials import THREE_M3PI, experiment
 from tetractl_microscope.choices import predicted, ranked
 
@@ -136,7 +136,7 @@ def test_robots_that_start_within_a_margin_are_steered_out_of_it(adaptive):
 
 
 def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_round():
-    spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["controller.horizon_max=3"])
+    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["controller.horizon_max=3"])
     cells = [
         RobotCandidate(
             i, Pose(1000 + 300 * i, 900, 0.0), a=3.0 + i, a_sd=0.1, speed=400, speed_sd=4
@@ -156,7 +156,7 @@ def found_cell(number, a):
 
 
 def test_no_choice_has_cells_that_cannot_be_distinguished():
-    spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
     noise = Noise.of(spec.experiment.plant)
     chosen = {
@@ -167,7 +167,7 @@ def test_no_choice_has_cells_that_cannot_be_distinguished():
 
 
 def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():
-    spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
     noise = Noise.of(spec.experiment.plant)
     (one,) = ranked(spec.experiment, cells, noise, 12)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from support.paths import ROOT, SPECS
 from support.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
@@ -305,7 +305,7 @@ def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
     assert loaded.experiment == parse_spec(GOOD, "s.yaml", ["trials.count=3"]).experiment
 
 
-@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
 def test_shipped_experiments_load_and_round_trip(path):
     spec = load_spec(path)
     experiment = spec.experiment

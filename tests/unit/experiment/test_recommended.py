@@ -2,6 +2,7 @@
 
 import pytest
 from support.paths import ROOT
+from support.paths import SPECS as FILES
 
 from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
@@ -9,11 +10,11 @@ from tetractl.experiment.yaml.problems import InvalidSpecError
 
 SHIPPED = {
     path.relative_to(ROOT / "experiments").as_posix(): path.read_text(encoding="utf-8")
-    for folder in ("", "benchmark", "studies/bases")
+    for folder in ("benchmark", "studies/bases")
     for path in sorted((ROOT / "experiments" / folder).glob("*.yaml"))
-}
+} | {path.name: path.read_text(encoding="utf-8") for path in FILES}
 WRITTEN = {
-    f"init: {kind}": template("new", "new.yaml", kind) for kind in ("robots", "lab", "cells")
+    f"init: {kind}": template("new", "new.yaml", kind == "lab") for kind in ("robots", "lab")
 }
 SPECS = {name: parse_spec(text, name).experiment for name, text in (SHIPPED | WRITTEN).items()}
 OURS = [name for name, spec in SPECS.items() if spec.controller.type == "mpc"]
@@ -66,14 +67,14 @@ def test_defaults_follow_the_period_the_robots_and_their_bodies():
     assert (control.collision.silence, control.collision.stop_before_collision) == (1, True)
     slow = parse_spec(LAB, "lab.yaml", ["controller.period=0.2"]).experiment.controller
     assert (slow.signal_periods, slow.steps_max, slow.accept_error) == (1, 800, 34)
-    cells = SPECS["init: cells"].controller
+    cells = SPECS["two_cells.yaml"].controller
     assert (cells.collision.silence, cells.collision.stop_before_collision) == (0, False)
 
 
 def test_robots_that_cannot_stand_still_are_not_to_pause():
     with pytest.raises(InvalidSpecError, match="is only for robots that can stand still"):
         parse_spec(
-            WRITTEN["init: cells"], "c.yaml", ["controller.collision.stop_before_collision=true"]
+            SHIPPED["two_cells.yaml"], "c.yaml", ["controller.collision.stop_before_collision=true"]
         )
 
 

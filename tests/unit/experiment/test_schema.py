@@ -5,7 +5,7 @@ from functools import cache
 import jsonschema
 import make_reference
 import pytest
-from support.paths import ROOT
+from support.paths import ROOT, SPECS
 
 from tetractl.experiment.load import load_spec, resolved_yaml
 from tetractl.experiment.schema import experiment_schema, schema_json
@@ -15,7 +15,6 @@ pytestmark = pytest.mark.slow
 
 EXPERIMENTS = ROOT / "experiments"
 COMMITTED = EXPERIMENTS / "experiment.schema.json"
-SPECS = sorted(EXPERIMENTS.glob("*.yaml"))
 
 
 def test_the_committed_schema_is_that_of_the_models():

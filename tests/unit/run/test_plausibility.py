@@ -11,7 +11,6 @@ from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
-EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
 THREE = ROOT / "experiments" / "three_m3pi.yaml"
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 ON = "wheels.watchdog=null"

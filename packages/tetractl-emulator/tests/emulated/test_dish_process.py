@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from support.lab_processes import PATIENCE_S
 from support.needs_opencv import cv2
-from support.paths import ROOT
+from support.paths import EXAMPLES
 from tetractl_emulator import firmware
 
 pytestmark = pytest.mark.system
 
 assert cv2
-DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+DISH = EXAMPLES / "tetrahymena_dish.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
 SCRIPT = """
 about: a small dish of few cells

@@ -7,7 +7,7 @@ import pytest
 from support.cli import tetractl
 from support.lab_processes import SMALL as FEW_STEPS
 from support.lab_processes import SPEC, flags
-from support.paths import ROOT
+from support.paths import EXAMPLES, ROOT
 from tetractl_emulator import firmware
 
 from tetractl.log.read.reader import content_digest, read_result, read_trial
@@ -15,7 +15,7 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 pytestmark = pytest.mark.slow
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
-DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+DISH = EXAMPLES / "tetrahymena_dish.yaml"
 SMALL = flags((*(one for one in FEW_STEPS if not one.startswith("lab")), "controller.deadline=60"))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from support.lab_processes import Played, flags
 from support.lab_specs import SPEC
-from support.paths import ROOT
+from support.paths import EXAMPLES
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING, parse_script
 from tetractl_emulator.sides import Options
@@ -34,7 +34,7 @@ from tetractl.lab.inner_loop import InnerLoop
 from tetractl.plant.lab_plant import RigSection
 from tetractl.run.checked_controller import build_controller
 
-DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+DISH = EXAMPLES / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0
 AFTER_NS = SECOND  # a lab is watched for that long after a play
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from support.paths import EXAMPLES
 
 pytest.importorskip("cv2")
 
@@ -154,6 +154,5 @@ def test_states_may_have_a_slash_in_their_name(feed):
 
 def test_no_spec_names_the_folder_of_the_libraries():
     camera = "{type: cells, um_px: 2, source: {type: micromanager, config: a, adapters: [/tmp]}}"
-    dish = Path("experiments/tetrahymena_dish.yaml")
     with pytest.raises(InvalidSpecError, match="adapters: unknown key"):
-        load_spec(ROOT / dish, [f"lab.camera={camera}"])
+        load_spec(EXAMPLES / "tetrahymena_dish.yaml", [f"lab.camera={camera}"])

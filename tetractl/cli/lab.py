@@ -1,6 +1,5 @@
 """`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
 
-import math
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -122,30 +121,18 @@ def calibrate(
             max=80,
         ),
     ] = 45,
-    micrometer: Annotated[
-        str | None,
-        option(
-            "C,R,C,R,UM",
-            "Column and row of two places in a microscope's picture (px), and their distance "
-            "along the spec's x axis (um).",
-        ),
-    ] = None,
     yes: Yes = False,
 ) -> int:
-    """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
+    """Calibrate each robot's actuator by small motions.
 
     It measures wheel speeds, wheel distance and heading offset of m3pi robots. Robots move one
-    after another, each within about 0.3 m; space or Esc stops all robots. A microscope is
-    calibrated from two places in its picture: two marks of a stage micrometer, or one speck before
-    and after the stage was moved; no device is opened. Enter the file's name in the spec as
-    `lab.calibration`.
+    after another, each within about 0.3 m; space or Esc stops all robots. Enter the file's name in
+    the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
     ui.refuse_existing(out)
     lab, experiment = _lab(spec, sets)
-    if micrometer is not None:
-        return _save(out, lab.camera.measured_by(*_places(micrometer)))
     setup = experiment.setup
     names = robot or list(setup.names)
     for name in names:
@@ -160,23 +147,11 @@ def calibrate(
         if key.listening:
             ui.tell(SAYS)
         found = lab.actuator.calibrate(lab, setup, names, limit, emergency, ui.tell)
-    return _save(out, found)
+    return save_calibration(out, found)
 
 
-def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
-    try:
-        a, b, c, d, um = (float(part) for part in text.split(","))
-    except ValueError:
-        a = b = c = d = um = math.nan
-    if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
-        raise UsageError(
-            f"--micrometer {text}: needs five numbers, two places [px] and a distance [um], "
-            "such as 112,540,901,548,2000"
-        )
-    return (a, b), (c, d), um
-
-
-def _save(out: Path, found: "Measured") -> int:
+def save_calibration(out: Path, found: "Measured") -> int:
+    """Write a file for `lab.calibration`, and print what was found; return the exit code."""
     from tetractl.experiment.plants import Calibration
     from tetractl.experiment.yaml.core_yaml import dump
 

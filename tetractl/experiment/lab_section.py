@@ -18,7 +18,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive, inconsistent
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
 from tetractl.experiment.plant import Microscope, PlantSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
@@ -84,12 +84,6 @@ class CameraSection(DeviceSection):
         `wake` is called after each frame. AbortError if the camera's software is not installed.
         """
         return resolve_name(self.device)(self, setup, clock, wake)
-
-    def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return the picture's scale and rotation, measured by two points (column, row) [px] that
-        lie `um` [um] apart along the spec's x axis; UsageError if the points are too close.
-        """
-        raise UsageError(f"a camera of type {self.type} cannot be calibrated by a micrometer")
 
     def heading_offset(self, name: str) -> float:
         """Return the angle that the camera adds to a robot's measured heading [rad]."""

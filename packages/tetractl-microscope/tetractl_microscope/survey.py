@@ -1,11 +1,13 @@
 """`tetractl lab survey`: finds the cells in a dish and proposes which cells to steer."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.lab import save_calibration
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
 from tetractl.cli.rigs import rig_of
 from tetractl.core.errors import Exit, UsageError
@@ -29,6 +31,14 @@ def survey(
             "N", "Number of plans to search for each of the best choices of cells.", min=1, max=1000
         ),
     ] = 96,
+    micrometer: Annotated[
+        str | None,
+        option(
+            "C,R,C,R,UM",
+            "Only measure the picture's scale and rotation: column and row of two places in it "
+            "(px), and their distance along the spec's x axis (um).",
+        ),
+    ] = None,
     plant: Lab = "lab",
     yes: Yes = False,
     as_json: AsJson = False,
@@ -41,6 +51,10 @@ def survey(
     `tetractl analyze` predicts, with the noise of the spec's simulation. -o writes a spec with
     which a trial finds the best cells again, by their turning rates a and speeds.
 
+    With --micrometer no device is opened: scale and rotation follow from two marks of a stage
+    micrometer, or one speck before and after the stage was moved. Enter the file that is written in
+    the spec as `lab.calibration`.
+
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
     import numpy as np
@@ -49,13 +63,21 @@ def survey(
     from tetractl.analysis.steering import planner, tolerance
     from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.load import document_of
-    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choices import alike, ranked
     from tetractl_microscope.handedness import handedness_lines, watch_turning
 
     loaded = ui.load(spec, sets)
     experiment = on_plant(loaded, plant).experiment
+    if micrometer is not None:
+        out = Path("calibration.yaml") if out is None else out
+        ui.refuse_existing(out)
+        camera = lab_of(experiment, loaded.name).camera
+        if not isinstance(camera, CellsSection):
+            raise UsageError(f"a camera of type {camera.type} cannot be measured by a micrometer")
+        return save_calibration(out, camera.measured_by(*_places(micrometer)))
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
         raise UsageError(
@@ -120,6 +142,19 @@ def survey(
         save_whole(out, dump(data).encode())
         ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
     return Exit.DONE
+
+
+def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
+    try:
+        a, b, c, d, um = (float(part) for part in text.split(","))
+    except ValueError:
+        a = b = c = d = um = math.nan
+    if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
+        raise UsageError(
+            f"--micrometer {text}: needs five numbers, two places [px] and a distance [um], "
+            "such as 112,540,901,548,2000"
+        )
+    return (a, b), (c, d), um
 
 
 def _print_cells(

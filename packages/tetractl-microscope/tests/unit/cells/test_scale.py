@@ -22,7 +22,7 @@ def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measure
     second = first[0] + long * math.cos(axis), first[1] - long * math.sin(axis)
     places = ",".join(f"{each!r}" for each in (*first, *second, um))
     out = tmp_path / "scale.yaml"
-    done = tetractl(tmp_path, "lab", "calibrate", DISH, f"--micrometer={places}", "-o", out)
+    done = tetractl(tmp_path, "lab", "survey", DISH, f"--micrometer={places}", "-o", out)
     assert done.returncode == 0, done.stderr
     assert "2.3000 um/px" in done.stdout
     loaded = on_plant(load_spec(DISH), "lab")
@@ -36,7 +36,7 @@ def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measure
 
 @pytest.mark.parametrize("places", ["1,2,3", "0,0,nan,0,5", "0,0,9,0,100", "0,0,100,0,-1"])
 def test_places_that_mean_nothing_are_refused(places, tmp_path):
-    done = tetractl(tmp_path, "lab", "calibrate", DISH, "--micrometer", places)
+    done = tetractl(tmp_path, "lab", "survey", DISH, "--micrometer", places)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) <= 2
     assert not (tmp_path / "calibration.yaml").exists()

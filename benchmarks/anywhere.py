@@ -51,11 +51,21 @@ SIZES = (2, 3, 4, 5, 6)
 def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
     """Return one random instance as an experiment."""
     rng, count = np.random.default_rng([seed, number]), SIZES[number % len(SIZES)]
-    starts, targets = _scattered(rng, count), _scattered(rng, count)
+    starts, targets = scattered(rng, count), scattered(rng, count)
     base = load_experiment(OURS, *CONTROLLER, *(HURT if disturbed else ()))
     data = base.model_dump(mode="json", exclude={"lab", "scale", "reference"})
     data["arena"] = {"left": 0, "bottom": 0, "width": ARENA_MM, "height": ARENA_MM}
-    data["robots"] = tuple(
+    data["robots"] = robots(rng, starts, targets)
+    data["obstacles"] = _obstacles(rng, np.vstack([starts, targets]))
+    data["controller"]["accept_error"] = ACCEPT_MM * count
+    data["assign"] = "free" if free else "given"
+    data["trials"] = {"count": 1, "seed": seed + number}
+    return Experiment.model_validate(data)
+
+
+def robots(rng: np.random.Generator, starts: Floats, targets: Floats) -> tuple[dict[str, Any], ...]:
+    """Return robots with any headings and any speeds, whose a are apart by one factor."""
+    return tuple(
         {
             "name": f"r{i}",
             "start": tuple(starts[i]),
@@ -64,20 +74,23 @@ def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
             "a": float(a),
             "speed": float(rng.uniform(150, 200)),
         }
-        for i, a in enumerate(rng.permutation(np.geomspace(2, 6, count)))
+        for i, a in enumerate(rng.permutation(np.geomspace(2, 6, len(starts))))
     )
-    data["obstacles"] = _obstacles(rng, np.vstack([starts, targets]))
-    data["controller"]["accept_error"] = ACCEPT_MM * count
-    data["assign"] = "free" if free else "given"
-    data["trials"] = {"count": 1, "seed": seed + number}
-    return Experiment.model_validate(data)
 
 
-def _scattered(rng: np.random.Generator, count: int) -> Floats:
-    """Draw points (count, 2) that are BETWEEN_MM from each other."""
+INSIDE = EDGE_MM, ARENA_MM - EDGE_MM
+
+
+def scattered(
+    rng: np.random.Generator,
+    count: int,
+    x: tuple[float, float] = INSIDE,
+    y: tuple[float, float] = INSIDE,
+) -> Floats:
+    """Draw points (count, 2) within ranges of x and y that are BETWEEN_MM from each other."""
     found: list[Floats] = []
     while len(found) < count:
-        point = rng.uniform(EDGE_MM, ARENA_MM - EDGE_MM, 2)
+        point = rng.uniform(*zip(x, y, strict=True))
         if all(np.hypot(*(point - other)) >= BETWEEN_MM for other in found):
             found.append(point)
     return np.array(found)

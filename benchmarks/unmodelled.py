@@ -1,162 +1,277 @@
-"""Measure the closed loop under disturbances that the motion model (1)-(3) leaves out.
+"""Measure the closed loop where the controller's model may lack something.
 
-    python benchmarks/unmodelled.py --trials 50                         every row, robots at 20 Hz
-    python benchmarks/unmodelled.py --rows base sides --rate 5 --trials 20
+    python benchmarks/unmodelled.py --world sides later-5hz --trials 30 --jobs 2 --out NEW
+    python benchmarks/unmodelled.py --trials 0 --out NEW --against OLD
 
-Robots are those of three_m3pi.yaml in the world of disturbed.py, part `hurting`; all rows except
-`base` add a disturbance of this file. Cells are those of tetrahymena_bench.yaml (`axis`); in the
-other rows the camera shows their bodies, a is up to 50 % off, and they start at any heading. All
-rows have the same seeds. Everything is simulated. The last columns are about the last estimates.
+Everything is simulated; bodies are discs of the spec's radius; in `dead`, errors are those of the
+other robots. --out keeps a CSV for each world, to which trials are added and from which the table
+is printed; --against compares the same trials with another version's. Intervals are those of the
+last estimates, counted where no misfit was said in the trial; in brackets, in how many trials one
+of them missed, and in how many of those a misfit was said. Times of steps are processor times of
+plans for moving robots, which depend on the computer.
 """
 
 import argparse
-import json
-from dataclasses import replace
-from typing import Literal
+import csv
+import time
+from collections.abc import Sequence
+from dataclasses import fields
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from disturbed import HURT, RATES, as_specified
-from disturbed import run as run_trials
-from solverbench.problems import OURS, experiment
+from bodies import Kept
+from scipy import stats
 from solverbench.report import load, progress
+from worlds import WORLDS, Truth, Unmodelled
 
-from tetractl.control.mpc import Mpc
-from tetractl.core.plan import Estimate
-from tetractl.core.poses import Poses, wrap
-from tetractl.core.protocols import Controller, Plant
-from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
-from tetractl.experiment.experiment import Experiment
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import Command, Note, PlantInfo
+from tetractl.core.plan import End, Estimate, Outcome, Plan
+from tetractl.core.poses import Observation
+from tetractl.core.protocols import Controller, LabSupervision
+from tetractl.core.trial import EPOCH_NS
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.plant.disturbances.radio import RadioSection
+from tetractl.plant.simulation import SimPlant
 from tetractl.results.estimate import distributions
+from tetractl.results.mean_difference import paired_t
+from tetractl.run.checked_controller import build_controller
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
+from tetractl.run.task import trial_seeds
 
-CELLS = "tetrahymena_bench.yaml"
-LATE_S = 0.12  # further dead time of the last robot to hear a command
-SIDES = 0.2  # a to one side is 1 + SIDES of the spec's, to the other 1 - SIDES
-SLIDE_MM_S, DRAWN_RAD_S = 12.0, 0.1  # slide, and turning rate towards its direction
-Random = np.random.Generator
-
-
-class Late(Disturbance):
-    """Each robot hears commands later, by a time of its own."""
-
-    def __init__(self, count: int, random: Random) -> None:
-        late = random.permutation(np.linspace(0, LATE_S, count))
-        self.late_ns = (1e9 * late).astype(np.int64)
-
-    def sent(self, command: DelayedCommand) -> DelayedCommand:
-        before = 0 if command.late_ns is None else command.late_ns
-        return replace(command, late_ns=before + self.late_ns)
+QUANTITIES = {"a": "a", "side": "side", "speed": "speed", "dead_time": "dead time"}
+"""Fields of an estimate, as far as it has them, and their names in the table."""
+FAR_MM = 100.0  # a total error that no disturbance explains
+MISFIT = "the model does not fit"
+TOLD = "outcome"
+Row = dict[str, Any]
 
 
-class Sides(Disturbance):
-    """Each robot turns faster to one side than to the other."""
+class Timed:
+    """A controller with the processor time of each plan for moving robots [ms]."""
 
-    def __init__(self, count: int, random: Random) -> None:
-        self.more, self.before = SIDES * random.choice([-1.0, 1.0], count), None
+    def __init__(self, controller: Controller) -> None:
+        self.controller, self.moving, self.ms = controller, False, list[float]()
 
-    def moved(self, poses: Poses, moving: np.ndarray, seconds: float, time_s: float) -> Poses:
-        heading = poses.heading
-        if self.before is not None:
-            heading = heading + self.more * np.abs(wrap(heading - self.before)) * moving
-        self.before = heading
-        return Poses(poses.x, poses.y, heading)
-
-
-class Slide(Disturbance):
-    """Moving robots slide downhill, and their headings are drawn there."""
-
-    def __init__(self, count: int, random: Random) -> None:
-        self.down = random.uniform(-np.pi, np.pi)
-
-    def moved(self, poses: Poses, moving: np.ndarray, seconds: float, time_s: float) -> Poses:
-        way, drawn = SLIDE_MM_S * seconds * moving, DRAWN_RAD_S * seconds * moving
-        x, y = poses.x + way * np.cos(self.down), poses.y + way * np.sin(self.down)
-        return Poses(x, y, poses.heading + drawn * np.sin(self.down - poses.heading))
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        begin = time.thread_time()
+        found = self.controller.plan(observation, last_command, earlier)
+        if self.moving:
+            self.ms.append(1e3 * (time.thread_time() - begin))
+        self.moving = isinstance(found, Plan) and not found.pauses
+        return found
 
 
-class Unmodelled(DisturbanceSection):
-    """One of these disturbances."""
+class Noted(Kept):
+    """An observer that also keeps what is said."""
 
-    type: Literal["late", "sides", "slide"]
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: list[str] = []
 
-    def build(self, setup: Setup, rng: Random) -> Disturbance:
-        return {"late": Late, "sides": Sides, "slide": Slide}[self.type](len(setup.names), rng)
+    def on_note(self, note: Note) -> None:
+        self.texts.append(note.text)
 
 
-ROBOTS = ("base", "late", "sides", "slide")
-BODIES = {"body": (8, 1.5), "fast": (8, 2.5), "no-helix": (0, 1)}
-"""Radius [um] and frequency [Hz] of the helix of cells whose bodies the camera shows."""
+def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
+    """Run one trial of a world in virtual time."""
+    world, trial = asked
+    name, slow, _ = world.partition("-5hz")
+    spec = WORLDS[name].spec(5 if slow else 20, seed, trial, settings)
+    key, seeds = trial_seeds(spec.trials.seed, trial)
+    clock, nowhere, kept = VirtualClock(), PlantInfo("", True, 0.0, {}), Noted()
+    plant = spec.plant.build(spec.setup, clock, seeds, LabSupervision())
+    controller = Timed(build_controller(spec, key))
+    result = Trial(
+        start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
+        plant=plant,
+        controller=controller,
+        first_plan=spec.controller.first_plan,
+        clock=clock,
+        observers=[kept],
+        interrupt=Interrupt(),
+    ).run()
+    assert isinstance(plant, SimPlant)
+    truth, verdict = true(plant), result.verdict
+    radius = spec.controller.body_radius
+    gaps = min(verdict.edge), min(verdict.clearance), min(verdict.apart) - radius
+    errors, period_s = np.array(result.robot_errors)[truth["lives"]], spec.setup.period_s
+    return {
+        "seed": seed,
+        "trial": trial,
+        "error": errors.sum(),
+        "greatest": errors.max(),
+        "seconds": result.duration_s,
+        "complete": int(result.outcome.complete),
+        TOLD: result.outcome.value + (f": {result.reason}" if result.reason else ""),
+        "edge_mm": gaps[0] - radius,
+        "obstacle_mm": gaps[1] - radius,
+        "apart_mm": gaps[2] - radius,
+        "pauses": sum(step.plan.pauses for step in kept.steps),
+        "misfit": int(any(MISFIT in text for text in kept.texts)),
+        "late_steps": sum(ms > 1e3 * period_s for ms in controller.ms),
+        "step_max_ms": max(controller.ms, default=0.0),
+        **held(kept.steps[-1].plan.estimate if kept.steps else None, truth),
+    }
+
+
+def true(plant: SimPlant) -> Truth:
+    """Return what holds at the end of a trial."""
+    a, speed = plant.rates
+    drives = speed != 0
+    radios = [one for one in plant.spec.disturbances if isinstance(one, RadioSection)]
+    delay = sum(one.delay + one.jitter / 2 + one.spread / 2 for one in radios)
+    known = {
+        "a": np.where(drives, a, plant.a),
+        "speed": np.where(drives, np.abs(speed), plant.speed),
+        "side": np.zeros(len(a)),
+        "dead_time": np.array([plant.spec.dead_time + delay]),
+        "lives": np.ones(len(a), dtype=np.bool_),
+    }
+    for one in plant.disturbances:
+        if isinstance(one, Unmodelled):
+            known = one.truth(known)
+    return known
+
+
+def held(known: Estimate | None, truth: Truth) -> Row:
+    """Return, for each quantity, how many 95 % intervals there are and how many hold the truth."""
+    row: Row = {}
+    there = {one.name for one in fields(Estimate)} if known else set[str]()
+    for name in QUANTITIES:
+        value, std = (np.array(getattr(known, one, None), float) for one in (name, f"{name}_std"))
+        if name not in there or np.isnan(value).any():
+            row |= {f"{name}_of": 0, f"{name}_held": 0}
+            continue
+        lives = truth["lives"] if value.ndim else np.True_
+        off = np.abs(value - truth[name])[lives] <= 1.96 * std[lives]
+        row |= {f"{name}_of": off.size, f"{name}_held": int(off.sum())}
+    return row
+
+
+def read(path: Path) -> list[Row]:
+    """Return the rows of a CSV, [] if there is none."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows = csv.DictReader(file)
+        return [{k: v if k == TOLD else float(v) for k, v in row.items()} for row in rows]
+
+
 HEAD = (
-    "| row | total error [mm or um], mean and 95 % interval | median / worst "
-    "| above 20 / 30 / 100 [%] | trial [s] | a, speed within 2 sigma | a off, claimed, rms [%] "
-    "| dead time, its sigma [ms] | step p50 [ms] |"
+    "world",
+    "n",
+    "total error, mean and 95 % interval",
+    "median / worst; worst robot",
+    "above 100 / not completed",
+    "trial [s], mean / longest",
+    "bodies over an edge / in an obstacle / touching (worst [mm])",
+    "misfit said",
+    *(f"{name} held" for name in QUANTITIES.values()),
+    "missed: said",
+    "steps over the period / longest [ms]",
 )
-ROWS = (*ROBOTS, "axis", *BODIES)
 
 
-def spec_of(name: str, rate: int, *settings: str) -> Experiment:
-    if name in ROBOTS:
-        spec = experiment(OURS, *HURT, *RATES[rate], *settings)
-        more = () if name == "base" else (Unmodelled(type=name),)
-        plant = spec.plant.model_copy(update={"disturbances": more})
-        return spec.model_copy(update={"plant": plant})
-    spec = experiment(CELLS, *settings)
-    if name == "axis":
-        return spec
-    given = [one.model_dump(mode="json") for one in spec.plant.disturbances]
-    radius, frequency = BODIES[name]
-    given[-1]["heading"] = 3.1416
-    given.append({"type": "wobble", "radius": radius, "frequency": frequency})
-    told = f"plant.disturbances={json.dumps(given)}"
-    return experiment(CELLS, *settings, "plant.cells=null", "plant.a_error=0.5", told)
-
-
-def report(name: str, spec: Experiment, trials: int) -> None:
-    """Run the trials of a row and print it."""
-    made: list[tuple[Mpc, Plant]] = []
-
-    def build(spec: Experiment, key: int, plant: Plant) -> Controller:
-        checked = as_specified(spec, key, plant)
-        made.append((checked.controller, plant))
-        return checked
-
-    results = run_trials(spec, trials, build)
-    ends: list[tuple[Estimate, Plant]] = [(mpc.estimator.estimate, plant) for mpc, plant in made]
-    off = np.concatenate([np.log(one.a / plant.a) for one, plant in ends])
-    claimed = np.concatenate([one.a_std / one.a for one, _ in ends])
-    fast = np.concatenate([(one.speed - plant.speed) / one.speed_std for one, plant in ends])
-    errors = np.array([one.total_error for one in results])
-    (described,) = distributions(errors[None], 30.0)
-    low, high = described.ci95.low, described.ci95.high
-    above = " / ".join(f"{100 * np.mean(errors > bound):.0f}" for bound in (20, 30, 100))
-    dead = np.mean([(one.dead_time, one.dead_time_std) for one, _ in ends], axis=0)
-    held = np.abs(off) <= 2 * claimed
+def line(name: str, rows: list[Row]) -> str:
+    """Return a world's line of the table."""
+    of = {key: np.array([row[key] for row in rows]) for key in rows[0] if key != TOLD}
+    (error,) = distributions(of["error"][None])
+    gaps = [of[f"{what}_mm"] for what in ("edge", "obstacle", "apart")]
+    quiet, missed = of["misfit"] == 0, np.zeros(len(rows), dtype=np.bool_)
+    shares = []
+    for what in QUANTITIES:
+        inside, every = of[f"{what}_held"], of[f"{what}_of"]
+        missed |= inside < every
+        shares.append(f"{inside[quiet].sum():.0f} of {every[quiet].sum():.0f}")
+    said = of["misfit"] > 0
     cells = (
-        name,
-        f"{errors.mean():.1f} [{low:.1f}, {high:.1f}]",
-        f"{np.median(errors):.1f} / {errors.max():.0f}",
-        above,
-        f"{np.mean([one.duration_s for one in results]):.1f}",
-        f"{held.sum()} of {held.size}, {np.sum(np.abs(fast) <= 2)}",
-        f"{100 * np.sqrt(np.mean(off**2)):.1f} / {100 * np.sqrt(np.mean(claimed**2)):.1f}",
-        " ".join(f"{1e3 * one:.1f}" for one in dead),
-        f"{np.median(np.concatenate([one.solve_ns[1:] for one in results])) / 1e6:.1f}",
+        f"`{name}`",
+        f"{len(rows)}",
+        f"{error.mean:.1f} [{error.ci95.low:.1f}, {error.ci95.high:.1f}]",
+        f"{np.median(of['error']):.1f} / {of['error'].max():.1f}; {of['greatest'].max():.1f}",
+        f"{(of['error'] > FAR_MM).sum()} / {(of['complete'] == 0).sum()}",
+        f"{of['seconds'].mean():.1f} / {of['seconds'].max():.1f}",
+        " / ".join(f"{(gap < 0).sum()}" for gap in gaps) + f" ({max(0.0, -np.min(gaps)):.1f})",
+        f"{said.sum()}",
+        *shares,
+        f"{missed.sum()}: {(missed & said).sum()}",
+        f"{of['late_steps'].sum():.0f} / {of['step_max_ms'].max():.0f}",
     )
-    print(f"| {' | '.join(cells)} |", flush=True)
+    return f"| {' | '.join(cells)} |"
+
+
+def compare(found: dict[str, list[Row]], folder: Path) -> None:
+    """Print differences from another version's trials, with Holm's intervals: at 1 - 0.05 / k for
+    the difference of least p of k, at 1 - 0.05 / (k - 1) for the next, and so on."""
+    pairs: dict[tuple[str, str], np.ndarray] = {}
+    for name, rows in found.items():
+        other = {(row["seed"], row["trial"]): row for row in read(folder / f"{name}.csv")}
+        both = [(row, other.get((row["seed"], row["trial"]))) for row in rows]
+        for what in ("error", "seconds"):
+            pairs[name, what] = np.array([(a[what], b[what]) for a, b in both if b]).reshape(-1, 2)
+    tested = {key: paired_t(two[:, 0] - two[:, 1]) for key, two in pairs.items() if len(two) > 1}
+    order = sorted((one.p_value, key) for key, one in tested.items() if one.p_value == one.p_value)
+    levels = {key: 0.05 / (len(order) - i) for i, (_, key) in enumerate(order)}
+    print("\n| world | | pairs, equal | before | now | now - before, Holm's 95 % interval | |")
+    print("|---|---|---|---|---|---|---|")
+    for key, one in tested.items():
+        more, (now, before) = np.subtract(*pairs[key].T), pairs[key].mean(axis=0)
+        half, verdict = 0.0, "equal"
+        if key in levels:
+            reach = stats.t.ppf(1 - levels[key] / 2, len(more) - 1)
+            half = reach * more.std(ddof=1) / np.sqrt(len(more))
+            verdict = "**worse**" if one.value > half else "better" if one.value < -half else ""
+        cells = f"{before:.1f} | {now:.1f} | {one.value:.2f} [{one.value - half:.2f}, "
+        cells += f"{one.value + half:.2f}], {100 * one.value / before:+.0f} % | {verdict}"
+        print(f"| `{key[0]}` | {key[1]} | {len(more)}, {(more == 0).sum()} | {cells} |")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=(*ROBOTS, "axis", "body"))
-    parser.add_argument("--trials", type=int, default=50)
-    parser.add_argument("--rate", type=int, choices=tuple(RATES), default=20, help="robots' [Hz]")
+    names = [f"{name}{rate}" for name in WORLDS for rate in ("", "-5hz")]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--world", nargs="+", choices=names, metavar="WORLD", default=[*WORLDS])
+    parser.add_argument("--trials", type=int, default=30)
+    parser.add_argument("--first", type=int, default=0, help="number of the first trial")
+    parser.add_argument("--seed", type=int, default=20261124)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--set", action="append", default=[], help="a setting of every spec")
-    chosen = parser.parse_args()
-    print(f"Simulated, {chosen.trials} trials a row. {load()}.\n")
-    print(HEAD + "\n" + "|---" * (HEAD.count("|") - 1) + "|")
-    for name in chosen.rows:
-        progress(name)
-        report(name, spec_of(name, chosen.rate, *chosen.set), chosen.trials)
+    parser.add_argument("--out", type=Path, help="folder of a CSV for each world")
+    parser.add_argument("--against", type=Path, help="such a folder of another version")
+    asked = parser.parse_args()
+    print(f"Simulated, seed {asked.seed}. {load()}.\n")
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    numbers, found = range(asked.first, asked.first + asked.trials), dict[str, list[Row]]()
+    with get_context("spawn").Pool(asked.jobs) as pool:
+        for name in asked.world:
+            progress(name)
+            tasks = [(name, trial) for trial in numbers]
+            rows = list(pool.imap(partial(run, asked.seed, asked.set), tasks, chunksize=1))
+            if asked.out:
+                made = {(row["seed"], row["trial"]) for row in rows}
+                kept = [row for row in read(asked.out / f"{name}.csv") if row["seed"] == asked.seed]
+                rows += [row for row in kept if (row["seed"], row["trial"]) not in made]
+            if not rows:
+                continue
+            found[name] = sorted(rows, key=lambda row: row["trial"])
+            print(line(name, found[name]), flush=True)
+            if asked.out:
+                asked.out.mkdir(parents=True, exist_ok=True)
+                with (asked.out / f"{name}.csv").open("w", newline="") as file:
+                    writer = csv.DictWriter(file, list(rows[0]))
+                    writer.writeheader()
+                    writer.writerows(found[name])
+    if asked.against:
+        compare(found, asked.against)
 
 
 if __name__ == "__main__":

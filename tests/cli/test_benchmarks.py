@@ -14,7 +14,7 @@ SMALLEST = [
     ("floors.py", "--trials", "1", "--rows", "0"),
     ("anywhere.py", "--trials", "1"),
     ("bodies.py", "--rate", "5", "--trials", "1"),
-    ("unmodelled.py", "--trials", "1", "--rows", "base"),
+    ("unmodelled.py", "--trials", "1", "--world", "base"),
     ("solver.py", "--quick", "--only", "b"),
     ("side_by_side.py", "--trials", "4", "--rounds", "1"),
 ]

@@ -29,7 +29,26 @@ sys.path.append(str(ROOT / "tests"))
 sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 HANG_S = 120  # on a busy host a report takes half a minute
-FUZZED = ["tetractl.experiment", "tetractl.lab", "tetractl.log", "yaml", "support.targets"]
+FUZZED = [
+    "tetractl.experiment",
+    "tetractl.lab",
+    "tetractl.log",
+    "yaml",
+    "support.targets",
+    "support.wire_targets",
+]
+
+
+def known() -> dict[str, Any]:
+    """The parsers of the core and of the packages that are installed."""
+    from support import targets, wire_targets
+
+    found = {**targets.TARGETS, **wire_targets.TARGETS}
+    if find_spec("cv2"):
+        from support import picture_targets
+
+        found |= picture_targets.TARGETS
+    return found
 
 
 class Fuzz:
@@ -80,9 +99,9 @@ def child(name: str, seconds: float, seed: int, keep: Path) -> None:
     if find_spec("atheris"):
         import atheris
     with atheris.instrument_imports(include=FUZZED) if atheris else nullcontext():
-        from support.seeds import mutant
-        from support.targets import TARGETS
-    target = TARGETS[name]
+        from support.targets import mutant
+
+        target = known()[name]
     seeds = target.seeds()
     for data in seeds:
         target.run(data)
@@ -111,16 +130,14 @@ def main() -> int:
     keep = given.keep.absolute()
     if given.child:
         child(given.target[0], given.seconds, given.seed, keep)
-    from support.targets import TARGETS
-
-    if unknown := set(given.target or ()) - set(TARGETS):
-        parser.error(f"no such target: {unknown.pop()}; there are {', '.join(TARGETS)}")
+    if unknown := set(given.target or ()) - set(known()):
+        parser.error(f"no such target: {unknown.pop()}; there are {', '.join(known())}")
     how = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
     keep.mkdir(parents=True, exist_ok=True)
     print(f"With {how}, {given.seconds:g} s a target:\n", flush=True)
     print("| target | runs | crashes | slowest input | memory |\n|---|---|---|---|---|", flush=True)
     failed = False
-    for name in given.target or TARGETS:
+    for name in given.target or known():
         with tempfile.TemporaryDirectory() as scratch:
             words = ["--target", name, "--seconds", str(given.seconds), "--seed", str(given.seed)]
             done = subprocess.run(

@@ -1,37 +1,30 @@
 """Everything that reads bytes from outside, as functions of bytes that fail on a broken promise.
 
-The same functions are fuzzed by hypothesis in the tests and by atheris in benchmarks/fuzz.py.
+The same functions are fuzzed by the tests and, with those of the packages, by benchmarks/fuzz.py.
 """
 
 import contextlib
-import math
+import random
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from support import seeds
-from support.paths import SCRIPTS
-from support.seeds import MS, ROOT, VERSIONS
-from tetractl_emulator.script import parse_script
+from support.device_replies import packed_reply
+from support.paths import ROOT
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
-from tetractl.core.poses import CameraFrame
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import calibrated, on_plant
+from tetractl.experiment.plants import Calibration, calibrated, on_plant
+from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
+from tetractl.lab.actuators.xbee import frames as xbee
 from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, answered, encode, received
-from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
-from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS, UP_AXIS, Stream
-from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.cobs import Flag
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
@@ -39,7 +32,6 @@ from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
-SIDE = 128  # of a picture [px]
 
 
 class Target(NamedTuple):
@@ -75,7 +67,38 @@ def text(data: bytes) -> str:
     return data[:LONGEST].decode("utf-8", "replace")
 
 
-# specs, fault scripts, calibration files
+def files(folder: Path) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in sorted(folder.glob("*.yaml"))]
+
+
+NUMBERS = [0, 1, 127, 128, 255, 65_535, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1]
+
+
+def mutant(seeds: Sequence[bytes], rng: random.Random) -> bytes:
+    """Return a seed with a few bytes changed, cut, repeated, or replaced by those of another."""
+    data = bytearray(rng.choice(seeds))
+    for _ in range(rng.randint(1, 4)):
+        at, size = rng.randint(0, len(data)), rng.randint(1, 16)
+        match rng.randrange(6):
+            case 0 if at < len(data):
+                data[at] = rng.randrange(256)
+            case 1:
+                del data[at : at + rng.choice([1, size, len(data)])]
+            case 2:
+                data[at:at] = rng.randbytes(size)
+            case 3:
+                data[at : at + size] = bytes(data[at : at + size]) * rng.choice([2, 3, 50])
+            case 4:
+                other = rng.choice(seeds)
+                start = rng.randint(0, len(other))
+                data[at:at] = other[start : start + rng.choice([size, 200])]
+            case _:
+                count = rng.choice(NUMBERS).to_bytes(8, "little")[: rng.choice([1, 2, 4, 8])]
+                data[at : at + len(count)] = count
+    return bytes(data)
+
+
+# specs, calibration files
 
 
 def spec_text(text: str, *sets: str) -> None:
@@ -85,12 +108,6 @@ def spec_text(text: str, *sets: str) -> None:
 
 def spec(data: bytes) -> None:
     spec_text(text(data))
-
-
-def script(data: bytes) -> None:
-    with only(SpecError, one_line=False):
-        found = parse_script(text(data), "s.yaml")
-        assert all(math.isfinite(fault.at) for fault in found.faults)
 
 
 def calibration(data: bytes) -> None:
@@ -103,46 +120,15 @@ def _lab():
     return on_plant(parse_spec(LAB_SPEC.read_text("utf-8"), "lab"), "lab").experiment
 
 
-# NatNet
-
-
-def sound(frame: CameraFrame) -> None:
-    """No number reaches the controller or the log that they cannot hold."""
-    for pose in (*frame.poses, *frame.strangers):
-        assert pose is None or all(map(math.isfinite, (pose.x, pose.y, pose.heading)))
-    assert 0 <= frame.received_ns - frame.sampled_ns <= AGE_MAX_NS
-
-
-def stream(up: UpAxis | None = None) -> Stream:
-    robots = (
-        TrackedRobot(name="robot", body="green"),
-        TrackedRobot(name="robot", body=12, heading_offset=0.5),
+def calibrations() -> list[bytes]:
+    wheel = {"gain_mm": 7.0, "dead_zone": 9, "invert": False}
+    blue = {"name": "blue", "radius_mm": 41.5, "left": wheel, "right": wheel, "swap": True}
+    found = Calibration(
+        measured="2026-01-01T00:00:00Z",
+        camera={"robots": [{"name": "blue", "heading_offset": 0.25}]},
+        actuator={"robots": [blue]},
     )
-    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_frame=sound)
-
-
-def natnet_datagrams(data: bytes) -> None:
-    """One byte for a version, then datagrams, cut where their headers say."""
-    version, rest = VERSIONS[data[0] % len(VERSIONS)] if data else None, data[1:]
-    for known in (version, None):
-        with only(WireError):
-            parse(rest, known)
-    fed = stream()
-    for question in (
-        natnet.Connect(),
-        natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF),
-        natnet.EchoRequest(seeds.ECHOED_NS),
-    ):
-        fed.asked(question)
-    at = count = 0
-    while at < len(rest):
-        size = 4 + int.from_bytes(rest[at + 2 : at + 4], "little")
-        fed.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[count % 2]))
-        fed.feed(rest[at : at + size], 500 * MS * count)
-        at, count = at + size, count + 1
-    seen = fed.counts
-    assert seen.frames + seen.bad + seen.unasked <= count
-    fed.missing()
+    return [dump(found.model_dump(mode="json")).encode()]
 
 
 # serial bytes
@@ -166,43 +152,19 @@ def serial(data: bytes) -> None:
     assert decoder.dropped_bytes <= len(stuff)
 
 
-# pictures
+def serial_bytes() -> list[bytes]:
+    command = broadcast.encode_command(broadcast.BroadcastCommand(7, Flag.RUN, ((64, -64), (1, 0))))
+    reply = packed_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
+    received = [
+        b"\x81\x12\x34\x5e\1" + reply,
+        xbee.at_response(1, b"BD", b"\x06"),
+        b"\x89\1\0",
+        xbee.BROADCAST + command,
+    ]
+    return [b"\x3f" + b"".join(map(xbee.encode, received)), b"\x20" + command + reply]
 
 
-@cache
-def _dish() -> tuple[list, list[bytes]]:
-    """The pictures of a small film, and answers of a camera: that film, and absurd pictures."""
-    from support.dish_films import film
-
-    shown = list(film(seed=3, side=SIDE, cells=2, seconds=0.5).pictures())
-    black, noise = (
-        np.zeros((SIDE, SIDE), np.uint8),
-        np.random.default_rng(1).integers(0, 2, (64, 64)),
-    )
-    blobs = np.kron(255 * noise, np.ones((2, 2))).astype(np.uint8)
-    absurd = [shown[0], black, black + 255, blobs, shown[1], np.zeros((40, 9), np.uint8), shown[2]]
-    return shown, [b"".join(part(coded(one, 90)) for one in some) for some in (shown, absurd)]
-
-
-def pictures(data: bytes) -> None:
-    """What a network camera answers, searched for cells."""
-    from tetractl_microscope.cells.detect_cells import BLOBS
-    from tetractl_microscope.cells.tracking import CellTracker
-
-    tracker, parts = CellTracker(2.3, known=True), Multipart(BOUNDARY)
-    tracker.finder.learn(_dish()[0])
-    for k, body in enumerate(parts.feed(data)[:20]):
-        grey = decoded(Picture(body, 0), (SIDE, SIDE))
-        if grey is None:
-            continue
-        cells = tracker.see(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])
-        assert len(cells) <= BLOBS
-        for cell in cells:
-            assert all(map(math.isfinite, (cell.x, cell.y, cell.heading, *cell.mean)))
-            assert 0 <= cell.probability <= 1
-
-
-# logs and recorded wires
+# logs
 
 
 def log(data: bytes) -> None:
@@ -219,18 +181,13 @@ def log(data: bytes) -> None:
         Path(str(out.path)).unlink(missing_ok=True)
 
 
-TARGETS = {
-    "spec": Target(spec, seeds.files(ROOT / "experiments")),
-    "script": Target(script, seeds.files(SCRIPTS)),
-    "calibration": Target(calibration, seeds.calibrations),
-    "log": Target(log, seeds.logs),
-    "natnet": Target(natnet_datagrams, seeds.datagrams),
-    "serial": Target(serial, seeds.serial_bytes),
-}
-if find_spec("cv2"):
-    from tetractl_emulator.pictures.network_camera import BOUNDARY, coded, part
-    from tetractl_microscope.pictures.feed import Picture
-    from tetractl_microscope.pictures.multipart import Multipart
-    from tetractl_microscope.pictures.source import decoded
+def logs() -> list[bytes]:
+    return [path.read_bytes() for path in sorted((ROOT / "tests" / "golden").glob("*.mcap"))]
 
-    TARGETS["pictures"] = Target(pictures, lambda: _dish()[1])
+
+TARGETS = {
+    "spec": Target(spec, files(ROOT / "experiments")),
+    "calibration": Target(calibration, calibrations),
+    "log": Target(log, logs),
+    "serial": Target(serial, serial_bytes),
+}

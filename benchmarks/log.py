@@ -39,8 +39,9 @@ import numpy as np  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402
 from support.durable import RealTime, random_kill, small_disk  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
+from support.lab_logs import lab_log  # noqa: E402
 from support.running import ENDLESS  # noqa: E402
-from support.tampering import lab_log, score, sim_log  # noqa: E402
+from support.tampering import score, sim_log  # noqa: E402
 
 from tetractl.control.build import warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402

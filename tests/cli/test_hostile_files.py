@@ -9,10 +9,8 @@ from support.cli import tetractl
 from support.mutate import rewrite, stating
 from support.running import QUICK
 from support.studies import SMALL, run, write
-from tetractl_emulator.script import parse_script
 
 from tetractl.core.table import table_files
-from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact
 from tetractl.log.read import limits
@@ -139,13 +137,6 @@ def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
     log = rewrite(contents, tmp_path / "log.mcap", stating(contents, RUN, facts=facts))
     done = tetractl(tmp_path, "plot", log, "--kind", "estimate", "-o", "e.png")
     refused(done, "log.mcap", "true_a", code=1)
-
-
-@pytest.mark.parametrize("kind", ["{a: 1}", "[radio]", "1", "null"])
-def test_a_fault_of_no_kind_is_told(kind):
-    text = f"about: a script\nfaults:\n- {{fault: {kind}, at: 1}}\n"
-    with pytest.raises(InvalidSpecError, match=r"s.yaml:3:3: .*fault must be one of"):
-        parse_script(text, "s.yaml")
 
 
 def test_seeds_are_the_same_numbers_in_every_table(tmp_path):

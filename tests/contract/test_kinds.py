@@ -2,7 +2,6 @@
 
 import pytest
 from support.controllers import CONTROLLERS, SMALL
-from support.devices import ACTUATORS, CAMERAS
 
 from tetractl.cli.specs import template
 from tetractl.core import registries
@@ -12,8 +11,6 @@ from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.polygon import Polygon
 from tetractl.model.shapes.rectangle import Rectangle
 from tetractl.testing import (
-    check_actuator,
-    check_camera,
     check_controller,
     check_disturbance,
     check_motion,
@@ -74,15 +71,3 @@ def test_controller(name):
 def test_disturbance(name):
     section = DISTURBANCES.load(name).model_validate({"type": name} | FIELDS.get(name, {}))
     assert failed(check_disturbance(section, SETUP)) == []
-
-
-@pytest.mark.parametrize("name", CAMERAS)
-def test_camera(name, tmp_path):
-    with CAMERAS[name](tmp_path) as (section, setup, scene):
-        assert failed(check_camera(section, setup, scene)) == []
-
-
-@pytest.mark.parametrize("name", ACTUATORS)
-def test_actuator(name, tmp_path):
-    with ACTUATORS[name](tmp_path) as (section, setup, robots):
-        assert failed(check_actuator(section, setup, robots)) == []

@@ -1,14 +1,12 @@
-"""The replies of both firmwares, packed as a device sends them."""
+"""The replies of a device's firmware, packed as it sends them."""
 
+import inspect
 from dataclasses import astuple
 
-from tetractl_microscope.coils import driver
-
 from tetractl.lab import cobs
-from tetractl.lab.actuators.m3pi import broadcast
 
 
 def packed_reply(reply):
     """Return a reply's frame, including the closing byte 00."""
-    module = broadcast if isinstance(reply, broadcast.Reply) else driver
+    module = inspect.getmodule(type(reply))
     return cobs.pack_fields(module._REPLY, module.REPLY, *astuple(reply))

@@ -1,12 +1,11 @@
 """A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from tetractl_emulator.virtual_wires import LabClock
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
@@ -23,12 +22,26 @@ CAMERA_HZ = 120.0
 LATENCY_NS = 5_000_000
 
 
+class SteppedClock(VirtualClock):
+    """Virtual time in steps of `STEP_NS`; in each, every function of `steps` runs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.steps: list[Callable[[], None]] = []
+
+    def sleep_until(self, when: int) -> None:
+        while self.now() < when:
+            super().sleep_until(min(when, self.now() + STEP_NS))
+            for step in tuple(self.steps):
+                step()
+
+
 @dataclass
 class World:
     """N robots under one held direction; those that are not `moving` stand, `deaf` ones go on."""
 
     setup: Setup
-    clock: LabClock
+    clock: SteppedClock
     direction: float = 0.0
     moving: tuple[bool, ...] = ()
     ahead: float = 1.0  # 0 while robots turn on the spot
@@ -186,12 +199,12 @@ class FakeLab:
     camera: FakeCamera
     actuator: FakeActuator
     world: World
-    clock: LabClock
+    clock: SteppedClock
     supervision: LabSupervision
 
 
 def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) -> FakeLab:
-    clock = LabClock(STEP_NS)
+    clock = SteppedClock()
     world = World(setup, clock)
     camera, moved, supervision = (
         FakeCamera(world),

@@ -24,8 +24,20 @@ from mcap.records import (
 from support.mutate import changed, places, rewrite, with_record
 
 from tetractl.core.errors import LogError
-from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.log.format.channels import CHANNELS, DIGESTS, METADATA, Entry
+from tetractl.experiment.load import parse_spec
+from tetractl.log.format.channels import (
+    CHANNELS,
+    DIGESTS,
+    ENVIRONMENT,
+    HOST,
+    HOST_END,
+    METADATA,
+    PICTURES,
+    RECOVERED,
+    RUN,
+    SPEC,
+    Entry,
+)
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
@@ -65,18 +77,6 @@ def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one small disturbed simulation; return its log."""
     run_trial(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1)
     return log_path(folder, 1)
-
-
-def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
-    """Run one trial of the emulated lab in virtual time; return its log."""
-    from support.bench_agreement import LAB
-    from support.virtual_lab import virtual_lab
-
-    short = ("controller.steps_max=8", "controller.horizon_max=8", "controller.deadline=60")
-    loaded, lossy = load_spec(LAB, [*short, *sets]), "emulation: {actuator: {loss: 0.3}}"
-    with virtual_lab(None, spec=loaded, script=lossy) as lab:
-        run_trial(lab.spec, folder)
-    return log_path(folder, 0)
 
 
 def tamperings(log: RawLog, count: int, seed: int = 1) -> Iterator[Tampering]:
@@ -173,3 +173,20 @@ def score(path: Path, count: int) -> tuple[Counter[tuple[str, str]], Counter[tup
             tried[kind] += 1
             seen[kind] += noticed(log, one, Path(folder) / f"{number}.mcap")
     return seen, tried
+
+
+STATED_ONCE = {
+    (RUN, "spec_name"),
+    (SPEC, "text"),
+    (ENVIRONMENT, "text"),
+    (HOST_END, "ended"),
+}
+"""What nothing else in a log repeats, apart from the record of the host."""
+
+
+def missed(path: Path) -> set[tuple[str, str]]:
+    """Return of an intact log the (channel, field) of which `verify` misses a change."""
+    assert verify(path).problems == ()
+    seen, tried = score(path, 1)
+    assert {channel for channel, _ in tried} >= (CHANNELS.keys() - {*PICTURES, DIGESTS, RECOVERED})
+    return {kind for kind in tried if seen[kind] < tried[kind] and kind[0] != HOST} - STATED_ONCE

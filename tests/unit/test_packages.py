@@ -13,6 +13,7 @@ from tetractl.core.registries import EXAMPLES
 from tetractl.core.version import __version__
 from tetractl.experiment.packages import BRINGS
 
+TAKEN = re.compile(r"^ *from support\.(\w+) import", re.M)
 PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))
 HIDDEN = """
 import sys
@@ -86,6 +87,15 @@ for one in pkgutil.walk_packages(tetractl.__path__, "tetractl."):
         __import__(one.name)
 """
 COMMAND = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(run_app())"
+
+
+def test_tests_of_the_core_need_no_package():
+    """So that `pytest tests/unit` runs where the core alone is installed."""
+    files = [*ROOT.glob("tests/**/*.py")]
+    own = {path.stem for path in ROOT.glob("tests/support/*.py")}
+    assert {one for path in files for one in TAKEN.findall(path.read_text("utf-8"))} <= own
+    imports = re.compile(r"^ *(from|import) (tetractl_(emulator|microscope)|cv2|tifffile)", re.M)
+    assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
 
 @pytest.mark.slow

@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
-from support.paths import EXAMPLES
 from support.trials import THREE_M3PI, experiment
-from tetractl_microscope.choices import predicted, ranked
 
 from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
-from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Pose
 from tetractl.core.table.table_files import json_text
-from tetractl.experiment.choice import RobotCandidate
-from tetractl.experiment.load import load_spec
 from tetractl.view.figures.analysis import analysis_figure
 
 pytestmark = pytest.mark.slow
@@ -133,42 +127,3 @@ def test_robots_that_start_within_a_margin_are_steered_out_of_it(adaptive):
     collision = {"margin": 50, "adaptive": adaptive}
     found = of(a=(6,), robots=[robot], controller=CONTROLLER | {"collision": collision})
     assert found.steering is not None
-
-
-def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_round():
-    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["controller.horizon_max=3"])
-    cells = [
-        RobotCandidate(
-            i, Pose(1000 + 300 * i, 900, 0.0), a=3.0 + i, a_sd=0.1, speed=400, speed_sd=4
-        )
-        for i in range(4)
-    ]
-    counted = []
-    found = ranked(
-        spec.experiment, cells, Noise.of(spec.experiment.plant), 12, lambda *n: counted.append(n)
-    )
-    assert not np.isfinite([one.error for one in found]).any()
-    assert len(counted) == 4  # one prediction for each three of four cells
-
-
-def found_cell(number, a):
-    return RobotCandidate(number, Pose(1000 + 300 * number, 900, 0.0), a, 0.1, 400, 4)
-
-
-def test_no_choice_has_cells_that_cannot_be_distinguished():
-    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
-    cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
-    noise = Noise.of(spec.experiment.plant)
-    chosen = {
-        frozenset(c.number for c in one.cells) for one in ranked(spec.experiment, cells, noise, 12)
-    }
-    assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
-    assert ranked(spec.experiment, cells[:2], noise, 12) == []
-
-
-def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():
-    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
-    cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
-    noise = Noise.of(spec.experiment.plant)
-    (one,) = ranked(spec.experiment, cells, noise, 12)
-    assert one.error == predicted(spec.experiment, one.cells, noise, 12)

@@ -1,5 +1,5 @@
-"""The bytes between the host and its devices: COBS frames, and the frames of m3pi robots and of the
-current driver; and the wheel counts that they carry.
+"""The bytes between the host and its robots: COBS frames, and the frames of m3pi robots; and the
+wheel counts that they carry.
 """
 
 import itertools
@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from support.device_replies import packed_reply
 from support.lab_specs import SPEC
 from support.paths import ROOT
-from tetractl_microscope.coils import driver
-from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -25,26 +23,15 @@ from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, 
 from tetractl.lab.cobs import Flag
 
 ROBOTS = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
-COILS = FieldCommand(7, Flag.RUN | Flag.POLL, 300, -250)
-DRIVER = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
 
-i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
+u8, u16 = st.integers(0, 255), st.integers(0, 65_535)
 counts, flags = st.integers(-127, 127), st.integers(0, 7)
 pairs = st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple)
 robots = st.builds(BroadcastCommand, u8, flags.map(Flag), pairs)
-coils = st.builds(FieldCommand, u8, flags.map(Flag), i16, i16)
 robot_replies = st.builds(Reply, u8, u8, flags.map(Status), u16, u16, u16)
-driver_replies = st.builds(
-    FieldReply,
-    u8,
-    st.integers(0, 31).map(DriverStatus),
-    *(u8, i16, i16, u16, i16, u16, u16, u16, st.integers(0, 2**32 - 1), u16),
-)
 CODECS = [
     (broadcast.encode_command, broadcast.decode_command, robots),
     (packed_reply, broadcast.decode_reply, robot_replies),
-    (driver.encode_command, driver.decode_command, coils),
-    (packed_reply, driver.decode_reply, driver_replies),
 ]
 each = pytest.mark.parametrize(("encode", "decode", "messages"), CODECS)
 
@@ -75,18 +62,11 @@ def test_stuffing_round_trips(payload):
     assert cobs.decode(frame[:-1]) == payload
 
 
-@pytest.mark.parametrize(
-    ("frame", "size"),
-    [
-        (broadcast.encode_command(ROBOTS), 14),
-        (driver.encode_command(COILS), 11),
-        (packed_reply(DRIVER), 28),
-    ],
-)
-def test_the_documented_bytes_are_those_sent(frame, size):
+def test_the_documented_bytes_are_those_sent():
     page = (ROOT / "docs" / "reference" / "wires.md").read_text()
+    frame = broadcast.encode_command(ROBOTS)
     assert frame.hex(" ").upper() in " ".join(page.split())
-    assert len(frame) == size
+    assert len(frame) == 14
 
 
 @each
@@ -126,11 +106,6 @@ def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
         (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1))),
         (packed_reply, Reply(256, 0, Status(0), 0, 0, 0)),
         (packed_reply, Reply(0, 0, Status(0), 70_000, 0, 0)),
-        (driver.encode_command, FieldCommand(256, Flag.RUN)),
-        (driver.encode_command, FieldCommand(-1, Flag.RUN)),
-        (driver.encode_command, FieldCommand(0, Flag.RUN, 32_768, 0)),
-        (driver.encode_command, FieldCommand(0, Flag.RUN, 0, -32_769)),
-        (driver.encode_command, FieldCommand(0, Flag(8))),
         (cobs.frame_with_crc, bytes(cobs.FRAME_MAX)),
     ],
 )
@@ -149,18 +124,11 @@ def test_what_does_not_fit_is_not_encoded(encode, message):
         (broadcast.decode_command, "52 00 00 00"),
         (broadcast.decode_command, "51 00"),
         (broadcast.decode_reply, "51 01 04 00"),
-        (driver.decode_command, "53 01 08 00 00 00 00"),
     ],
 )
 def test_bad_messages_with_a_good_crc_are_refused(decode, payload):
     with pytest.raises(WireError):
         decode(cobs.frame_with_crc(bytes.fromhex(payload))[:-1])
-
-
-def test_unknown_status_bits_of_a_driver_are_dropped():
-    raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
-    raw[2] |= 0xE0
-    assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
 
 
 @given(st.lists(robot_replies, max_size=6), st.lists(st.integers(0, 100), max_size=10), st.binary())

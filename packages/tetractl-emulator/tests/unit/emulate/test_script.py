@@ -3,8 +3,9 @@
 import pytest
 from support.lab_processes import camera_of, emulated
 from support.paths import SCRIPTS
+from support.schema_errors import without_words
 from support.scripts import load_script
-from tetractl_emulator.script import Sides, parse_script
+from tetractl_emulator.script import Script, Sides, parse_script
 
 from tetractl.core.errors import SpecError
 
@@ -33,6 +34,10 @@ def test_every_fault_has_a_script():
     [
         ("faults: [{fault: nan, robot: green, speed: 3}]", "speed: unknown key"),
         ("faults: [{fault: nam, robot: green}]", "fault must be one of no_server"),
+        ("faults: [{fault: {a: 1}, at: 1}]", "fault must be one of"),
+        ("faults: [{fault: [radio], at: 1}]", "fault must be one of"),
+        ("faults: [{fault: 1, at: 1}]", "fault must be one of"),
+        ("faults: [{fault: null, at: 1}]", "fault must be one of"),
         ("faults: [{fault: nan}]", "faults.0.robot: is missing"),
         ("faults: [{fault: unplug, robot: green}]", "robot: unknown key"),
         ("faults: [{fault: unplug, at: -1}]", "must be at least 0"),
@@ -58,3 +63,7 @@ def test_a_wrong_script_is_refused_with_its_place(text, message):
 def test_a_script_for_another_spec_is_refused(tmp_path):
     with pytest.raises(SpecError, match="pink is not a robot"):
         emulated(tmp_path, script="faults: [{fault: off, robot: pink}]")
+
+
+def test_every_error_that_a_script_can_cause_has_words():
+    assert without_words(Script) == set()

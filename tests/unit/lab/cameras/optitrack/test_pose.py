@@ -3,10 +3,9 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tetractl_emulator.optitrack.tracked_body import View
 
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 
 pytestmark = pytest.mark.slow
 
@@ -83,10 +82,3 @@ def test_heading_is_where_the_bodys_x_axis_points_also_when_tilted(heading, tilt
 def test_what_cannot_be_trusted_is_not_tracked(untracked):
     assert planar_pose(untracked, UpAxis.Z) is None
     assert planar_pose(untracked, UpAxis.Y) is None
-
-
-@pytest.mark.parametrize("up", UpAxis)
-def test_a_body_that_is_emulated_is_placed_where_it_is(up):
-    seen = View(up, (100.0, -50.0), 0.7).body(1, 500.0, 300.0, 1.1, 60.0)
-    pose = Placement(100.0, -50.0, 0.7, 1000.0).pose(seen, up)
-    assert (pose.x, pose.y, pose.heading, pose.height) == pytest.approx((500, 300, 1.1, 60))

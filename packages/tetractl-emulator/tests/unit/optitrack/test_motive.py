@@ -10,11 +10,13 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.optitrack.scripted import OptitrackSettings, ServerClock
 from tetractl_emulator.optitrack.side import EmulatedOptitrack
+from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.sides import Options, Stage
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 
 
@@ -95,3 +97,10 @@ def test_garbage_is_counted_and_survived(client):
     assert client.clock.wait(lambda: client.motive.refused == 4)
     client.send(natnet.Connect())
     assert client.comes(natnet.ServerInfo)
+
+
+@pytest.mark.parametrize("up", UpAxis)
+def test_a_body_that_is_emulated_is_placed_where_it_is(up):
+    seen = View(up, (100.0, -50.0), 0.7).body(1, 500.0, 300.0, 1.1, 60.0)
+    pose = Placement(100.0, -50.0, 0.7, 1000.0).pose(seen, up)
+    assert (pose.x, pose.y, pose.heading, pose.height) == pytest.approx((500, 300, 1.1, 60))

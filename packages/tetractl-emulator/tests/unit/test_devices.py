@@ -1,7 +1,7 @@
-"""Cameras and actuators by type, each before robots that it can see or move, for the contracts.
+"""Cameras and actuators of a lab pass the checks of `tetractl.testing`, before emulated robots.
 
 All but the AprilTag camera, which draws and searches pictures in threads of its own, are in virtual
-time. A further type joins by an entry in `CAMERAS` or `ACTUATORS`.
+time.
 """
 
 import threading
@@ -15,7 +15,9 @@ from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.experiment.load import parse_spec
-from tetractl.testing import MovedRobots, SeenRobots
+from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_camera, failed
+
+pytestmark = pytest.mark.slow
 
 
 @contextmanager
@@ -69,3 +71,15 @@ ACTUATORS = {
     "m3pi-xbee": lambda folder: actuator(folder, SPEC),
     "field": lambda folder: actuator(folder, FIELD_SPEC),
 }
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_camera(name, tmp_path):
+    with CAMERAS[name](tmp_path) as (section, setup, scene):
+        assert failed(check_camera(section, setup, scene)) == []
+
+
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_actuator(name, tmp_path):
+    with ACTUATORS[name](tmp_path) as (section, setup, robots):
+        assert failed(check_actuator(section, setup, robots)) == []

@@ -1,0 +1,95 @@
+"""The bytes between the host and the current driver."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.device_replies import packed_reply
+from support.paths import ROOT
+from tetractl_microscope.coils import driver
+from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
+
+from tetractl.core.errors import WireError
+from tetractl.lab import cobs
+from tetractl.lab.cobs import Flag
+
+COILS = FieldCommand(7, Flag.RUN | Flag.POLL, 300, -250)
+DRIVER = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
+
+i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
+commands = st.builds(FieldCommand, u8, st.integers(0, 7).map(Flag), i16, i16)
+replies = st.builds(
+    FieldReply,
+    u8,
+    st.integers(0, 31).map(DriverStatus),
+    *(u8, i16, i16, u16, i16, u16, u16, u16, st.integers(0, 2**32 - 1), u16),
+)
+each = pytest.mark.parametrize(
+    ("encode", "decode", "messages"),
+    [
+        (driver.encode_command, driver.decode_command, commands),
+        (packed_reply, driver.decode_reply, replies),
+    ],
+)
+
+
+@pytest.mark.parametrize(
+    ("frame", "size"), [(driver.encode_command(COILS), 11), (packed_reply(DRIVER), 28)]
+)
+def test_the_documented_bytes_are_those_sent(frame, size):
+    page = (ROOT / "docs" / "reference" / "wires.md").read_text()
+    assert frame.hex(" ").upper() in " ".join(page.split())
+    assert len(frame) == size
+
+
+@each
+@given(data=st.data())
+def test_messages_round_trip_and_every_bit_error_is_detected(encode, decode, messages, data):
+    message = data.draw(messages)
+    frame = encode(message)
+    assert decode(frame[:-1]) == message
+    for at, bit in itertools.product(range(len(frame) - 1), range(8)):
+        bad = bytearray(frame[:-1])
+        bad[at] ^= 1 << bit
+        with pytest.raises(WireError):
+            decode(bytes(bad))
+
+
+@each
+@given(
+    raw=st.binary(max_size=100)
+    | st.binary(min_size=1, max_size=78).map(lambda b: cobs.frame_with_crc(b)[:-1])
+)
+def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
+    try:
+        read = decode(raw)
+    except WireError:
+        return
+    assert decode(encode(read)[:-1]) == read
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        FieldCommand(256, Flag.RUN),
+        FieldCommand(-1, Flag.RUN),
+        FieldCommand(0, Flag.RUN, 32_768, 0),
+        FieldCommand(0, Flag.RUN, 0, -32_769),
+        FieldCommand(0, Flag(8)),
+    ],
+)
+def test_what_does_not_fit_is_not_encoded(message):
+    with pytest.raises(WireError):
+        driver.encode_command(message)
+
+
+def test_an_unknown_flag_with_a_good_crc_is_refused():
+    with pytest.raises(WireError):
+        driver.decode_command(cobs.frame_with_crc(bytes.fromhex("53 01 08 00 00 00 00"))[:-1])
+
+
+def test_unknown_status_bits_of_a_driver_are_dropped():
+    raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
+    raw[2] |= 0xE0
+    assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER

@@ -1,13 +1,11 @@
 """Serves running trials to the log viewers Foxglove and Lichtblick.
 
-`websockets` (the extra `serve`) implements each connection, and its server's handshake. No trial
-waits for a viewer: each viewer has a queue of at most `BACKLOG` messages and a thread that sends
-them; when the queue is full, the oldest are dropped. A viewer cannot publish messages or call
-services.
+`websockets` (the extra `serve`) implements each connection. No trial waits for a viewer: each has a
+queue of at most `BACKLOG` messages and a thread that sends them; when the queue is full, the oldest
+are dropped. A viewer cannot publish messages or call services.
 """
 
 import json
-import logging
 import socket
 import threading
 from collections import deque
@@ -18,11 +16,7 @@ from typing import Any
 
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
-from websockets.http11 import Request as Upgrade
-from websockets.protocol import State
-from websockets.server import ServerProtocol
 from websockets.sync.connection import Connection
-from websockets.typing import Subprotocol
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Sample
@@ -35,10 +29,6 @@ BACKLOG = 2048
 """Length of a viewer's queue [messages]: three seconds of a trial with a camera of 120 Hz."""
 CLOSE_S = 0.5
 """Time for the viewers to receive their last messages and to end their connections [s]."""
-
-_QUIET = logging.getLogger(__name__)
-_QUIET.addHandler(logging.NullHandler())  # otherwise errors of viewers are printed to stderr
-_QUIET.propagate = False
 
 
 class Viewers:
@@ -89,13 +79,8 @@ class Viewers:
         for client in clients:
             client.leave(until)
 
-    def converse(self, connection: socket.socket, request: bytes) -> None:
-        """Serve a viewer whose HTTP request was read already, until its connection ends. An invalid
-        message ends only its own connection.
-        """
-        link = _upgraded(connection, request)
-        if link is None:
-            return
+    def converse(self, link: Connection) -> None:
+        """Serve a viewer until its connection ends; an invalid message ends only its own."""
         client = _Client(link)
         with self._lock:
             for said in self._greeting:
@@ -143,24 +128,6 @@ class Viewers:
     def _put(self, message: bytes) -> None:
         for client in self._clients:
             client.put(message)
-
-
-def _upgraded(connection: socket.socket, request: bytes) -> Connection | None:
-    """Answer a request for a WebSocket; return the WebSocket, None if the request is refused."""
-    protocol = ServerProtocol(
-        subprotocols=[Subprotocol(foxglove_protocol.PROTOCOL)],
-        max_size=1 << 16,
-        logger=_QUIET,
-    )
-    protocol.receive_data(request)
-    for event in protocol.events_received():
-        if isinstance(event, Upgrade):
-            protocol.send_response(protocol.accept(event))
-    with suppress(OSError):
-        connection.sendall(b"".join(protocol.data_to_send()))
-        if protocol.state is State.OPEN:
-            return Connection(connection, protocol, ping_interval=None, close_timeout=CLOSE_S / 2)
-    return None
 
 
 class _Client:

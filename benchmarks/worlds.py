@@ -338,12 +338,14 @@ WORLDS = {
     "pages": World(WORLD),
     "bench": World((), base=BENCH),
     **{name: World((*HURT, *more)) for name, (_, more) in zip(HURTS, HURTING[1:], strict=True)},
-    # what the fifth reading added
+    # one thing each that the model lacks, or that few plans allow
     "sides": _hurt("sides", 0.2),
     "later": _hurt("later", 0.1),
-    # the dead time is one from sending, so that it is not shorter when pictures are late
-    "slow-pictures": replace(
-        _hurt("slow-pictures", 0.06), settings=(*_radio("delay: 0.11"), "plant.dead_time=0")
+    "slow-pictures": _hurt("slow-pictures", 0.06),
+    # the same with a dead time from sending; `plant.dead_time` counts from the exposure, so that
+    # late pictures shorten what is left of it
+    "slow-pictures-radio": World(
+        (*_radio("delay: 0.11"), "plant.dead_time=0"), (("slow-pictures", 0.06),)
     ),
     "saturated-2": _hurt("saturated", 2.0),
     "saturated-4": _hurt("saturated", 4.0),
@@ -354,7 +356,7 @@ WORLDS = {
     "crowd-12": World(
         (*CONTROLLER, *HURT, "controller.accept_error=60"), layout=partial(crowd, 12)
     ),
-    # what the model lacks: each robot late by its own, a floor that slopes, changes, a lens
+    # each robot late by its own, a floor that slopes, a strip of another floor, a lens
     "late": World(_radio("spread: 0.12")),
     "slide": _hurt("slide", 12.0),
     "strip": _hurt("strip", 300.0),

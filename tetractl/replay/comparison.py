@@ -137,7 +137,14 @@ def _path(name: str, part: object) -> str:
 
 
 NOT_REPEATED = frozenset(
-    {channels.HOST, channels.HOST_END, channels.DIGESTS, channels.RECOVERED, *channels.PICTURES}
+    {
+        channels.HOST,
+        channels.HOST_END,
+        channels.DIGESTS,
+        channels.RECOVERED,
+        channels.PICTURE,
+        channels.BACKGROUND,
+    }
 )
 """Topics whose messages a repeated trial does not have."""
 DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN, channels.LAYOUT, channels.RESOLVED_SPEC})

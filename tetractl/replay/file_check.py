@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Message
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 
-from tetractl.log.format.channels import CHANNELS, METADATA
+from tetractl.log.format.channels import CAMERA, CHANNELS, METADATA
 from tetractl.log.read.raw_log import RawLog, read_file
 from tetractl.log.write.sink import new_writer
 
@@ -28,7 +28,8 @@ def file_differences(raw: RawLog, exactly: bool) -> Iterator[str]:
         if number or (item.name, item.metadata) != METADATA:
             yield f"has the metadata {item.name[:60]!r}, which are not of tetractl"
     for topic in raw.channels.keys() - CHANNELS.keys():
-        yield f"has the channel {topic[:60]!r}, which is not of tetractl"
+        if not topic.startswith(CAMERA):
+            yield f"has the channel {topic[:60]!r}, which is not of tetractl"
     for opcode in raw.strange:
         yield f"has a record of type {opcode}, which is not of tetractl"
     if raw.rewritten or not exactly:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
@@ -36,12 +35,13 @@ SCENE = "/scene/static"
 SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
-CELLS, CROPS = "/camera/cells", "/camera/crops"
-PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
-PICTURES = (CELLS, CROPS, PICTURE, BACKGROUND)
-"""The channels of a camera that shows pictures; nothing is written any more to the first two, which
-the format keeps, as channels go by their numbers.
+UNUSED = ("/unused/11", "/unused/12")
+"""Channels without messages, which keep the numbers of those behind them."""
+CAMERA = "/camera/"
+"""With what the channels begin on which a camera adds messages to its frames, in this version or an
+earlier one: they are logged as they are, and nothing follows from them.
 """
+PICTURE, BACKGROUND = f"{CAMERA}picture", f"{CAMERA}background"
 HOST_END, RESULT, DIGESTS, RECOVERED = "/host/end", "/result", "/digests", "/recovered"
 SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
 """The channels of the run and its result; of two messages of one of them, the first counts."""
@@ -57,8 +57,8 @@ CHANNELS: dict[str, type[Message]] = {
     SCENE_PLAN: SceneUpdate,
     LOG: Log,
     HOST_TIMING: pb.StepTiming,
-    CELLS: pb.CellCrops,
-    CROPS: RawImage,
+    UNUSED[0]: pb.Unused,
+    UNUSED[1]: pb.Unused,
     PICTURE: CompressedImage,
     BACKGROUND: CompressedImage,
     HOST_END: pb.HostEnd,

@@ -129,45 +129,9 @@ class ControllerStep(_message.Message):
     estimate: Estimate
     def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ...) -> None: ...
 
-class CellCrops(_message.Message):
-    __slots__ = ("frame", "side", "low", "high", "least_px2", "most_px2", "robot", "merged", "sure", "column", "row", "x", "y", "axis", "long", "wide", "strength", "crc")
-    FRAME_FIELD_NUMBER: _ClassVar[int]
-    SIDE_FIELD_NUMBER: _ClassVar[int]
-    LOW_FIELD_NUMBER: _ClassVar[int]
-    HIGH_FIELD_NUMBER: _ClassVar[int]
-    LEAST_PX2_FIELD_NUMBER: _ClassVar[int]
-    MOST_PX2_FIELD_NUMBER: _ClassVar[int]
-    ROBOT_FIELD_NUMBER: _ClassVar[int]
-    MERGED_FIELD_NUMBER: _ClassVar[int]
-    SURE_FIELD_NUMBER: _ClassVar[int]
-    COLUMN_FIELD_NUMBER: _ClassVar[int]
-    ROW_FIELD_NUMBER: _ClassVar[int]
-    X_FIELD_NUMBER: _ClassVar[int]
-    Y_FIELD_NUMBER: _ClassVar[int]
-    AXIS_FIELD_NUMBER: _ClassVar[int]
-    LONG_FIELD_NUMBER: _ClassVar[int]
-    WIDE_FIELD_NUMBER: _ClassVar[int]
-    STRENGTH_FIELD_NUMBER: _ClassVar[int]
-    CRC_FIELD_NUMBER: _ClassVar[int]
-    frame: int
-    side: int
-    low: float
-    high: float
-    least_px2: float
-    most_px2: float
-    robot: _containers.RepeatedScalarFieldContainer[int]
-    merged: _containers.RepeatedScalarFieldContainer[bool]
-    sure: _containers.RepeatedScalarFieldContainer[float]
-    column: _containers.RepeatedScalarFieldContainer[int]
-    row: _containers.RepeatedScalarFieldContainer[int]
-    x: _containers.RepeatedScalarFieldContainer[float]
-    y: _containers.RepeatedScalarFieldContainer[float]
-    axis: _containers.RepeatedScalarFieldContainer[float]
-    long: _containers.RepeatedScalarFieldContainer[float]
-    wide: _containers.RepeatedScalarFieldContainer[float]
-    strength: _containers.RepeatedScalarFieldContainer[float]
-    crc: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, frame: _Optional[int] = ..., side: _Optional[int] = ..., low: _Optional[float] = ..., high: _Optional[float] = ..., least_px2: _Optional[float] = ..., most_px2: _Optional[float] = ..., robot: _Optional[_Iterable[int]] = ..., merged: _Optional[_Iterable[bool]] = ..., sure: _Optional[_Iterable[float]] = ..., column: _Optional[_Iterable[int]] = ..., row: _Optional[_Iterable[int]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., long: _Optional[_Iterable[float]] = ..., wide: _Optional[_Iterable[float]] = ..., strength: _Optional[_Iterable[float]] = ..., crc: _Optional[_Iterable[int]] = ...) -> None: ...
+class Unused(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
 
 class StepTiming(_message.Message):
     __slots__ = ("k", "solve_ns", "deadline_missed")

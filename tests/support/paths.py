@@ -1,5 +1,6 @@
 """Where the checkout is."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -7,5 +8,7 @@ MICROSCOPE = ROOT / "packages" / "tetractl-microscope"
 EMULATOR = ROOT / "packages" / "tetractl-emulator"
 SCRIPTS = EMULATOR / "tetractl_emulator/examples/faults"
 EXAMPLES = MICROSCOPE / "tetractl_microscope/examples"
-SPECS = sorted((ROOT / "experiments").glob("*.yaml")) + sorted(EXAMPLES.glob("*.yaml"))
-"""The specs that we ship, those of the microscope too."""
+SPECS = sorted((ROOT / "experiments").glob("*.yaml"))
+"""The specs that we ship, those of the microscope too if it is installed."""
+if find_spec("tetractl_microscope"):
+    SPECS += sorted(EXAMPLES.glob("*.yaml"))

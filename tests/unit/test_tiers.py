@@ -8,7 +8,8 @@ import sys
 import pytest
 from support.paths import ROOT
 
-FILES = sorted([*ROOT.glob("tests/**/test_*.py"), *ROOT.glob("packages/*/tests/**/test_*.py")])
+PLACES = ("tests", "packages/*/tests", "benchmarks/tests")
+FILES = sorted(path for place in PLACES for path in ROOT.glob(f"{place}/**/test_*.py"))
 TAKEN = re.compile(r"^from support\.(\w+ import (?:\([^)]*\)|.*))", re.M)
 STARTS = {  # what a file takes from `support`: the marks of which it needs one
     "lab_processes import.*(Emulator|play)": "system",  # the lab in real time

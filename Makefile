@@ -56,6 +56,8 @@ $(DEMO)/all-trials.png:
 	@$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@ $(QUIETLY)
 
 # The tests of a file share fixtures: one process runs them. Files begin in the order of `testpaths`.
+# Containers often keep Python from writing bytecode; then each process of a test compiles all anew.
+unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)

@@ -67,18 +67,23 @@ class KindSection:
         if not isinstance(value, dict):
             raise PydanticCustomError("model_type", "must be a mapping of keys to values")
         name = value.get("type", self.default)
-        known = {kind.name: str(kind) for kind in self.registry.kinds()}
         if name is None:
-            raise PydanticCustomError("union_tag_not_found", "has no type", {"known": known})
+            known = {"known": self._known()}
+            raise PydanticCustomError("union_tag_not_found", "has no type", known)
         if not isinstance(name, str) or name not in self.registry:
             if missing := not_installed(self.registry.group, str(name)):
                 raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(missing)})
-            raise PydanticCustomError("union_tag_invalid", "has an unknown type", {"known": known})
+            known = {"known": self._known()}
+            raise PydanticCustomError("union_tag_invalid", "has an unknown type", known)
         section = self.registry.load(name)
         if not issubclass(section, self._base):
-            fitting = {"known": {k: v for k, v in known.items() if k != name}}
+            fitting = {"known": {k: v for k, v in self._known().items() if k != name}}
             raise PydanticCustomError("union_tag_invalid", "cannot be used here", fitting)
         return section
+
+    def _known(self) -> dict[str, str]:
+        """Return the text of each kind by its name; reads what other packages say of themselves."""
+        return {kind.name: str(kind) for kind in self.registry.kinds()}
 
 
 class KindName:

@@ -155,10 +155,20 @@ class RobotCore(Core):
     def __init__(self, index: int, library: Library | None = None) -> None:
         super().__init__(library)
         self._call("init", index)
+        self._stands = False  # its counts are 0 until a byte comes
+
+    def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
+        """As `Core.push`; the counts may be others then."""
+        self._stands = False
+        return super().push(data, now_ms)
 
     def wheels(self, now_ms: int) -> Counts:
         """Return the present counts of both wheels, which the watchdog may have set to 0."""
-        return self._pair("wheels", now_ms)
+        if self._stands:
+            return 0, 0
+        counts = self._pair("wheels", now_ms)
+        self._stands = counts == (0, 0)
+        return counts
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now."""

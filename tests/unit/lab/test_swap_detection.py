@@ -1,6 +1,7 @@
 """Who answers whose commands: N robots commanded to turn by a common direction, seen at 120 Hz."""
 
 import itertools
+from collections import deque
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def drive(
     """
     seen, random = SwapDetector(NAMES), np.random.default_rng(3)
     heading, shown, told = np.zeros(3), np.zeros(3), np.zeros(3)
-    queue, next_ns, last = [], 0, 0
+    queue, acting, next_ns, last = deque(), None, 0, 0
     closed, opened = (round(second * 1e9) for second in blind)
     for now in range(FRAME, round(seconds * 1e9), FRAME):
         while next_ns <= now:
@@ -49,13 +50,18 @@ def drive(
             queue.append((next_ns + round(delay * 1e9), told))
             next_ns += SEND
         deaf = round(silent * 1e9)
-        acted = [turning for t, turning in queue if t <= min(now, deaf)]
+        while queue and queue[0][0] <= min(now, deaf):
+            acting = queue.popleft()[1]
         if now > deaf + 250_000_000:
-            acted = []
+            acting = None
         for i in range(3):
             before = shown[i]
-            if acted and answers[i] is not None and not (i in lost and now > 200_000_000):
-                heading[i] += signs[i] * acted[-1][answers[i]] * FRAME / 1e9
+            if (
+                acting is not None
+                and answers[i] is not None
+                and not (i in lost and now > 200_000_000)
+            ):
+                heading[i] += signs[i] * acting[answers[i]] * FRAME / 1e9
             if closed < now <= opened:
                 continue
             shown[i] = heading[i] + random.normal(0, noise)

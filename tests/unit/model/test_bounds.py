@@ -18,7 +18,7 @@ def widest_gap(a_1, a_2, turned, seconds, steps=4000):
     """|w_1 - w_2| where u makes the headings part as fast as they can, and keeps them apart."""
     dt, half = seconds / steps, turned / 2
     first, second = -half, half
-    gap = np.zeros(2)
+    across = up = 0.0
     for _ in range(steps):
         delta = second - first
         # delta' = (a_2 - a_1) sin m cos(delta/2) - (a_1 + a_2) cos m sin(delta/2), greatest at:
@@ -27,10 +27,9 @@ def widest_gap(a_1, a_2, turned, seconds, steps=4000):
         if delta < math.pi:
             first += dt * a_1 * math.sin(u - first)
             second += dt * a_2 * math.sin(u - second)
-        gap += dt * np.array(
-            [math.cos(second) - math.cos(first), math.sin(second) - math.sin(first)]
-        )
-    return float(np.hypot(*gap))
+        across += dt * (math.cos(second) - math.cos(first))
+        up += dt * (math.sin(second) - math.sin(first))
+    return math.hypot(across, up)
 
 
 @given(

@@ -23,7 +23,8 @@ pytestmark = [
     pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found"),
 ]
 
-SMALL = (  # a smaller dish, and few cells
+SMALL = (  # a smaller dish, coarser pictures, and few cells
+    "lab.camera.um_px=4.5",
     "arena.width=2100",
     "arena.height=2100",
     "robots={choose: 2, targets: [[800, 800], [1300, 1300], [800, 1300]], a: 4, speed: 420, "

@@ -90,6 +90,7 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     small = flags(
         (
             "robots={choose: 2, targets: [[900, 900], [1400, 1400]], a: 4, speed: 420, seconds: 4}",
+            "lab.camera.um_px=4.5",
             "arena.width=2300",
             "arena.height=2300",
             "controller.steps_max=8",

@@ -1,10 +1,10 @@
 """Hostile files through every command: `python benchmarks/hostile.py KIND [--count N] [--seed S]`.
 
-KIND is `logs`, or `tables`: CSV tables, rows, specs, studies, fault scripts and calibrations. Each
-case is made from its number and the seed (tests/support/hostile.py) and read by one command in this
-process. Prints Markdown: a row per command, and every finding with its case, which `--only N`
-repeats. A finding is a traceback, output that a terminal would obey, a peak of more than 500 MB,
-or more than 30 s of processor time or 120 s in all.
+KIND is `logs`, or `tables`: CSV tables, rows, specs and studies. Each case is made from its number
+and the seed (tests/support/hostile.py) and read by one command in this process. Prints Markdown: a
+row per command, and every finding with its case, which `--only N` repeats. A finding is a
+traceback, output that a terminal would obey, a peak of more than 500 MB, or more than 30 s of
+processor time or 120 s in all.
 """
 
 import argparse
@@ -39,7 +39,6 @@ class HangError(BaseException):
 
 def examine(kind: str, seed: int, number: int, show: bool = False) -> dict[str, Any]:
     """Run one case; return its command, what was found, its processor time and its peak."""
-    from support.commands import _most_memory_mb
     from support.hostile import case
 
     found, began, command, before = "", time.process_time(), "made", 0.0
@@ -49,7 +48,7 @@ def examine(kind: str, seed: int, number: int, show: bool = False) -> dict[str, 
         command, run = case(kind, seed, number)
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")  # the peak so far
-        before = _most_memory_mb()
+        before = most_memory_mb()
         run()
     except HangError:
         found = "hang"
@@ -61,10 +60,22 @@ def examine(kind: str, seed: int, number: int, show: bool = False) -> dict[str, 
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         faulthandler.cancel_dump_traceback_later()
-    memory, seconds = FRESH_MB + _most_memory_mb() - before, time.process_time() - began
+    memory, seconds = FRESH_MB + most_memory_mb() - before, time.process_time() - began
     if not found and memory > MEMORY_MB:
         found = f"takes {memory:.0f} MB"
     return {"number": number, "command": command, "found": found, "s": seconds, "mb": memory}
+
+
+def most_memory_mb() -> float:
+    """Return the most memory that this process has had.
+
+    Linux counts the memory of who started a process among its `ru_maxrss`, but not in VmHWM.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        (line,) = (row for row in status.read_text().splitlines() if row.startswith("VmHWM"))
+        return float(line.split()[1]) / 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def _hang(*_: object) -> None:

@@ -13,7 +13,6 @@ from support.studies import SMALL, run, write
 from tetractl.core.table import table_files
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact
-from tetractl.log.read import limits
 from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import passes, tracks
 from tetractl.run import rows as log_rows
@@ -42,7 +41,6 @@ BIG = {
         poses(['0,r,"0,0,0\n'] * 2),
         "x_mm: '0,0,0' is not a number of",
     ),
-    "a far place": (poses(["0,r,0,0,0\n", "1,r,1e300,0,0\n"]), "x_mm: '1e300' is not a number of"),
     "an infinite time": (
         poses(["0,r,0,0,0\n", "inf,r,0,0,0\n"]),
         "'inf' is not a number of at most 1e+09",
@@ -111,24 +109,16 @@ def test_a_study_does_not_wait_for_rows_that_are_a_fifo(rows, tmp_path):
 
 
 def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
-    """Regression: rows of 3 GB took 6.4 GB."""
-    good = rows.read_text()
-    rows.write_text("[" * 6_000_000 + "\n" + good)
+    rows.write_text("[" * 20_000_000 + "\n" + rows.read_text())
     assert "3 of 3 trials valid" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
-    for place, limit, value, why in (
-        (limits, "file_limit", lambda: 6_000_000, "6000000 bytes"),
-        (log_rows, "LINE_COST", 3e8, "very many lines"),
-        (log_rows, "SOLVE_COST", 1e8, "very many trials"),
-    ):
-        with monkeypatch.context() as patch:
-            patch.setattr(place, limit, value)
-            done = tetractl(tmp_path, "stats", "out/dead_time=0.1")
-        (told,) = (line for line in done.stderr.splitlines() if line.startswith("damaged: "))
-        assert "trials.jsonl" in told and why in told and limits.FACTOR in told
-        assert done.returncode == 1
+    monkeypatch.setattr(log_rows, "file_limit", lambda: 20_000_000)
+    done = tetractl(tmp_path, "stats", "out/dead_time=0.1")
+    (told,) = (line for line in done.stderr.splitlines() if line.startswith("damaged: "))
+    assert "trials.jsonl: contains 2000" in told and "more than tetractl reads" in told
+    assert done.returncode == 1
 
 
-@pytest.mark.parametrize("fact", ["{", "[1]", '["x", 1, 2]', "1" * 400, "[[]]", "[1e300, 1, 1]"])
+@pytest.mark.parametrize("fact", ["{", "[1]", "1" * 400, "[1e300, 1, 1]"])
 def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
     made = random_trials.write(random_trials.trial(steps=3), tmp_path / "made.mcap")
     contents = scan(made)

@@ -1,16 +1,12 @@
-"""One log through every command that reads logs, in this process, and what it cost."""
+"""One log through every command that reads logs, in this process."""
 
-import resource
 import shutil
-import sys
-import time
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 from unittest import mock
 
 import typer
-from support.cli import tetractl
+from support.cli import Done, tetractl
 
 COMMANDS = {
     "info": "info {log}",
@@ -40,8 +36,6 @@ COMMANDS = {
 
 
 COSTLY = ("info", "info --json", "replay", "plot", "stats", "stats --csv", "verify", "recover")
-READERS = ("info", "replay", "stats", "verify", "recover")
-"""One command for each way to read a log."""
 LOGS = tuple(COMMANDS)
 STUDIES = ("study stats", "study stats --json", "study report", "study --dry-run")
 SPECS = ("validate", "run --dry-run")
@@ -63,54 +57,21 @@ SLOW |= {"study report"}
 _parser = cache(typer.main.get_command)  # made for each call it takes longer than most commands
 
 
-class Cost(NamedTuple):
-    """What a command said, its exit code, its processor time [s], and its most memory [MB]."""
-
-    out: str
-    err: str
-    code: int
-    seconds: float
-    memory_mb: float
-
-
-def call(command: str, log: Path, out: Path) -> Cost:
+def call(command: str, log: Path, out: Path) -> Done:
     """Run a command in this process; a bug of it is raised."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     words = [word.format(log=log, out=out) for word in COMMANDS[command].split()]
-    began = time.process_time()
     with mock.patch.object(typer.main, "get_command", _parser):
-        done = tetractl(out, *words)
-    seconds = time.process_time() - began
-    return Cost(done.stdout, done.stderr, done.returncode, seconds, _most_memory_mb())
+        return tetractl(out, *words)
 
 
-def _most_memory_mb() -> float:
-    """Return the most memory that this process has had.
-
-    Linux counts the memory of who started a process among its `ru_maxrss`, but not in VmHWM.
-    """
-    status = Path("/proc/self/status")
-    if status.exists():
-        (line,) = (row for row in status.read_text().splitlines() if row.startswith("VmHWM"))
-        return float(line.split()[1]) / 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-
-
-def check(command: str, log: Path, out: Path) -> Cost:
+def check(command: str, log: Path, out: Path) -> Done:
     """Run a command; AssertionError for output that a terminal would obey, or that is endless."""
     found = call(command, log, out)
-    for line in (found.out + found.err).split("\n"):
+    for line in (found.stdout + found.stderr).split("\n"):
         assert line.isprintable(), (command, line[:200])
-    assert len(found.out) + len(found.err) < 1_000_000, command
-    assert found.code in (0, 1, 2, 3), (command, found.code)
-    assert found.code == 0 or found.err or command in TELL_ON_STDOUT
+    assert len(found.stdout) + len(found.stderr) < 1_000_000, command
+    assert found.returncode in (0, 1, 2, 3), (command, found.returncode)
+    assert found.returncode == 0 or found.stderr or command in TELL_ON_STDOUT
     return found
-
-
-if __name__ == "__main__":  # FOLDER COMMAND,... LOG...: a line for each log and command
-    out, *logs = (Path(name).absolute() for name in (sys.argv[1], *sys.argv[3:]))
-    for log in logs:
-        for name in sys.argv[2].split(","):
-            cost = check(name, log, out)
-            print(f"{log.name} {name}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}")

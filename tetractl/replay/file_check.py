@@ -30,11 +30,11 @@ def file_differences(raw: RawLog, exactly: bool) -> Iterator[str]:
     for topic in raw.channels.keys() - CHANNELS.keys():
         if not topic.startswith(CAMERA):
             yield f"has the channel {topic[:60]!r}, which is not of tetractl"
-    for opcode in raw.strange:
+    for opcode in sorted(raw.strange):
         yield f"has a record of type {opcode}, which is not of tetractl"
     if raw.rewritten or not exactly:
         return
-    data, _, _ = read_file(raw.path)
+    data = read_file(raw.path)
     try:
         again = _written_again(data)
     except Exception as error:  # errors of MCAP's reader, UTF-8 and struct

@@ -14,8 +14,9 @@ from tetractl.core.trial import Result
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S, LabSection
 from tetractl.lab.cameras.optitrack.stream import COUNTED_BACK
 from tetractl.lab.rest_check import REST_NS
-from tetractl.log.read.reader import path_verdict, trial_path
+from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.path_check import check_path
 from tetractl.replay.comparison import Difference
 
 DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
@@ -80,10 +81,10 @@ def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Diffe
     the evaluated frames.
     """
     path, known = trial_path(log)
-    least = path_verdict(log, path, known, verdict.final)
+    least = check_path(log.start.setup, path, known, verdict.final)
     since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
-    most = path_verdict(log, path[driven], known[driven], verdict.final)
+    most = check_path(log.start.setup, path[driven], known[driven], verdict.final)
     for name in ("clearance", "edge", "apart"):
         columns = (getattr(one, name) for one in (verdict, least, most))
         for i, (stated, low, high) in enumerate(zip(*columns, strict=False)):

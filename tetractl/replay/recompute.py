@@ -108,9 +108,6 @@ class Rerun:
             self._evaluate(asked, f"searches.{index}", logged)
             return logged
         optimizer, problem, length = asked.optimizer, asked.problem, asked.length
-        size = optimizer.evaluations_min * length * problem.a.size * (1 + problem.obstacles.count)
-        if size > limits.swarm_limit():  # one round cannot be interrupted
-            raise TooLongError
         if self._until == np.inf:  # compile
             least = Limits(optimizer.evaluations_min)
             optimizer.search(problem, 1, np.zeros(1), asked.key, least)

@@ -22,7 +22,6 @@ from tetractl.experiment.load import resolved_yaml
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.format import channels
 from tetractl.log.format.scene import decode_note
-from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder
@@ -139,17 +138,6 @@ def _start(log: TrialLog) -> Start:
     experiment = log.experiment
     text, used = resolved_yaml(experiment), packages(experiment)
     return replace(log.start, seed=experiment.trials.seed, resolved=text, packages=used)
-
-
-def too_large(log: TrialLog) -> bool:
-    """Return whether a simulation evaluates more robot positions, times (1 + number of obstacles),
-    than the limits allow.
-    """
-    last = max(log.stop.sent_ns if log.stop else 0, *(one.sent_ns for one in log.commands), 0)
-    rate = max(log.experiment.plant.sampling_hz, log.start.plant.camera_rate_hz)
-    setup = log.start.setup
-    count = last / SECOND * rate * len(setup.names) * (1 + len(setup.obstacles))
-    return count > limits.simulation_limit()
 
 
 def simulate(log: TrialLog, stop: Command, encoder: Repetition) -> None:

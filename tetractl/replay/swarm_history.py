@@ -15,7 +15,6 @@ from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, swarms
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import NoSearchError, Rerun
 from tetractl.run.task import trial_seeds
@@ -81,9 +80,6 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
         )
     if asked.length < 2:
         raise LogError(f"{log.path}: the plan has one signal, but the figure needs two")
-    rounds = section.particles * asked.length * problem.a.size
-    if rounds * (1 + problem.obstacles.count) > limits.swarm_limit():
-        raise LogError(f"{log.path}: a swarm this large takes too long to run again")
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
     frames, path, again = list[Frame](), [], []

@@ -35,7 +35,7 @@ from tetractl.replay.comparison import (
 from tetractl.replay.file_check import file_differences
 from tetractl.replay.lab_checks import lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
-from tetractl.replay.repeat import Repetition, give_again, simulate, too_large
+from tetractl.replay.repeat import Repetition, give_again, simulate
 
 NEARLY = Tolerance(1e-9, 1e-9)
 """Tolerance for the records of another processor that follow from other records."""
@@ -186,10 +186,6 @@ def differences(
         yield Difference(None, "result.reason", "aborted without a reason")
     if stop is None:
         yield Difference(None, "stop", "missing: no stop is on /commands")
-        return
-    if simulated and too_large(log):
-        text = "not simulated again: the trial has too many samples of robots and obstacles"
-        yield Difference(None, "plant", f"{text}; {limits.FACTOR}=2 allows twice as many")
         return
     yield from _host(raw, log, stop)
     sink = Comparison(raw, tolerance)

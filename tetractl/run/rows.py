@@ -22,8 +22,7 @@ from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.format.run_records import encode_result
 from tetractl.log.format.tetractl_pb2 import HostEnd
 from tetractl.log.format.tetractl_pb2 import Result as ResultMessage
-from tetractl.log.read import limits
-from tetractl.log.read.limits import Budget, TooMuchError
+from tetractl.log.read.limits import CHUNK_MAX, file_limit, too_much
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.log.read.validate import INTEGER_MAX, TIME_MAX_NS, check_counts, stated_result
 
@@ -136,9 +135,6 @@ def simulated(experiment: Experiment) -> dict[str, Any]:
     return {"experiment": experiment, "seed": seed, "origin": origin, "recovered": False}
 
 
-LINE_COST, ROW_COST, SOLVE_COST = 400, 5200, 80
-"""Bytes charged to the budget for a line, in addition for a row, and for each of its solve times.
-"""
 UNREADABLE = (
     AttributeError,
     LookupError,
@@ -155,15 +151,15 @@ def check_rows(path: Path) -> None:
     """Raise UsageError if a path is not a regular file, LogError if the file is too large."""
     if not path.is_file():  # reading a FIFO may never end
         raise UsageError(f"{path}: is not a regular file")
-    if path.stat().st_size > limits.file_limit():
-        raise LogError(f"{path}: {TooMuchError(f'it has over {limits.file_limit()} bytes')}")
+    if (size := path.stat().st_size) > file_limit():
+        raise too_much(path, f"{size} bytes")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each complete line of at most limits.RECORD_MAX bytes."""
+    """Yield number and text of each complete line of at most CHUNK_MAX bytes."""
     number, begins = 1, True
     with path.open("rb") as file:
-        while piece := file.readline(limits.RECORD_MAX):
+        while piece := file.readline(CHUNK_MAX):
             ends = piece.endswith(b"\n")
             if begins and ends:
                 yield number, piece.decode(errors="replace")
@@ -180,10 +176,8 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     """
     check_rows(path)
     found: dict[int, Row | None] = {}
-    budget = Budget()
     try:
         for number, line in _lines(path):
-            budget.spend(LINE_COST, "very many lines")
             try:
                 trial = _Numbered.model_validate_json(line).trial
             except ValidationError:
@@ -193,10 +187,6 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
             except UNREADABLE:
                 row = None
             found[trial] = row
-            solved = len(row.result.solve_ns) if row else 0
-            budget.spend(ROW_COST + SOLVE_COST * solved, "very many trials")
-    except TooMuchError as error:
-        raise LogError(f"{path}: {error}") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     return dict(sorted(found.items()))

@@ -1,19 +1,22 @@
 """An overview of a log: its records of the run, and the counts and sizes of its records."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
+
+from mcap.records import Attachment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
 from tetractl.core.table.table_files import json_text
 from tetractl.core.trial import Result
-from tetractl.log.format.channels import CHANNELS
+from tetractl.log.format import tetractl_pb2 as pb
+from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Entry
 from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
 from tetractl.log.read.raw_log import ALTERED, RawLog
-from tetractl.log.read.reader import trial_of
+from tetractl.log.read.reader import trial_of, written
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.skim import skim, tallied
 from tetractl.log.read.trial_log import Damage, Event
 
 
@@ -64,8 +67,10 @@ def overview(path: Path) -> Overview:
 
     Of an undamaged log, frames, plans and pictures are counted and hashed, but not decoded.
     """
-    contents = skim(path) or scan(path)
-    trial = trial_of(contents)
+    contents = scan(path)
+    with written(contents):
+        shown = contents.records if contents.problems else _shown(contents)
+    trial = trial_of(replace(contents, records=shown))
     problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     if contents.altered:
         problems = (*problems, ALTERED)
@@ -89,18 +94,33 @@ def overview(path: Path) -> Overview:
     )
 
 
+def _shown(contents: RawLog) -> list[Entry | Attachment]:
+    """Return what an overview shows or needs of a log's records: attachments, run, result, events,
+    the first command with a direction, and control steps: the first, and the last with an estimate.
+    """
+    steps, commands = contents.by_topic[STEP], contents.by_topic[COMMANDS]
+    estimates = (
+        one for one in steps[::-1] if pb.ControllerStep.FromString(one.data).HasField("estimate")
+    )
+    directed = (one for one in commands if not pb.WheelCommand.FromString(one.data).stop)
+    kept = {*islice(directed, 1), *steps[:1], *islice(estimates, 1)}
+    return [
+        one
+        for one in contents.records
+        if isinstance(one, Attachment) or one.topic in SUMMARY or one.topic == LOG or one in kept
+    ]
+
+
 def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
     """Return the channels that have messages, sorted by topic."""
-    tallies = contents.tallies or tallied(contents.entries)
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
-    return tuple(
-        ChannelCount(
-            topic=topic,
-            schema=schemas.get(topic, ""),
-            messages=count,
-            hz=(count - 1) * SECOND / (last - first) if last > first else None,
-            bytes=size,
-        )
-        for topic, (count, size, first, last) in sorted(tallies.items())
-    )
+    found = []
+    for topic, entries in sorted(contents.by_topic.items()):
+        times = [entry.log_ns for entry in entries]
+        count, span = len(entries), max(times, default=0) - min(times, default=0)
+        hz = (count - 1) * SECOND / span if span else None
+        size = sum(len(entry.data) for entry in entries)
+        if count:
+            found.append(ChannelCount(topic, schemas.get(topic, ""), count, hz, size))
+    return tuple(found)

@@ -1,8 +1,5 @@
 """The records found in a log file, and those of the run decoded once."""
 
-import os
-import stat
-import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -22,18 +19,11 @@ from tetractl.log.format.channels import Entry
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.run_records import decode_facts
 from tetractl.log.format.tetractl_pb2 import Digests, Run
-from tetractl.log.read import limits
-from tetractl.log.read.limits import FACTOR, Budget, TooMuchError, file_limit
+from tetractl.log.read.limits import file_limit, too_much
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
 ALTERED = "the content does not match the digest that the log states"
-# flags that some systems lack
-_FLAGS = os.O_BINARY if sys.platform == "win32" else os.O_NONBLOCK
-
-
-Tally = tuple[int, int, int, int]
-"""Of the messages of a topic: their number, bytes, and their first and last time [Unix ns]."""
 
 
 @dataclass
@@ -49,11 +39,7 @@ class RawLog:
     channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
     library: str = ""  # the program that wrote the file
     metadata: list[Metadata] = field(default_factory=list)
-    tallies: dict[str, Tally] = field(default_factory=dict)  # by topic, if not all are kept
-    strange: list[int] = field(
-        default_factory=list
-    )  # opcodes of records that no log has outside chunks
-    budget: Budget = field(default_factory=Budget)
+    strange: set[int] = field(default_factory=set)  # opcodes that no log has outside chunks
 
     @cached_property
     def entries(self) -> list[Entry]:
@@ -83,14 +69,9 @@ class RawLog:
         return None if found is None else found.data.decode(errors="replace")
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """Decode the messages of a topic; raises DecodeError, and TooMuchError for a message that
-        is too long.
-        """
-        found = [entry.data for entry in self.by_topic[topic]]
-        longest = max(map(len, found), default=0)
-        if longest > limits.RECORD_MAX:
-            raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
-        return map(channels.CHANNELS[topic].FromString, found)
+        """Decode the messages of a topic; raises DecodeError."""
+        decode = channels.CHANNELS[topic].FromString
+        return (decode(entry.data) for entry in self.by_topic[topic])
 
     def _stated(self, topic: str) -> Any:
         """Return the first message of a topic, an empty one if it is lost or unreadable."""
@@ -219,33 +200,23 @@ def _reason(error: Exception) -> str:
     return printable(str(error) or type(error).__name__, 200)
 
 
-def read_file(path: Path) -> tuple[bytes, int, str | None]:
-    """Return a file's bytes, its size, and a problem if not all bytes were read.
+def read_file(path: Path) -> bytes:
+    """Return a file's bytes; LogError if it is no file, empty or too large, or cannot be read.
 
     The file is not memory-mapped: if another program shortened a mapped file, reading a missing
-    page would kill the process. Zeros at the end, left by a power cut, are returned only in part.
-    Raises LogError if the path is not a file, or the file is empty or cannot be read.
+    page would kill the process.
     """
     try:
-        # O_NONBLOCK, since opening a pipe that no process writes to would wait for ever
-        handle = os.open(path, os.O_RDONLY | _FLAGS)
-        with os.fdopen(handle, "rb") as file:
-            found, limit = os.fstat(handle), file_limit()
-            if not stat.S_ISREG(found.st_mode):
-                raise LogError(f"{path}: is not a file")
-            data = file.read(min(limit, found.st_size))
-            size = found.st_size
-    except IsADirectoryError:
-        raise LogError(f"{path}: is a folder, not a log") from None
+        size = path.stat().st_size
+        if not path.is_file():  # reading a FIFO may never end
+            raise LogError(f"{path}: is not a regular file")
+        if size > file_limit():
+            raise too_much(path, f"{size} bytes")
+        data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from None
     except ValueError as error:  # a null byte in the name
         raise LogError(f"{path}: {error}") from None
     if not data:
         raise LogError(f"{path}: the file is empty")
-    problem = None
-    if size > len(data) == limit:
-        problem = f"only the first {limit} of {size} bytes are read; {FACTOR}=2 reads twice that"
-    # number of zeros kept at the end of a file, since the last record may end with zeros
-    used = len(data.rstrip(b"\0")) + 4096
-    return data[:used] if used < len(data) else data, size, problem
+    return data

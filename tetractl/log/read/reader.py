@@ -11,7 +11,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from tetractl.core.commands import Note, Verdict
+from tetractl.core.commands import Note
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
@@ -24,8 +24,7 @@ from tetractl.log.format import channels, codec
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import decode_plant
 from tetractl.log.format.scene import decode_note
-from tetractl.log.read import limits, validate
-from tetractl.log.read.limits import TooMuchError
+from tetractl.log.read import validate
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
@@ -56,8 +55,6 @@ def written(contents: RawLog) -> Iterator[None]:
     """Raise a LogError for a value that cannot be decoded within the `with` block."""
     try:
         yield
-    except TooMuchError as error:
-        raise LogError(f"{contents.path}: {error}") from None
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
         # intact records with values that tetractl does not write
         raise LogError(
@@ -160,7 +157,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
     final = Poses.of(path[last, np.arange(path.shape[1])])
     return Result.of(
         trial.start.setup,
-        path_verdict(trial, path, known, final),
+        check_path(trial.start.setup, path, known, final),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
@@ -168,17 +165,6 @@ def _result_of_poses(trial: TrialLog) -> Result:
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
         tour=trial.tour,
     )
-
-
-def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
-    """Return the verdict of `check_path` on a path; LogError if the path is too long."""
-    setup = trial.start.setup
-    samples, robots = path.shape[:2]
-    if samples * robots * (len(setup.obstacles) + robots) > limits.path_limit():
-        raise LogError(
-            f"{trial.path}: {TooMuchError('the log contains very many poses and obstacles')}"
-        )
-    return check_path(setup, path, known, final)
 
 
 def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
@@ -247,29 +233,19 @@ def _resolved(text: str) -> tuple[Experiment, str]:
 
 def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots."""
-    parts = [Frames.of((), robots)]
-    for message in contents.messages(channels.FRAMES):
-        cost = limits.NUMBER_COST * (7 * robots + 3) * len(message.times) // 24
-        contents.budget.spend(cost, "very many camera frames")
-        parts.append(codec.decode_frames(message, robots))
-    found = Frames.joined(parts)
+    parts = (codec.decode_frames(one, robots) for one in contents.messages(channels.FRAMES))
+    found = Frames.joined([Frames.of((), robots), *parts])
     validate.check_frames(found)
     return found
 
 
 def _steps(contents: RawLog, robots: int, most: int | None) -> tuple[Step, ...]:
     """Decode the control steps of N robots, at `most` so many, with their solve times."""
-    found: list[Step] = []
     timings = {message.k: message for message in contents.messages(channels.HOST_TIMING)}
-    for message in islice(contents.messages(channels.STEP), most):
-        searches = message.searches
-        numbers = sum(len(search.signals) + len(search.history) for search in searches)
-        numbers += len(message.signals) + 3 * len(message.path_x)
-        cost = limits.STEP_COST + limits.SEARCH_COST * len(searches) + limits.NUMBER_COST * numbers
-        contents.budget.spend(cost, "very many searches")
-        found.append(codec.decode_step(message, timings.get(message.k), robots))
+    messages = islice(contents.messages(channels.STEP), most)
+    found = tuple(codec.decode_step(one, timings.get(one.k), robots) for one in messages)
     validate.check_steps(found, robots)
-    return tuple(found)
+    return found
 
 
 def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:

@@ -11,7 +11,6 @@ from tetractl.core.errors import LogError
 from tetractl.log.format.channels import RECOVERED, Entry
 from tetractl.log.format.tetractl_pb2 import Recovered
 from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX
-from tetractl.log.read.limits import file_limit
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
@@ -96,10 +95,12 @@ def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
+    with contents.path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     told = Recovered(
         source=contents.path.name,
         source_bytes=contents.size,
-        source_sha256=_sha256(contents.path),
+        source_sha256=digest,
         problems=damage.problems,
         lost=damage.lost,
     )
@@ -117,13 +118,3 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     except BaseException:  # such as a full disk: remove the copy, the source is unchanged
         sink.discard()
         raise
-
-
-def _sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, at most of its first `file_limit` bytes."""
-    found, left = hashlib.sha256(), file_limit()
-    with path.open("rb") as file:
-        while left > 0 and (piece := file.read(min(left, 1 << 20))):
-            found.update(piece)
-            left -= len(piece)
-    return found.hexdigest()

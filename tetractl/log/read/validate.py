@@ -28,7 +28,7 @@ TIME_MAX_NS = 10**18
 INTEGER_MAX = 2**53
 """Limit of counts such as steps: integers that a double represents exactly."""
 STEP_MAX = 4_000_000
-"""Largest size of a plan's numbers [bytes], so that its message is less than RECORD_MAX long."""
+"""Largest size of a plan's numbers [bytes], so that many of them fit in a chunk."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
 
 

@@ -15,8 +15,9 @@ from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import Result
 from tetractl.experiment.load import parse_spec, start_of
 from tetractl.experiment.plants import on_plant
-from tetractl.log.read.reader import path_verdict, trial_path
+from tetractl.log.read.reader import trial_path
 from tetractl.log.write.writer import LogWriter
+from tetractl.model.path_check import check_path
 
 SPEC = """
 name: dish
@@ -80,7 +81,7 @@ def write_film(made, path, robots: int = 2):
         track, known = trial_path(log)
         result = Result.of(
             setup,
-            path_verdict(log, track, known, samples[-1].observation.poses),
+            check_path(setup, track, known, samples[-1].observation.poses),
             outcome=Outcome.INTERRUPTED,
             reason="interrupted before the first step",
             duration_s=stop.sent_ns / 1e9 - samples[0].observation.received_ns / 1e9,

@@ -18,7 +18,6 @@ from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats, Grey
 from tetractl.core.setup import METRES
 from tetractl.log.format.channels import TRACK, TRANSFORMS
-from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
@@ -88,8 +87,6 @@ def read_track(path: Path) -> TrackLog:
         record = _checked(json.loads(contents.text(TRACK) or "null"))
         rows = np.array(list(_rows(contents))).reshape(-1, 5)
         picture = _picture(contents, (record["height"], record["width"]))
-    except TooMuchError as error:
-        raise LogError(f"{path}: {error}") from None
     except (DecodeError, OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         said = f"{type(error).__name__}: {error}"
         raise LogError(f"{path}: the cells of the film cannot be read: {said}") from None

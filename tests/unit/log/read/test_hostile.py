@@ -1,15 +1,15 @@
 """Logs from anybody: damaged at random, made to burst, or made to lie."""
 
-import os
 import random
-import re
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
 from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Attachment
 from support.fuzz import Original, fuzz
 from support.mutate import chunk, rewrite, stating
 from support.random_trials import trial, write
@@ -25,7 +25,7 @@ from tetractl.log.format.tetractl_pb2 import (
     StepTiming,
     WheelCommand,
 )
-from tetractl.log.read import limits
+from tetractl.log.read import limits, raw_log, salvage
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
@@ -76,40 +76,55 @@ def test_a_bomb_is_not_unpacked(log, tmp_path, said):
     assert found.entries == scan(log).entries
 
 
-def test_a_frame_that_hides_its_size_stops_at_what_the_chunk_says(log, tmp_path):
-    hidden = zstandard.ZstdCompressor(write_content_size=False).compress(b"\0" * (1 << 24))
-    found = scan(with_chunks(log, tmp_path / "bomb.mcap", [chunk(b"", 100, hidden)]))
-    assert found.entries == scan(log).entries
-    assert found.problems
+PADDING = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
+EMPTY = bytes([Opcode.MESSAGE]) + struct.pack("<QHIQQ", 22, 1, 0, 0, 0)
 
 
-def test_many_chunks_together_are_bounded(log, tmp_path):
-    padding = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
-    path = with_chunks(log, tmp_path / "many.mcap", [chunk(padding)] * 60)
+@pytest.mark.parametrize("inside", [PADDING, EMPTY * 60_000])
+def test_many_chunks_together_are_bounded(log, tmp_path, inside):
+    path = with_chunks(log, tmp_path / "many.mcap", [chunk(inside)] * 20)
     assert path.stat().st_size < 200_000
-    with pytest.raises(LogError, match="unpack to very many bytes, more than tetractl reads"):
+    with pytest.raises(LogError, match="very many bytes or messages in its chunks, more than"):
         scan(path)
 
 
-def test_records_that_claim_the_same_bytes_are_not_all_read(log, tmp_path, monkeypatch):
+def test_the_search_of_a_damaged_file_ends(log, tmp_path, monkeypatch):
     """Each of these would copy the rest of the file: quadratic, were it not for the limit."""
     trace = bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 1 << 19)
     path = tmp_path / "overlap.mcap"
-    path.write_bytes(log.read_bytes()[:-100] + trace * 12_000)
-    found = scan(path)
-    assert len(found.entries) == len(scan(log).entries)
-    monkeypatch.setattr(limits, "OVERLAP", 0)
-    assert scan(path).entries == []
+    path.write_bytes(log.read_bytes()[:-100] + trace * 1000)
+    assert len(scan(path).entries) == len(scan(log).entries)
+    monkeypatch.setattr(salvage, "seconds_limit", lambda: -1)
+    with pytest.raises(LogError, match="very many damaged records"):
+        scan(path)
 
 
-def test_a_tail_of_zeros_is_an_end(log, tmp_path):
-    """What a power cut leaves on some file systems."""
-    path = tmp_path / "zeros.mcap"
-    half = log.read_bytes()[: log.stat().st_size // 2]
-    path.write_bytes(half + bytes(5_000_000))
-    found = re.search(r"breaks off in the record at byte (\d+)", " ".join(scan(path).problems))
-    assert found
-    assert int(found[1]) < len(half) + 10_000
+def test_a_larger_file_is_read_if_the_factor_says_so(log, tmp_path, monkeypatch):
+    """A limit on forged logs never costs an honest one."""
+    monkeypatch.setattr(raw_log, "file_limit", lambda: log.stat().st_size - 1)
+    with pytest.raises(LogError, match="TETRACTL_LOG_FACTOR=2 allows twice as much"):
+        scan(log)
+    monkeypatch.undo()
+    before = limits.file_limit(), limits.seconds_limit()
+    monkeypatch.setenv(limits.FACTOR, "2")
+    assert (limits.file_limit(), limits.seconds_limit()) == (2 * before[0], 2 * before[1])
+    for useless in ("nan", "0.1", "much"):
+        monkeypatch.setenv(limits.FACTOR, useless)
+        assert limits.file_limit() == before[0]
+
+
+def test_an_index_that_cannot_be_read_is_left_out(log, tmp_path):
+    """Its checksum fits, but a channel in it is no record."""
+    data = log.read_bytes()
+    footer = len(data) - len(salvage.MAGIC) - 20
+    begin = int.from_bytes(data[footer : footer + 8], "little")
+    broken = bytes([Opcode.CHANNEL]) + struct.pack("<QI", 4, 1 << 30)
+    index = (begin - 50).to_bytes(8, "little")  # where the data section now is cut off
+    tail = broken + data[footer - 9 : footer] + index + data[footer + 8 : footer + 16]
+    crc = struct.pack("<I", zlib.crc32(tail))
+    path = tmp_path / "index.mcap"
+    path.write_bytes(data[: begin - 50] + tail + crc + salvage.MAGIC)
+    assert scan(path).entries == scan(log).entries
 
 
 NAN, INF = float("nan"), float("inf")
@@ -140,21 +155,12 @@ def spoilt_step(**changes):
     ("topic", "changes"),
     [
         (HOST_END, {"solve_ns": [-1]}),
-        (HOST_END, {"deadline_misses": -1}),
         (RESULT, {"total_error": INF}),
-        (RESULT, {"total_error": NAN}),
         (RESULT, {"robot_errors": [1.0, 2.0]}),
-        (RESULT, {"duration_s": INF}),
         (RESULT, {"duration_s": -1.0}),
         (RESULT, {"steps": -1}),
-        (RESULT, {"final_x": [NAN]}),
         (RESULT, {"final_x": [1e300]}),
         (RESULT, {"clearance": [NAN]}),
-        (RESULT, {"turn": [0.1]}),
-        (RESULT, {"turn_std": [0.1]}),
-        (RESULT, {"turn": [NAN], "turn_std": [0.1]}),
-        (RESULT, {"turn": [0.1], "turn_std": [-0.1]}),
-        (RESULT, {"entered": []}),
         (RESULT, {"outcome": "triumph"}),
         (RESULT, {"unit": "furlong"}),
     ],
@@ -178,10 +184,7 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
     [
         {"robots": ["a", "b"]},
         {"camera_rate_hz": NAN},
-        {"camera_rate_hz": -1.0},
-        {"start_unix_ns": 2**63 - 1},
         {"start_unix_ns": -1},
-        {"trial": 2**62},
         {"format_version": -1},
     ],
 )
@@ -212,30 +215,22 @@ def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, 
     ("topic", "message"),
     [
         (FRAMES, spoilt_frames(poses=[[1.0] * 3] * 3, valid=[True] * 3)),
-        (FRAMES, spoilt_frames(poses=())),
         (FRAMES, spoilt_frames(times=[(0, 1, 1), (1, 2, 2)])),
-        (FRAMES, spoilt_frames(truth=[[1.0] * 3] * 2)),
         (FRAMES, spoilt_frames(valid=())),
         (FRAMES, CameraFrames(times=b"abc")),
-        (FRAMES, CameraFrames(truth=b"abc")),
-        (STEP, ControllerStep(chosen=5)),
         (STEP, ControllerStep(chosen=-1, signals=[1.0])),
         (FRAMES, spoilt_frames(poses=[(NAN, 1.0, 1.0)])),
         (FRAMES, spoilt_frames(poses=[(INF, 1.0, 1.0)], valid=[False])),
-        (FRAMES, spoilt_frames(poses=[(1.0, 1.0, 1e300)])),
         (FRAMES, spoilt_frames(times=[(0, 2**62, 0)])),
         (FRAMES, spoilt_frames(truth=[(INF, 1.0, 1.0)])),
         (COMMANDS, WheelCommand(direction=NAN, delivered=[True])),
         (COMMANDS, WheelCommand(direction=1.0, delivered=[True], sent_ns=-(2**63))),
-        (COMMANDS, WheelCommand(direction=1.0)),
         (COMMANDS, WheelCommand(direction=1.0, delivered=[True], left=[1.0, 2.0])),
         (HOST_TIMING, StepTiming(k=0, solve_ns=-1)),
         (STEP, spoilt_step(k=-1)),
         (STEP, spoilt_step(cost=INF)),
-        (STEP, spoilt_step(signals=[NAN])),
         (STEP, spoilt_step(path_x=[1.0, NAN])),
         (STEP, spoilt_step(path_x=[1.0] * 3, path_y=[1.0] * 3)),
-        (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], cost=1.0)])),
         (STEP, spoilt_step(searches=[Search(length=2, signals=[0.5], history=[1.0])])),
         (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], history=[-INF])])),
     ],
@@ -255,17 +250,12 @@ def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path, contents):
     assert read_trial(rewrite(contents, tmp_path / "trial.mcap", {entry: new})).steps
 
 
-@pytest.mark.parametrize("name", ["../../escape", "/tmp/escape", "a/b", "..", "nul\0", "x" * 5000])
+@pytest.mark.parametrize("name", ["../../escape", "/tmp/escape", "nul\0", "x" * 5000])
 def test_names_in_a_log_are_no_paths(tmp_path, log, name):
     """An attachment of that name is carried along inside the log, and nothing else is written."""
     builder = RecordBuilder()
-    from mcap.records import Attachment
-
     Attachment(0, 0, name, "application/yaml", b"evil").write(builder)
-    folder = tmp_path / "a" / "b"
-    folder.mkdir(parents=True)
-    path = with_chunks(log, folder / "trial.mcap", [builder.end()])
+    path = with_chunks(log, tmp_path / "trial.mcap", [builder.end()])
     out = recover(path)
     assert "evil" in [item.data.decode() for item in scan(Path(str(out.path))).attachments.values()]
-    left = {str(Path(root, file)) for root, _, files in os.walk(tmp_path) for file in files}
-    assert left == {str(path), str(out.path)}
+    assert {*tmp_path.rglob("*")} == {path, Path(str(out.path))}

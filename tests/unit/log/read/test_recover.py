@@ -5,12 +5,15 @@ import random
 from pathlib import Path
 
 import pytest
+from mcap.records import Channel
 from support.durable import small_disk
+from support.mutate import rewrite
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import RECOVERED
+from tetractl.log.format.channels import RECOVERED, Entry
 from tetractl.log.read.find import find_logs
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import scan
@@ -158,3 +161,16 @@ def test_a_full_disk_leaves_nothing_behind(log, tmp_path):
             recover(source, disk / "out.mcap")
         assert list(disk.iterdir()) == []
     assert recover(source).whole
+
+
+def test_a_channel_that_is_only_in_the_index_is_copied(log, tmp_path):
+    """Regression: `recover` copied messages of a channel that it had not made."""
+    contents, extra = scan(log), Entry("/only", 1, 1, b"data")
+    first = contents.records.index(contents.entries[0])
+    records = [*contents.records[:first], extra, *contents.records[first:]]
+    records.insert(first + 40, extra)  # the first takes the record of the channel with it
+    more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
+    changed = RawLog(log, records=records, channels=contents.channels | more)
+    data = rewrite(changed, tmp_path / "whole", {}, apart=True).read_bytes()
+    cut = damaged(tmp_path, flipped(data, data.index(b"\x04\0\0\0zstd") + 60))
+    assert extra in scan(Path(str(recover(cut).path))).entries

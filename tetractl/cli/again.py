@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import options, ui
-from tetractl.cli.serve import wanted_port
-from tetractl.cli.trials import RunOptions, run_command
+from tetractl.cli.trials import RunOptions, run_command, wanted_port
 from tetractl.core.errors import Exit
 from tetractl.log.read.find import find_log
 

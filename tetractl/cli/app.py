@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 import typer.main
-from typer.core import TyperArgument, TyperCommand, TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.exceptions import TyperException
 
 from tetractl import __version__
@@ -64,17 +64,11 @@ class _Commands(UserDict[str, Any]):
 
 
 def _placeholders(params: list[Any]) -> list[Any]:
-    """Let the help show placeholders, and no types of Python: switches and arguments have none."""
+    """Let the help show no type next to a switch."""
     for one in params:
-        if isinstance(one, TyperArgument):
-            one.display_type_rich = _no_type  # typer itself has no setting for it
-        elif one.is_flag:
+        if isinstance(one, TyperOption) and one.is_flag:
             one.metavar = ""
     return params
-
-
-def _no_type(ctx: Any) -> None:
-    """Return what is shown next to the name of an argument: nothing."""
 
 
 class _Command(TyperCommand):

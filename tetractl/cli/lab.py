@@ -13,7 +13,6 @@ import typer
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option, out_option, switch
-from tetractl.cli.rigs import rig_of
 from tetractl.cli.streams import hung_up_unread
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
@@ -46,7 +45,7 @@ def check(
     from tetractl.view.terminal import findings
 
     experiment = on_plant(ui.load(spec, sets), plant).experiment
-    rig = rig_of(experiment)
+    rig = ui.rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
     with interrupted_once(robots=True), rig:

@@ -3,8 +3,7 @@
 from typing import Annotated
 
 from tetractl.cli import options, ui
-from tetractl.cli.serve import wanted_port
-from tetractl.cli.trials import RunOptions, run_command
+from tetractl.cli.trials import RunOptions, run_command, wanted_port
 from tetractl.core.errors import UsageError
 
 

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
+PORT = 8765
+"""TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """How trials are run: the options of `run`. They are served at `port`, unless it is None."""
@@ -48,7 +52,6 @@ def run_command(
     """Run the trials of a spec, or only trial `only`, and print the statistics; with `dry_run`,
     only print the spec. Return the exit code and the logs' folder.
     """
-    from tetractl.cli.serve import served_run
     from tetractl.run.store import Store, default_folder
     from tetractl.run.trial_limits import check
 
@@ -67,13 +70,37 @@ def run_command(
     if lab:
         ui.require_confirmation(options.yes)
     with (
-        served_run(experiment.name, options.port) as served,
+        _served(experiment.name, options.port) as served,
         store.opened(options.resume),
         _stoppable(loaded, options) as interrupt,
     ):
         todo = store.lacking if only is None else [only]
         report = _run_trials(loaded, store, todo, options, interrupt, served)
         return _conclude(report, todo, folder, interrupt.requested, options.json), folder
+
+
+def wanted_port(serve: bool, port: int | None) -> int | None:
+    """Return the port to serve at, None without --serve; UsageError for a port without --serve."""
+    if port is not None and not serve:
+        raise UsageError("--port needs --serve")
+    return PORT if serve and port is None else port
+
+
+@contextmanager
+def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
+    """Yield the observers that send the trials of a `with` block to viewers; none if `port` is
+    None."""
+    if port is None:
+        yield ()
+        return
+    from tetractl.core.clock import MonotonicClock
+    from tetractl.serve.live import ServedRun, Viewers
+    from tetractl.serve.server import LoopbackServer
+
+    viewers = Viewers(name)
+    with LoopbackServer(viewers, port) as server:
+        ui.tell(f"served at {server.url}")
+        yield [ServedRun(viewers, MonotonicClock())]
 
 
 def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:

@@ -15,7 +15,9 @@ from tetractl.core.table.table_files import json_text
 from tetractl.core.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
+    from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.load import LoadedSpec
+    from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.run.plausibility import PlacedWarning
 
@@ -74,6 +76,18 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
     if damage:
         tell(*(f"damaged: {path}: {problem}" for problem in damage.problems))
         tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
+
+
+def rig_of(experiment: "Experiment") -> "Rig":
+    """Return the rig of an experiment's lab, real or emulated, for a command without a trial."""
+    from numpy.random import SeedSequence
+
+    from tetractl.plant.lab_plant import RigSection
+
+    lab = experiment.plant
+    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
+    seed = SeedSequence(experiment.trials.seed)
+    return lab.rig(experiment.setup, lab.clock(), seed, chosen=experiment.open)
 
 
 def require_confirmation(yes: bool) -> None:

@@ -19,8 +19,6 @@ from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
 from tetractl.replay.player import end_ns, first_seen, tracked
 
-"""Largest rate of camera frames on the page [Hz], since screens show no more."""
-
 
 def packed(trial: dict[str, Any]) -> str:
     """Return a trial as base64 of its JSON, compressed by zlib."""

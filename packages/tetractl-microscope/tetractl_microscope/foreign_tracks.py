@@ -11,10 +11,10 @@ from tetractl.core.poses import Floats
 from tetractl.core.table.number_columns import read_numbers
 from tetractl.core.table.table_files import read_csv
 from tetractl.replay.identification.tracks import POSES_MAX
+from tetractl_microscope.film.kinematics import TURN_S
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")
-TURN_S = 0.4  # time over which a heading is computed from a path, a turn of a cell's helix [s]
 CELL, SHORTEST_S = "cell ", 2.0  # begins the name of a cell; the shortest track that is used [s]
 
 Row = dict[str, str]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 from tetractl.cli import ui
 from tetractl.cli.lab import save_calibration
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
-from tetractl.cli.rigs import rig_of
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 from tetractl.core.table.table_files import json_text
@@ -87,7 +86,7 @@ def survey(
     ui.refuse_existing(out)
     if experiment.plant.real_time:
         ui.require_confirmation(yes)
-    with interrupted_once(robots=True), rig_of(experiment) as rig:
+    with interrupted_once(robots=True), ui.rig_of(experiment) as rig:
         seed, supervision = experiment.trials.seed, LabSupervision()
         cells, turned = watch_turning(rig, choice, seed, supervision)
     wrong, turning = handedness_lines(turned)

@@ -107,9 +107,7 @@ class Table:
     note: str = ""
 
     @classmethod
-    def of_texts(
-        cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = ""
-    ) -> Self:
+    def of_texts(cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> Self:
         """Return a table of words; a column that is empty in all rows is left out, unless it is
         the first.
 
@@ -120,7 +118,7 @@ class Table:
             Column(name, entries, words=True) for name, entries in zip(header, values, strict=True)
         ]
         filled = (one for one in columns[1:] if any(text not in ("", NONE) for text in one.texts))
-        return cls(title, (columns[0], *filled), note)
+        return cls(title, (columns[0], *filled))
 
     @classmethod
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:

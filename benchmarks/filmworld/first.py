@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "packages/tetractl-microscope/tests"))
 from support.synthetic_film import FilmScript, SyntheticFilm
 from tetractl_emulator.pictures.dish.picture import (
     SUB_EXPOSURES,

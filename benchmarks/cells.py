@@ -69,7 +69,7 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     tracks = [
         CellTrack(i, [], int(rows[i]), i, long=cells.length[i], wide=cells.width[i]) for i in (0, 1)
     ]
-    names = Names(bank, lambda: -1, 52.3, splits=False)
+    names = Names(bank, 52.3, splits=False)
     direction, left, frame, merged = 0.0, 0.0, 0, False
     for k in range(round((10.0 + limit) / STEP_S)):
         t = k * STEP_S

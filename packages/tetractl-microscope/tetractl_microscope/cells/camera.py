@@ -92,11 +92,11 @@ class CellCamera(PictureCamera[SeenDish]):
         per_um = 1e-6 / self._setup.metres
         since, before = self._since.get(cell.track, (self._now, 0.0))
         a, seconds = float(cell.mean[A]), self._now - since
-        a_sd, speed_sd = (WIDER * math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
+        a_sd, speed_sd = (WIDER * float(cell.sd[i]) for i in (A, SPEED))
         speed = float(cell.mean[SPEED])
         if seconds > MEAN_S:
             speed = float(cell.mean[WAY] - before) / seconds
-            speed_sd = WIDER * math.sqrt(cell.covariance[WAY, WAY]) / seconds
+            speed_sd = WIDER * float(cell.sd[WAY]) / seconds
         speed_sd = math.hypot(speed_sd, SPEED_ERROR * speed) * per_um
         free = not self._near_wall(np.array([cell.x]), np.array([cell.y])).item()
         a_sd = math.hypot(a_sd, A_ERROR * a)

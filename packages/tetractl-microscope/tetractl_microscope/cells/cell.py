@@ -13,9 +13,10 @@ class SeenCell:
     """One cell in one picture.
 
     x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
-    of the helix's axis, which turns by equation (3) of the paper. `mean` (12,) and `covariance`
-    (12, 12) are the filter's state. `probability` is the probability that this is the cell with the
-    number `identity`. `found`: the cell has a blob; `merged`: its blob shows other cells, too.
+    of the helix's axis, which turns by equation (3) of the paper. `mean` (12,) is the filter's
+    state, with the standard deviations `sd` (12,). `probability` is the probability that this is
+    the cell with the number `identity`. `found`: the cell has a blob; `merged`: its blob shows
+    other cells, too.
     `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
     and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
     x, y [um], axis [rad], length and width [um] of the blob; None if the cell has none. `sure` is
@@ -28,7 +29,7 @@ class SeenCell:
     axis: float
     heading: float
     mean: Floats
-    covariance: Floats
+    sd: Floats
     probability: float
     found: bool
     merged: bool

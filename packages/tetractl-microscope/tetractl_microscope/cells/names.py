@@ -8,7 +8,7 @@ the probability of each assignment. A question ends once one assignment is certa
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -28,9 +28,8 @@ from tetractl_microscope.cells.helix import HEADING, HelixFilter
 from tetractl_microscope.cells.readings import MERGED
 
 TOGETHER = 4  # most tracks whose identities are resolved together
-CLEAR = 0.99  # probability of the places alone above which no question is asked
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
-ASSERTED = 0.99  # least probability with which a film's table goes on with a name
+ASSERTED = 0.99  # probability above which no question is asked, and a film goes on with a name
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
@@ -43,19 +42,21 @@ LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells r
 class Names:
     """Knows which tracks are together, which questions are open, and which cells are lost.
 
-    `bank` is the filter, `number` returns a new number, a cell is `body_um` long. If a film's table
-    `splits` names, a track whose cell is too uncertain when a question ends gets a new name instead
-    of an asserted one.
+    `bank` is the filter, a cell is `body_um` long. If a film's table `splits` names, a track whose
+    cell is too uncertain when a question ends gets a new name instead of an asserted one.
     """
 
-    def __init__(
-        self, bank: HelixFilter, number: Callable[[], int], body_um: float, splits: bool
-    ) -> None:
-        self._bank, self._number, self._body_um, self._splits = bank, number, body_um, splits
+    def __init__(self, bank: HelixFilter, body_um: float, splits: bool) -> None:
+        self._bank, self._body_um, self._splits, self._last = bank, body_um, splits, 0
         self._meetings: list[Meeting] = []
         self._questions: list[Question] = []
         self._lost: list[Known] = []
         self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
+
+    def number(self) -> int:
+        """Return a new cell's number."""
+        self._last += 1
+        return self._last
 
     def meet(self, together: Sequence[CellTrack], seconds: float, met: bool) -> None:
         """Record that tracks are not distinguished at a time [s]: they share a blob, or that of a
@@ -97,10 +98,10 @@ class Names:
             shares = self._stay(meeting)
             for track, share in zip(list(tracks), shares.tolist(), strict=True):
                 if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
-                    share = min(share, CLEAR)
-                if track in apart and (share > CLEAR or len(shares) == 1):
+                    share = min(share, ASSERTED)
+                if track in apart and (share > ASSERTED or len(shares) == 1):
                     self._leave(meeting, track)
-                    if share < CLEAR:
+                    if share < ASSERTED:
                         self._doubt(track, share)
             if not tracks:
                 self._forget(meeting)
@@ -200,7 +201,7 @@ class Names:
             meeting, shares = track.meeting, self._stay(track.meeting).tolist()
             likely = [each for each in zip(meeting.tracks, shares, strict=True) if each[0] != track]
             self._leave(meeting, track)
-            if len(likely) == 1 and likely[0][1] < CLEAR:
+            if len(likely) == 1 and likely[0][1] < ASSERTED:
                 self._forget(meeting)
                 self._doubt(*likely[0])
         size, since_s = (track.long, track.wide), seconds - track.missed_s
@@ -292,7 +293,7 @@ class Names:
         """Set the certainty of a track's name, or give the track a new name; return the latter."""
         track.certainty, splits = certainty, self._splits and certainty < ASSERTED
         if splits:
-            track.identity, track.certainty = self._number(), 1.0
+            track.identity, track.certainty = self.number(), 1.0
         return splits
 
     def _tell(self, tracks: Sequence[CellTrack], probability: float, asked: Sequence[int]) -> None:

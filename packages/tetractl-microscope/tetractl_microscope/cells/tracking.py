@@ -71,8 +71,8 @@ class CellTracker:
         self.bank = HelixFilter(known, near_wall, organism)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]
-        self._tracks, self._last_track, self._last_name = list[CellTrack](), 0, 0
-        self._names = Names(self.bank, self._name, self._body_um, splits)
+        self._tracks, self._last_track = list[CellTrack](), 0
+        self._names = Names(self.bank, self._body_um, splits)
         self._time: float | None = None
         self._brief_s = SPECK_S  # SPECK_S, or as long as one picture is missing
         self._height = self._width = 0
@@ -86,10 +86,6 @@ class CellTracker:
     def answers(self) -> Sequence[CellAnswer]:
         """The answers to questions of identity that the newest picture decided."""
         return self._names.answers
-
-    def blob(self, track: int) -> Blob | None:
-        """Return the blob of a track in the newest picture, None if it has none."""
-        return next((cell.blob for cell in self._tracks if cell.number == track), None)
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
         """Return the cells in a picture taken at a time [s]; `field` gives the field that acted
@@ -128,10 +124,6 @@ class CellTracker:
 
     def _cells(self) -> list[CellTrack]:
         return [track for track in self._tracks if track.row is not None]
-
-    def _name(self) -> int:
-        self._last_name += 1
-        return self._last_name
 
     def _match(self, blobs: Sequence[Blob], seconds: float, passed: float) -> None:
         """Assign each track its blob, and update the cells' states."""
@@ -283,7 +275,7 @@ class CellTracker:
         if track.long * track.wide > large:
             track.pair_s = track.sized_s + STARTED_S
         track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
-        track.identity, track.begun = self._name(), (x, y, float(path[-1, 0]))
+        track.identity, track.begun = self._names.number(), (x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]
         if near is not None and near not in self._tracks:
             track.near = near = None
@@ -374,7 +366,8 @@ class CellTracker:
     def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         rows = np.array([cell.row for cell in cells], int)
         seen, _ = self.bank.expected(rows)
-        means, covariances = self.bank.mean[rows], self.bank.covariance[rows]
+        means = self.bank.mean[rows]
+        sds = np.sqrt(np.diagonal(self.bank.covariance[rows], axis1=1, axis2=2))
         return [
             SeenCell(
                 identity=cell.identity,
@@ -383,7 +376,7 @@ class CellTracker:
                 axis=axis,
                 heading=float(means[i, HEADING]),
                 mean=means[i],
-                covariance=covariances[i],
+                sd=sds[i],
                 probability=probability,
                 found=cell.blob is not None,
                 merged=cell.merged or cell.large,

@@ -7,8 +7,9 @@ from tetractl.core.table.table_files import plain
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import CellSummary
-from tetractl_microscope.film.follow import CellPath, Followed
+from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.kinematics import velocities
+from tetractl_microscope.film.who import CellPath
 
 POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
 POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}

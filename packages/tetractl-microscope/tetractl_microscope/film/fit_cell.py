@@ -39,7 +39,8 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 )
 from tetractl_microscope.cells.readings import MERGED
 from tetractl_microscope.film.field_file import FieldRecord, no_field
-from tetractl_microscope.film.follow import CellPath, Followed
+from tetractl_microscope.film.follow import Followed
+from tetractl_microscope.film.who import CellPath
 
 START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
 SHORTEST_S = 2.0  # duration of the shortest path of which a speed is stated [s]

@@ -3,19 +3,15 @@ since it was too large for one of them.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.names import LIKELIER
-
-Shown = list[dict[int, SeenCell]]
-"""The cells of each picture, by track."""
+from tetractl_microscope.film.who import Row, Whereabouts, row_from
 
 APART_S = 0.5  # time after a parting whose blobs give the two cells' sizes
 SEEN = 3  # successive blobs that are too large for one cell
@@ -25,38 +21,27 @@ LASTS_S = 0.4  # shortest part of a path that has names
 APART = 0.15  # least distance of a cell from the middle of a blob that tells two cells [lengths]
 
 
-def fill_pairs(
-    shown: Shown,
-    times: Sequence[float],
-    partings: Iterable[tuple[int, int, int]],
-    body_um: float,
-) -> set[int]:
-    """Add cells to the earlier pictures in which another cell's blob showed both. `partings` are
-    the first picture of each cell that came out of another one's blob, its track, and the other
-    one's. Cells are `body_um` long. Returns the tracks of the cells that were added.
+def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
+    """Add cells to the earlier pictures in which another cell's blob showed both. Cells are
+    `body_um` long. Returns the tracks of the cells that were added.
 
     Each cell is then as far from the middle of the blob as the excess of the blob's second moment
     over a cell's says, along the blob or across it. Which of the two is which is not known: both
     have names of their own, and others after each time when they could not be distinguished.
     """
-    areas: dict[int, list[float]] = {}
-    for at in shown:
-        for track, cell in at.items():
-            areas.setdefault(track, []).extend(math.prod(size) for size in _sizes([cell]))
-    off = [np.log(np.array(each) / np.median(each)) for each in areas.values() if each]
+    areas = [list(map(math.prod, _sizes(rows))) for rows in where.tracks.values()]
+    off = [np.log(np.array(each) / np.median(each)) for each in areas if each]
     spread = float(np.median(np.abs(np.concatenate(off)))) / 0.6745 if off else 0.0
-    names = count(max((cell.identity for at in shown for cell in at.values()), default=0) + 1)
-    larger = max(LARGE, math.exp(SPREAD * spread))
+    larger, names = max(LARGE, math.exp(SPREAD * spread)), where.new_names()
     return {
         track
-        for first, track, other in partings
-        if _fill(shown, times, first, track, other, larger, APART * body_um, names)
+        for first, track, other in where.partings
+        if _fill(where, first, track, other, larger, APART * body_um, names)
     }
 
 
 def _fill(
-    shown: Shown,
-    times: Sequence[float],
+    where: Whereabouts,
     first: int,
     track: int,
     other: int,
@@ -68,43 +53,46 @@ def _fill(
     that is `larger` than one cell shows two; nearer than `apart_um` [um] to its middle they cannot
     be distinguished.
     """
-    if first == 0 or other not in shown[first] or other not in shown[first - 1]:
+    times, news, olds = where.times, where.tracks[track], where.tracks[other]
+    i, j = row_from(news, first), row_from(olds, first)
+    if [row.at for row in olds[max(j - 1, 0) : j + 1]] != [first - 1, first]:
         return False
-    end = int(np.searchsorted(times, times[first] + APART_S))
-    after = [_sizes(at[each] for at in shown[first:end] if each in at) for each in (track, other)]
+    end = where.index(times[first] + APART_S)
+    after = [_sizes(rows[k : row_from(rows, end)]) for rows, k in ((news, i), (olds, j))]
     if not all(after):
         return False
     sizes = [np.median(each, axis=0) for each in after]
-    usual = [math.prod(each) for each in _sizes(shown[first].values())] or [0.0]
+    usual = [math.prod(each) for each in _sizes(where.picture(first).values())] or [0.0]
     least = larger * max(*map(math.prod, sizes), float(np.median(usual)))
-    begun = next(k for k in range(first - 1, -1, -1) if k == 0 or other not in shown[k - 1])
-    before = range(begun, first)
-    own = [(k, math.prod(size) > least) for k in before for size in _sizes([shown[k][other]])]
-    runs = (own[i : i + SEEN] for i in range(len(own) - SEEN + 1))
-    since = next((run[0][0] for run in runs if all(large for _, large in run)), first)
-    if since < first and times[since] - times[begun] <= CUT_S:
+    begun = next(k for k in range(j - 1, -1, -1) if k == 0 or olds[k - 1].at != olds[k].at - 1)
+    own = [(k, math.prod(size) > least) for k in range(begun, j) for size in _sizes([olds[k]])]
+    runs = (own[k : k + SEEN] for k in range(len(own) - SEEN + 1))
+    since = next((run[0][0] for run in runs if all(large for _, large in run)), j)
+    if since < j and times[olds[since].at] - times[olds[begun].at] <= CUT_S:
         since = begun
-    if times[first] - times[since] < LASTS_S:
+    since_s = times[olds[since].at]
+    if times[first] - since_s < LASTS_S:
         return False
-    new, old = shown[first][track], shown[first][other]
-    apart, until, hidden = np.array((new.x - old.x, new.y - old.y)), first, False
-    named = next(names), next(names)
-    for k in range(first - 1, since - 1, -1):
-        cell, half = shown[k][other], np.zeros(2)
+    new, old = news[i].cell, olds[j].cell
+    apart, until_s, hidden = np.array((new.x - old.x, new.y - old.y)), times[first], False
+    named, added = (next(names), next(names)), list[Row]()
+    for row in reversed(olds[since:j]):
+        cell, half, now_s = row.cell, np.zeros(2), times[row.at]
         x, y, axis = cell.x, cell.y, cell.axis
-        if cell.blob_um is not None and _sizes([cell]):
+        if cell.blob_um is not None and _sizes([row]):
             (x, y, axis), half = cell.blob_um[:3], _half(cell.blob_um, np.mean(sizes, axis=0))
         half, clear = half if half @ apart >= 0 else -half, np.hypot(*half) > apart_um
-        lasts = min(times[until] - times[k], times[k] - times[since]) > LASTS_S
-        if clear and hidden and lasts:
-            named, until = (next(names), next(names)), k
-        hidden = not clear or (hidden and until != k)
-        pair = replace(cell, axis=axis, merged=True, measured=None, probability=LIKELIER)
-        shown[k][track] = replace(
-            pair, x=x + half[0], y=y + half[1], identity=named[0], track=track
-        )
-        shown[k][other] = replace(pair, x=x - half[0], y=y - half[1], identity=named[1])
+        begins = clear and hidden and min(until_s - now_s, now_s - since_s) > LASTS_S
+        if begins:
+            named, until_s = (next(names), next(names)), now_s
+        hidden = not clear or (hidden and not begins)
+        both = replace(cell, axis=axis, merged=True, measured=None)
+        one = replace(both, x=x + half[0], y=y + half[1], track=track)
+        added.append(Row(row.at, one, named[0], LIKELIER))
+        row.cell = replace(both, x=x - half[0], y=y - half[1])
+        row.name, row.likely = named[1], LIKELIER
         apart = half if half.any() else apart
+    news[i:i] = reversed(added)
     return True
 
 
@@ -116,7 +104,8 @@ def _half(blob: Floats, size: Floats) -> Floats:
     return along * np.array((math.cos(axis), math.sin(axis)))
 
 
-def _sizes(cells: Iterable[SeenCell]) -> list[Floats]:
+def _sizes(rows: Iterable[Row]) -> list[Floats]:
     """Return length and width (2,) [um] of the blobs that show one track, as a whole."""
+    cells = (row.cell for row in rows)
     blobs = [cell.blob_um for cell in cells if cell.blob_um is not None and not cell.merged]
     return [blob[3:] for blob in blobs if math.isfinite(blob[4])]

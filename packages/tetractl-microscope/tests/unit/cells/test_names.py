@@ -20,13 +20,12 @@ class Dish:
 
     def __init__(self, splits=False):
         self.bank = HelixFilter(known=True)
-        self.numbers = itertools.count(1)
-        self.names = Names(self.bank, lambda: next(self.numbers), 52.3, splits)
+        self.names = Names(self.bank, 52.3, splits)
         self.tracks = itertools.count(1)
 
     def track(self, x, y, size=(50.0, 25.0), heading=0.0):
         track = CellTrack(next(self.tracks), [], self.bank.add(x, y, heading, 400.0))
-        track.identity, (track.long, track.wide) = next(self.numbers), size
+        track.identity, (track.long, track.wide) = self.names.number(), size
         track.last = np.array([x, y])
         return track
 

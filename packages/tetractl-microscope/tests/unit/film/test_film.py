@@ -6,15 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.dish_films import Reel, film, followed, record, who
+from support.film_rows import recorded, seen_cell
 from support.needs_opencv import cv2, video
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.kernels.helix_steps import HEADING
 from tetractl_microscope.film.field_file import read_field
 from tetractl_microscope.film.film_tables import LISTED, as_items, notes
 from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
-from tetractl_microscope.film.follow import CellPath, _faded_line, _flagged, _paths, _split, follow
+from tetractl_microscope.film.follow import _faded_line, follow
 from tetractl_microscope.film.kinematics import velocities
 from tetractl_microscope.film.pictures import open_film
+from tetractl_microscope.film.who import CellPath, Row, _sure
 from tetractl_microscope.organisms import TETRAHYMENA
 
 from tetractl.core.errors import TetractlError, UsageError
@@ -125,17 +127,10 @@ def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
 
 
 def test_cells_that_fade_are_said():
-    state = np.zeros(12)
-    shown = [
-        {
-            7: SeenCell(
-                1, *[0.0] * 4, state, state, 1.0, k % 10 > 0, False, 50.0, 25.0, 7, None, None
-            )
-        }
-        for k in range(100)
-    ]
-    assert "10 %" in str(_faded_line(shown))
-    assert _faded_line(shown[1:10]) is None and _faded_line([{}]) is None
+    shown = [{7: seen_cell(1, 0.0, 0.0, 7, found=k % 10 > 0)} for k in range(100)]
+    assert "10 %" in str(_faded_line(recorded(shown, range(100))))
+    assert _faded_line(recorded(shown[1:10], range(9))) is None
+    assert _faded_line(recorded([{}], [0.0])) is None
 
 
 @pytest.mark.parametrize(
@@ -284,26 +279,18 @@ def test_velocities_are_those_of_casa():
     ],
 )
 def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tracks, sure):
-    state, body = np.zeros(12), (0.0,) * 6
-    seen = tuple(
-        SeenCell(3, 9.0, 9.0, 0, 0, state, state, p, True, k in large, 50.0, 25.0, t, body, None)
-        for k, (p, t) in enumerate(zip(likely, tracks, strict=True))
-    )
-    flagged = _flagged(CellPath(3, np.arange(6) / 30, np.arange(6), seen))
-    assert [cell.sure for cell in flagged.seen] == sure
+    cells = [
+        seen_cell(3, 9.0, 9.0, track, p, merged=k in large, measured=(0.0,) * 6)
+        for k, (p, track) in enumerate(zip(likely, tracks, strict=True))
+    ]
+    assert _sure([Row(k, cell, 3, cell.probability) for k, cell in enumerate(cells)]) == sure
 
 
 def test_a_cell_is_in_a_picture_once():
     """A lost cell that is found again has its name in pictures before, where it may be in use."""
-
-    def cell(x, track, probability=1.0):
-        return SimpleNamespace(
-            identity=7, x=x, y=0.0, track=track, probability=probability, found=True
-        )
-
-    pictures = [{1: cell(9.0 * k, 1)} for k in range(30)]
-    pictures[20][2], pictures[21][2] = cell(-500.0, 2), cell(-500.0, 2, 0.3)
-    (path,) = _paths(pictures, range(30), np.arange(30) / 30.0, TETRAHYMENA)
+    pictures = [{1: seen_cell(7, 9.0 * k, 0.0, 1)} for k in range(30)]
+    pictures[20][2], pictures[21][2] = seen_cell(7, -500.0, 0, 2), seen_cell(7, -500.0, 0, 2, 0.3)
+    (path,) = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
     assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
 
 
@@ -318,19 +305,12 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
             "brief": (90.0 * k, 9),
         }
         cells = [
-            SimpleNamespace(
-                identity=name,
-                x=x,
-                y=y,
-                track=track,
-                probability=1.0,
-                found=name != "fades" or k % 5 < 3,
-            )
+            seen_cell(name, x, y, track, found=name != "fades" or k % 5 < 3)
             for track, (name, (x, y)) in enumerate(places.items())
         ]
-        return {cell.identity: cell for cell in cells[: 6 if k < 3 else 5]}
+        return {cell.track: cell for cell in cells[: 6 if k < 3 else 5]}
 
-    found = _paths([seen(k) for k in range(90)], range(90), np.arange(90) / 30.0, TETRAHYMENA)
+    found = recorded([seen(k) for k in range(90)], np.arange(90) / 30.0).paths(TETRAHYMENA)
     assert [path.identity for path in found] == ["moves"]
 
 
@@ -346,11 +326,14 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
 def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
     after, rate_hz, merged, names
 ):
-    state, likely = np.zeros(12), [1.0, 0.6, 0.5, 0.4, 0.4, 1.0]
-    shown = [
-        {7: SeenCell(name, *[0.0] * 4, state, state, p, True, merged, 50.0, 25.0, 7, None, None)}
-        for name, p in zip([3, 3, 3, 3, 3, after], likely, strict=True)
-    ]
-    _split(shown, np.arange(6) / rate_hz)
-    assert [at[7].identity for at in shown] == names
-    assert [at[7].probability for at in shown] == likely
+    likely = [1.0, 0.6, 0.5, 0.4, 0.4, 1.0]
+    where = recorded(
+        [
+            {7: seen_cell(name, 0.0, 0.0, 7, p, merged=merged)}
+            for name, p in zip([3, 3, 3, 3, 3, after], likely, strict=True)
+        ],
+        np.arange(6) / rate_hz,
+    )
+    where.split()
+    assert [row.name for row in where.tracks[7]] == names
+    assert [row.likely for row in where.tracks[7]] == likely

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from support.film_rows import recorded
 from tetractl_microscope.cells.cell import SeenCell
-from tetractl_microscope.film.pairs import Shown, fill_pairs
+from tetractl_microscope.film.pairs import fill_pairs
+from tetractl_microscope.film.who import Whereabouts
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +24,7 @@ def seen(track: int, x: float, y: float, long: float = LONG, wide: float = WIDE)
         axis=0.0,
         heading=0.0,
         mean=np.zeros(12),
-        covariance=np.zeros((12, 12)),
+        sd=np.zeros(12),
         probability=1.0,
         found=True,
         merged=False,
@@ -34,11 +36,11 @@ def seen(track: int, x: float, y: float, long: float = LONG, wide: float = WIDE)
     )
 
 
-def film(apart_um: list[float]) -> Shown:
+def film(apart_um: list[float]) -> list[dict[int, SeenCell]]:
     """Return pictures of two cells, one above the other by `apart_um`, in one blob until they are
     36 um apart, and of a third one far away.
     """
-    shown: Shown = []
+    shown: list[dict[int, SeenCell]] = []
     for k, apart in enumerate(apart_um):
         x = 300.0 + 10 * k
         shown.append({3: seen(3, x, 900.0)})
@@ -50,30 +52,38 @@ def film(apart_um: list[float]) -> Shown:
     return shown
 
 
+def filled(shown: list[dict[int, SeenCell]]) -> tuple[set[int], Whereabouts]:
+    """Return the tracks of cells that were added to pictures, and the record."""
+    where = recorded(shown, TIMES)
+    where.partings = [(APART_AT, 2, 1)]
+    return fill_pairs(where, BODY_UM), where
+
+
 def test_both_cells_of_a_large_blob_are_in_the_pictures_before_they_part() -> None:
-    shown = film([24.0] * APART_AT + [36.0] * 15)
-    assert fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM) == {2}
-    for at in shown[:APART_AT]:
-        assert (at[2].y, at[1].y) == pytest.approx((124.0, 100.0))
-        assert at[2].x == at[1].x
-        assert at[1].probability == at[2].probability == 0.5
-    names = {(at[1].identity, at[2].identity) for at in shown[:APART_AT]}
+    added, where = filled(film([24.0] * APART_AT + [36.0] * 15))
+    assert added == {2}
+    before = [where.picture(k) for k in range(APART_AT)]
+    for at in before:
+        assert (at[2].cell.y, at[1].cell.y) == pytest.approx((124.0, 100.0))
+        assert at[2].cell.x == at[1].cell.x
+        assert at[1].likely == at[2].likely == 0.5
+    names = {(at[1].name, at[2].name) for at in before}
     assert len(names) == 1
     assert len({*names.pop(), 1, 2, 3}) == 5
-    assert [at[1].identity for at in shown[APART_AT:]] == [1] * 15
+    assert [row.name for row in where.tracks[1][APART_AT:]] == [1] * 15
 
 
 def test_a_blob_that_was_large_once_has_shown_both_since_then() -> None:
-    shown = film([20.0] * 5 + [0.0] * 25 + [36.0] * 15)
-    assert fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM)
-    assert all(2 in at for at in shown)
+    added, where = filled(film([20.0] * 5 + [0.0] * 25 + [36.0] * 15))
+    assert added
+    assert [row.at for row in where.tracks[2]] == list(range(45))
 
 
 def test_cells_that_one_covers_the_other_have_other_names_before() -> None:
-    shown = film([24.0] * 14 + [0.0] * 3 + [24.0] * 13 + [36.0] * 15)
-    assert fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM)
-    assert shown[13][1].identity == shown[0][1].identity != shown[17][1].identity
-    assert shown[13][2].identity == shown[0][2].identity != shown[17][2].identity
+    added, where = filled(film([24.0] * 14 + [0.0] * 3 + [24.0] * 13 + [36.0] * 15))
+    assert added
+    for rows in (where.tracks[1], where.tracks[2]):
+        assert rows[13].name == rows[0].name != rows[17].name
 
 
 @pytest.mark.parametrize(
@@ -85,9 +95,9 @@ def test_cells_that_one_covers_the_other_have_other_names_before() -> None:
     ],
 )
 def test_a_cell_is_not_added_where_blobs_do_not_say_so(apart_um: list[float], why: str) -> None:
-    shown = film(apart_um)
-    assert not fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM), why
-    assert not any(2 in at for at in shown[:APART_AT])
+    added, where = filled(film(apart_um))
+    assert not added, why
+    assert where.tracks[2][0].at == APART_AT
 
 
 def test_a_large_blob_says_nothing_where_sizes_vary_as_much() -> None:
@@ -95,4 +105,4 @@ def test_a_large_blob_says_nothing_where_sizes_vary_as_much() -> None:
     longer = np.exp(np.random.default_rng(1).normal(0.0, 0.4, (len(shown), 4)))
     for at, each in zip(shown, longer, strict=True):
         at |= {3 + i: seen(3 + i, 300.0, 500.0 + 100 * i, LONG * each[i]) for i in range(4)}
-    assert not fill_pairs(shown, TIMES, [(APART_AT, 2, 1)], BODY_UM)
+    assert not filled(shown)[0]

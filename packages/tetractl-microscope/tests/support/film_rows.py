@@ -1,0 +1,22 @@
+"""Rows of a film's tracks, as `follow` enters them."""
+
+import numpy as np
+from tetractl_microscope.cells.cell import SeenCell
+from tetractl_microscope.film.who import Row, Whereabouts
+
+
+def seen_cell(name, x, y, track, likely=1.0, found=True, merged=False, measured=None):
+    """A cell of 50 x 25 um in one picture."""
+    pose, state = (x, y, 0.0, 0.0), np.zeros(12)
+    size = 50.0, 25.0
+    return SeenCell(name, *pose, state, state, likely, found, merged, *size, track, measured, None)
+
+
+def recorded(shown, times):
+    """The record of pictures at times [s], each with its cells by track."""
+    where = Whereabouts(list(times), list(range(len(times))))
+    for at, cells in enumerate(shown):
+        for track, cell in cells.items():
+            row = Row(at, cell, cell.identity, cell.probability)
+            where.tracks.setdefault(track, []).append(row)
+    return where

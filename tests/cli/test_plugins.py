@@ -138,6 +138,10 @@ def test_kinds_are_listed_with_their_package(site, tmp_path):
     lines = [line.split() for line in done.stdout.splitlines()]
     code = "tetractl_example.random_search:RandomSearch"
     assert ["optimizer", "random-search", "tetractl-example", "0.1.0", code] in lines
+    done = tetractl(tmp_path, [site], "kinds", "--json")
+    (camera,) = [k for k in json.loads(done.stdout)["kinds"] if k["type"] == "csv-camera"]
+    found = camera["seam"], camera["package"], camera["problem"]
+    assert found == ("camera", "tetractl-example", None)
 
 
 def test_an_unknown_type_is_answered_with_what_is_installed(site, tmp_path):

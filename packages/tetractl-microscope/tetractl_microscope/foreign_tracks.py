@@ -17,10 +17,10 @@ NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a
 FRAMES = ("frame", "t")
 CELL, SHORTEST_S = "cell ", 2.0  # begins the name of a cell; the shortest track that is used [s]
 
-Row = dict[str, str]
+PoseRow = dict[str, str]
 
 
-def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterator[Row]:
+def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterator[PoseRow]:
     """Yield the rows of a table of poses or of the field; cells as robots, tracks of other programs
     as rows of poses.
 
@@ -41,7 +41,9 @@ def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterato
     yield from _poses(path, read_numbers(path, kept, {}), um_px, rate_hz)
 
 
-def _poses(path: Path, table: Floats, um_px: float | None, rate_hz: float | None) -> Iterator[Row]:
+def _poses(
+    path: Path, table: Floats, um_px: float | None, rate_hz: float | None
+) -> Iterator[PoseRow]:
     """Yield the poses of rows (R, 4) of track, picture, x and y [pixels]."""
     if um_px is None or rate_hz is None:
         said = f"{path}: its tracks are in pixels and pictures"

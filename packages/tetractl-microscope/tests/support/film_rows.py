@@ -2,7 +2,7 @@
 
 import numpy as np
 from tetractl_microscope.cells.cell import SeenCell
-from tetractl_microscope.film.who import Row, Whereabouts
+from tetractl_microscope.film.who import TrackRow, Whereabouts
 
 
 def seen_cell(name, x, y, track, likely=1.0, found=True, merged=False, measured=None):
@@ -17,6 +17,6 @@ def recorded(shown, times):
     where = Whereabouts(list(times), list(range(len(times))))
     for at, cells in enumerate(shown):
         for track, cell in cells.items():
-            row = Row(at, cell, cell.identity, cell.probability)
+            row = TrackRow(at, cell, cell.identity, cell.probability)
             where.tracks.setdefault(track, []).append(row)
     return where

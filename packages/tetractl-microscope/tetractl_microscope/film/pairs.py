@@ -11,7 +11,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.names import LIKELIER
-from tetractl_microscope.film.who import Row, Whereabouts, row_from
+from tetractl_microscope.film.who import TrackRow, Whereabouts, row_from
 
 APART_S = 0.5  # time after a parting whose blobs give the two cells' sizes
 SEEN = 3  # successive blobs that are too large for one cell
@@ -75,7 +75,7 @@ def _fill(
         return False
     new, old = news[i].cell, olds[j].cell
     apart, until_s, hidden = np.array((new.x - old.x, new.y - old.y)), times[first], False
-    named, added = (next(names), next(names)), list[Row]()
+    named, added = (next(names), next(names)), list[TrackRow]()
     for row in reversed(olds[since:j]):
         cell, half, now_s = row.cell, np.zeros(2), times[row.at]
         x, y, axis = cell.x, cell.y, cell.axis
@@ -88,7 +88,7 @@ def _fill(
         hidden = not clear or (hidden and not begins)
         both = replace(cell, axis=axis, merged=True, measured=None)
         one = replace(both, x=x + half[0], y=y + half[1], track=track)
-        added.append(Row(row.at, one, named[0], LIKELIER))
+        added.append(TrackRow(row.at, one, named[0], LIKELIER))
         row.cell = replace(both, x=x - half[0], y=y - half[1])
         row.name, row.likely = named[1], LIKELIER
         apart = half if half.any() else apart
@@ -104,7 +104,7 @@ def _half(blob: Floats, size: Floats) -> Floats:
     return along * np.array((math.cos(axis), math.sin(axis)))
 
 
-def _sizes(rows: Iterable[Row]) -> list[Floats]:
+def _sizes(rows: Iterable[TrackRow]) -> list[Floats]:
     """Return length and width (2,) [um] of the blobs that show one track, as a whole."""
     cells = (row.cell for row in rows)
     blobs = [cell.blob_um for cell in cells if cell.blob_um is not None and not cell.merged]

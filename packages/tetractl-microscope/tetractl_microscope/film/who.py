@@ -46,7 +46,7 @@ class CellPath:
 
 
 @dataclass(slots=True)
-class Row:
+class TrackRow:
     """What a track showed in the picture with the index `at`, and which cell that was: its `name`,
     with the probability `likely`.
     """
@@ -57,7 +57,7 @@ class Row:
     likely: float
 
 
-def row_from(rows: list[Row], at: int) -> int:
+def row_from(rows: list[TrackRow], at: int) -> int:
     """Return the index of a track's first row in or after a picture."""
     return bisect_left(rows, at, key=lambda row: row.at)
 
@@ -74,7 +74,7 @@ class Whereabouts:
 
     times: list[float] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
-    tracks: dict[int, list[Row]] = field(default_factory=dict)
+    tracks: dict[int, list[TrackRow]] = field(default_factory=dict)
     partings: list[tuple[int, int, int]] = field(default_factory=list)
     divisions: list[tuple[int, int, int]] = field(default_factory=list)
     doubtful: list[tuple[int, ...]] = field(default_factory=list)
@@ -85,7 +85,7 @@ class Whereabouts:
         self.times.append(seconds)
         self.frames.append(frame)
         for cell in seen:
-            row = Row(at, cell, cell.identity, cell.probability)
+            row = TrackRow(at, cell, cell.identity, cell.probability)
             self.tracks.setdefault(cell.track, []).append(row)
         for born in tracker.born:
             self._begin(born)
@@ -105,7 +105,7 @@ class Whereabouts:
         """Return the index of the first picture at or after a time [s]."""
         return bisect_left(self.times, seconds)
 
-    def picture(self, at: int) -> dict[int, Row]:
+    def picture(self, at: int) -> dict[int, TrackRow]:
         """Return the row of each track in the picture with an index."""
         found = ((track, rows[row_from(rows, at) :][:1]) for track, rows in self.tracks.items())
         return {track: row for track, some in found for row in some if row.at == at}
@@ -166,7 +166,7 @@ class Whereabouts:
 
     def _begin(self, born: Born) -> None:
         """Enter a newly recognised cell in the earlier pictures in which it was already seen."""
-        path, before = born.path, list[Row]()
+        path, before = born.path, list[TrackRow]()
         way = path[-1, 1:3] - path[0, 1:3]
         for seconds, x, y, axis, long, wide in path[:-1].tolist():
             forwards = np.cos(axis) * way[0] + np.sin(axis) * way[1] >= 0
@@ -188,7 +188,7 @@ class Whereabouts:
                 measured=None if math.isnan(long) else (x, y, axis, *OF_BLOB),
                 blob_um=np.array((x, y, axis, long, wide)),
             )
-            before.append(Row(self.index(seconds), cell, born.identity, born.certainty))
+            before.append(TrackRow(self.index(seconds), cell, born.identity, born.certainty))
         self.tracks.setdefault(born.track, [])[:0] = before
         first = self.index(path[0, 0])
         if born.near is not None:
@@ -198,13 +198,13 @@ class Whereabouts:
             self.divisions += [(first, mother, born.track) for mother in mothers]
 
 
-def _uncertain(rows: list[Row]) -> Iterator[tuple[list[Row], int, int | None]]:
+def _uncertain(rows: list[TrackRow]) -> Iterator[tuple[list[TrackRow], int, int | None]]:
     """Yield each part of a track in which its name is uncertain, the name before, and the one
     after, None if the track ends; but no part whose name is the same before and after.
     """
     runs = groupby(enumerate(rows), lambda each: (each[1].at - each[0], each[1].likely > ASSERTED))
     before = None
-    for run, later in pairwise([*([row for _, row in run] for _, run in runs), list[Row]()]):
+    for run, later in pairwise([*([row for _, row in run] for _, run in runs), list[TrackRow]()]):
         if run[0].likely > ASSERTED:
             before = run[-1].name
             continue
@@ -213,7 +213,7 @@ def _uncertain(rows: list[Row]) -> Iterator[tuple[list[Row], int, int | None]]:
             yield run, before, after
 
 
-def _sure(rows: list[Row]) -> list[bool]:
+def _sure(rows: list[TrackRow]) -> list[bool]:
     """Return whether each row of a cell surely shows the cell of its first one.
 
     They do not once the name is uncertain, or the cell's blob too large for it, unless the name is

@@ -16,7 +16,7 @@ from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
 from tetractl_microscope.film.follow import _faded_line, follow
 from tetractl_microscope.film.kinematics import velocities
 from tetractl_microscope.film.pictures import open_film
-from tetractl_microscope.film.who import CellPath, Row, _sure
+from tetractl_microscope.film.who import CellPath, TrackRow, _sure
 from tetractl_microscope.organisms import TETRAHYMENA
 
 from tetractl.core.errors import TetractlError, UsageError
@@ -283,7 +283,7 @@ def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tra
         seen_cell(3, 9.0, 9.0, track, p, merged=k in large, measured=(0.0,) * 6)
         for k, (p, track) in enumerate(zip(likely, tracks, strict=True))
     ]
-    assert _sure([Row(k, cell, 3, cell.probability) for k, cell in enumerate(cells)]) == sure
+    assert _sure([TrackRow(k, cell, 3, cell.probability) for k, cell in enumerate(cells)]) == sure
 
 
 def test_a_cell_is_in_a_picture_once():

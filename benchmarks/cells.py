@@ -109,7 +109,7 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--count", type=int, default=10)
     chosen = parser.parse_args()
     cv2.setNumThreads(1)

@@ -44,7 +44,7 @@ ARENA_MM = 2400.0
 EDGE_MM, BETWEEN_MM, CLEAR_MM = 150.0, 250.0, 200.0
 SOLVED_MM = 0.01 * ARENA_MM  # a robot
 ACCEPT_MM = 5.0  # a robot
-CONTROLLER = ("controller.horizon_max=200", "controller.steps_max=3200")
+CONTROLLER = ("controller.horizon_max=200", "controller.time_limit=160.05")
 SIZES = (2, 3, 4, 5, 6)
 
 

@@ -56,8 +56,8 @@ WORLD = (
 FAR_MM = 100.0
 BODY_MM = 47.0  # radius of an m3pi, in every row, also of controllers that are not given it
 RATES = {
-    5: ("controller.period=0.2", "controller.signal_periods=1", "controller.steps_max=800"),
-    20: ("controller.period=0.05", "controller.signal_periods=4", "controller.steps_max=3200"),
+    5: ("controller.period=0.2", "controller.signal_periods=1", "controller.time_limit=160"),
+    20: ("controller.period=0.05", "controller.signal_periods=4", "controller.time_limit=160"),
 }
 """Settings for each rate of the control [Hz]."""
 PLAIN = (

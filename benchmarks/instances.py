@@ -58,12 +58,12 @@ OURS = "recommended"
 def controllers(name: str) -> dict[str, SETTING]:
     """Return the arms of an instance; the first is the one in its spec."""
     spec = instance(name)
-    steps = 5 * spec.controller.steps_max
+    limit = 5 * spec.controller.time_limit
     found: dict[str, SETTING] = {OURS: {}, "published": PUBLISHED}
-    found["ensemble"] = {"controller": {"type": "ensemble", "steps_max": steps}}
+    found["ensemble"] = {"controller": {"type": "ensemble", "time_limit": limit}}
     if len(spec.robots) == 1:
         margin = spec.controller.collision.margin  # pyright: ignore[reportAttributeAccessIssue]
-        found["rrt"] = {"controller": {"type": "rrt", "steps_max": steps, "margin": margin}}
+        found["rrt"] = {"controller": {"type": "rrt", "time_limit": limit, "margin": margin}}
     return found
 
 

@@ -46,13 +46,13 @@ STUDIES = {
     "ensemble": Study(
         robots=3,
         obstacles=False,
-        given={"steps_max": 1000},
+        given={"time_limit": 200.2},
         grid={"rate": (0.7, 1.3, 2.0), "fall": (0.05, 0.1, 0.3)},
     ),
     "rrt": Study(
         robots=1,
         obstacles=True,
-        given={"steps_max": 1000, "margin": 60.0},
+        given={"time_limit": 200.2, "margin": 60.0},
         grid={"edge": (2.0, 4.0, 8.0), "reach": (1.0, 1.5, 2.5)},
     ),
 }

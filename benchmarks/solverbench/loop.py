@@ -48,7 +48,7 @@ COMPENSATED = "controller.dead_time=0.14"
 FAST = (
     "controller.period=0.008333333333333333",
     "controller.signal_periods=24",
-    "controller.steps_max=2400",
+    "controller.time_limit=120.05",
 )
 Times = Sequence[float] | np.ndarray
 Build = Callable[[Experiment, int], Controller]
@@ -139,7 +139,7 @@ def closed(settings: Settings) -> Report:
 
         progress("(c) building the programmes of IPOPT")
         shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
-        alone = replace_control(ours, steps_max=1) if settings.quick else ours
+        alone = replace_control(ours, time_limit=0.1) if settings.quick else ours
         ipopt = lambda e, key: shooting.Shrinking(  # noqa: E731
             e.controller, e.setup, key, Ipopt(type="ipopt")
         )
@@ -149,7 +149,7 @@ def closed(settings: Settings) -> Report:
     rows = []
     for name, spec, build in contestants:
         progress(f"(c) closed loop: {name}")
-        run(replace_control(spec, steps_max=1), 1, build)  # warm up
+        run(replace_control(spec, time_limit=0.1), 1, build)  # warm up
         batch = run(spec, settings.trials, build)
         results = batch.results
         rows.append([*_errors(name, results), *_times(batch)])
@@ -247,7 +247,7 @@ def disturbed(settings: Settings) -> Report:
     ):
         progress(f"(f) {name}")
         file, *sets = spec
-        cut = ["controller.steps_max=3"] if settings.quick else []
+        cut = ["controller.time_limit=0.2"] if settings.quick else []
         batch = run(experiment(file, *DISTURBED, *sets, *cut), settings.trials)
         rows.append([*_errors(name, batch.results), *_times(batch)])
     listed = ", ".join(f"`{setting}`" for setting in DISTURBED)

@@ -52,7 +52,7 @@ def test_mean_and_deviation_of_a_world_are_found_and_the_posterior_agrees_with_t
 
 
 def test_a_world_is_a_spec_and_a_trial_repeats_itself(monkeypatch):
-    spec = postmortem.load_spec(postmortem.SPEC, ["controller.steps_max=3"])
+    spec = postmortem.load_spec(postmortem.SPEC, ["controller.time_limit=0.2"])
     (world,) = postmortem.draw(np.random.default_rng(4), 1)
     one, two = (postmortem.run(spec, world, 5) for _ in range(2))
     assert one.total_error == two.total_error

@@ -10,7 +10,7 @@ SPEC = """
 name: one
 arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots: [{name: a, start: [200, 500], target: [500, 500], a: 6, speed: 100}]
-controller: {type: east, steps_max: 20}
+controller: {type: east, time_limit: 4.2}
 trials: {count: 1}
 """
 POINTS = """
@@ -40,8 +40,8 @@ class Driver:
         self.section, self.k = section, -1
     def plan(self, observation, last_command=None, earlier=()):
         self.k += 1
-        if self.k > self.section.steps_max:
-            return Outcome.STEPS_MAX
+        if self.k > 20:
+            return Outcome.TIME_LIMIT
         1 / (self.section.fails_at - self.k)
         cost, signals = 1.0, np.zeros(1)
         if self.k == 3 and self.section.ends == "exit":
@@ -121,7 +121,7 @@ def test_a_robot_that_a_plug_in_holds_for_ever_is_told_in_log_and_table(tetractl
     assert "a stood for 4 s though commanded to move" in " ".join(done.stdout.split())
     shown = tetractl("info", "logs/trial-000.mcap").stdout
     assert "warning  a does not move though commanded to" in shown
-    assert "steps max (a stood for 4 s though commanded to move) after 21" in shown
+    assert "time limit (a stood for 4 s though commanded to move) after 21" in shown
     assert tetractl("verify", "logs").returncode == 0
 
 

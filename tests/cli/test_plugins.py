@@ -20,7 +20,7 @@ robots:
 controller:
   type: pso-mpc
   horizon_max: 7
-  steps_max: 9
+  time_limit: 2
   optimizer: {type: random-search, iterations: 20}
 trials: {count: 2}
 """

@@ -102,7 +102,7 @@ def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_
     for name, digest in first.items():
         assert content_digest(tmp_path / "two" / name) == digest
     control = (
-        "{type: mpc, period: 0.2, steps_max: 6, deadline: 0.001, optimizer: {tolerance: 1e-9}}"
+        "{type: mpc, period: 0.2, time_limit: 1.4, deadline: 0.001, optimizer: {tolerance: 1e-9}}"
     )
     late = ["--set", f"controller={control}", "--trials", 2]
     for jobs in (1, 2):

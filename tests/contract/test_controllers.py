@@ -90,8 +90,15 @@ def test_another_key_decides_otherwise(fields):
     assert decisions(7) != decisions(8)
 
 
+def short(experiment):
+    """The experiment with a limit of four control steps."""
+    control = experiment.controller
+    short = control.model_copy(update={"time_limit": 4 * control.period})
+    return experiment.model_copy(update={"controller": short})
+
+
 def test_what_is_logged_is_verified_without_knowing_the_controller(fields, tmp_path):
-    spec = LoadedSpec(experiment_of(fields | {"steps_max": 3}), "", "s.yaml")
+    spec = LoadedSpec(short(experiment_of(fields)), "", "s.yaml")
     run_trial(spec, tmp_path, 0, (), Interrupt())
     found = verify(log_path(tmp_path, 0))
     assert (found.problems, found.checked) == ((), 4)

@@ -54,7 +54,7 @@ robots:
 obstacles: [{type: circle, center: [250, 400], radius: 20}]
 wheels: {radius: 40}
 controller:
-  {type: mpc, period: 0.2, horizon_max: 6, steps_max: 5,
+  {type: mpc, period: 0.2, horizon_max: 6, time_limit: 1.2,
    optimizer: {type: pso, particles: 6, iterations: 14}}
 plant:
   {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1,

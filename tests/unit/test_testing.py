@@ -171,7 +171,7 @@ class Faulty(SequenceSection):
         return self
 
     def plan(self, observation, last_command=None, earlier=()):
-        plan, signals = self._inner.plan(observation), None
+        plan, signals = self._inner.plan(observation, last_command), None
         if not isinstance(plan, Plan):
             return None if self.fault == "end" else plan
         if self.fault == "random":

@@ -52,7 +52,7 @@ def planner(experiment: Experiment) -> RecommendedMpc:
             "arrival_tolerance": 0.0,
         }
         return control.model_copy(update=found)
-    shared = {"period": control.period, "steps_max": control.steps_max, "signal_periods": 1}
+    shared = {"period": control.period, "time_limit": control.time_limit, "signal_periods": 1}
     if isinstance(control, SearchFields):
         shared |= control.model_dump(include={"motion", "horizon_max", "obstacle_weight"})
     setup = experiment.setup

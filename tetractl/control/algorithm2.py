@@ -14,6 +14,7 @@ from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import make_plan
 from tetractl.control.mpc_section import PsoMpc
 from tetractl.control.rng import mix
+from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
@@ -29,6 +30,7 @@ class Algorithm2:
         self.estimator = StateEstimator(
             section.problem(setup), section.period, section.known(setup), loss=setup.loss
         )
+        self.time = TrialTime(section.time_limit, section.period)
         self.warm: Floats | None = None  # u_(warm), None before the first step
         self.k = 0
 
@@ -44,6 +46,9 @@ class Algorithm2:
             return Outcome.ARRIVED
         if self.k > self.section.steps_max:  # 9: for k = 1 ... k_max
             return Outcome.STEPS_MAX
+        self.time.seen(observation, last_command)
+        if self.time.over:
+            return Outcome.TIME_LIMIT
         if self.warm is not None and not len(self.warm):
             return Outcome.SEQUENCE_COMPLETED
         key = mix(self.key, self.k)

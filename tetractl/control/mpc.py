@@ -16,8 +16,7 @@ plan under way, and only the first signal is exerted.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,7 +29,9 @@ from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import RecommendedMpc
+from tetractl.control.mpc_step import Candidate, Leg, StepStart
 from tetractl.control.rng import mix
+from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
@@ -60,43 +61,6 @@ PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
 
-@dataclass(frozen=True, slots=True)
-class Leg:
-    """The part of a trial up to way-point `index` or the targets, or, after it, the hold, with the
-    step and the time [ns] of its beginning, when the robots were `moving` or not; `outcome` is how
-    the leg before ended."""
-
-    index: int
-    k: int
-    began_ns: int
-    moving: bool
-    outcome: Outcome
-
-
-@dataclass(frozen=True, slots=True)
-class StepStart:
-    """What a step begins with: the `problem`, what is left of the plan under way (H,), u_(warm),
-    None if none is under way, the most signals of a plan that ends before `steps_max`, and how
-    plans are valued."""
-
-    problem: Problem
-    warm: Floats | None
-    signals_max: int
-    value: Worth
-
-    def is_new(self, signals: Floats) -> bool:
-        """Return whether signals (L,) are longer than the plan under way and one signal more."""
-        return self.warm is None or len(signals) > len(self.warm) + 1
-
-
-class Candidate(NamedTuple):
-    """A search, the prediction for its signals, and what their plan is worth."""
-
-    worth: float
-    search: Search
-    seen: Foreseen
-
-
 class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
@@ -113,6 +77,7 @@ class Mpc:
             section.problem(setup), section.period, section.known(setup), square, setup.loss
         )
         self.stands = section.collision.stop_before_collision
+        self.time = TrialTime(section.time_limit, section.period)
         self.k, self.began, self._legs = 0, 0, setup.legs
         self.last: Plan | None
         self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED))
@@ -132,6 +97,7 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
+        self.time.seen(observation, last_command)
         known = self.estimator.seen(observation, last_command, earlier)
         if self.estimator.left is not self.left:
             self._begin(replace(self.leg, moving=self._moving))
@@ -170,12 +136,12 @@ class Mpc:
             phase = (self.k - self.began) % section.signal_periods  # periods held, of the signal
             warm = self.last.signals[phase == 0 :]
         first_period = (section.signal_periods - phase) * section.period
-        now = {"targets": self._targets, "first_period": first_period}
-        problem = self._with_margins(known, self.estimator.known, **now)
-        most = (section.steps_max + 1 - self.k + phase) // section.signal_periods
+        known = replace(known, targets=self._targets, first_period=first_period)
+        problem = self._with_margins(known, self.estimator.known)
+        left = (self.time.left_s + phase * section.period) / problem.period
         spent_s = (self.k - self.leg.k) * section.period
         value = Worth(section.accept_error, spent_s, problem.period)
-        return StepStart(problem, warm, min(section.horizon_max, most), value)
+        return StepStart(problem, warm, section.horizon_max, left, value)
 
     def _decide(self, step: StepStart, observation: Observation) -> Plan | Outcome | End:
         """Return the candidate of least value, or how the leg ends."""
@@ -188,8 +154,8 @@ class Mpc:
                 return self.leg.outcome
         elif self.section.arrived(gaps):
             return Outcome.ARRIVED
-        if self.k > self.section.steps_max:
-            return Outcome.STEPS_MAX
+        if self.time.over:
+            return Outcome.TIME_LIMIT
         if self._state is State.STUCK:
             return Outcome.NO_BETTER_PLAN
         if holds and self.setup.wheel_radius is None:
@@ -209,11 +175,12 @@ class Mpc:
         if len(warm):
             goes_on = self._worth(step, warm, compiled_foresee(problem, warm))
         rest = np.inf
-        if (least := least_length(problem)) <= step.signals_max:  # time for a new attempt
+        least = least_length(problem)
+        wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
+        if step.allows(least, 0.0):  # time for a new attempt
             goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
-            wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
             driven_s = (self.k - self.began) * self.section.period
-            if self.stands and last and driven_s > RESTED_S:
+            if self.stands and last and driven_s > RESTED_S and step.allows(least, wait_s):
                 rest = value.rest(least, wait_s)
         period, held = self.section.period if last else 0.0, self.estimator.held_at_action
         if least_error(problem, period) <= min(goes_on, rest):
@@ -280,15 +247,15 @@ class Mpc:
         """Decide while no plan is under way."""
         problem, value = step.problem, step.value
         error = float(gaps.sum())
-        least = least_length(problem)
-        again = value.plan(0.0, least, True) if least <= step.signals_max else np.inf
+        least, most = least_length(problem), max(1, step.signals_max)
+        again = value.plan(0.0, least, True) if step.allows(least, 0.0) else np.inf
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)
         if self.k > 0 and not self._moving and error <= again:
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         expired = self._expired() if self._moving else never
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
-        most, good_enough = max(1, step.signals_max), self.section.optimizer.good_enough or 0.0
+        good_enough = self.section.optimizer.good_enough or 0.0
 
         def good(search: Search) -> bool:
             seen = compiled_foresee(problem, search.signals)
@@ -359,12 +326,11 @@ class Mpc:
         seen = compiled_foresee(problem, found.signals)
         return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 
-    def _with_margins(self, problem: Problem, known: Estimate | None, **now: Any) -> Problem:
-        """Return the problem with its margins, given the estimate `known`, None if certain, and
-        with its fields `now`."""
+    def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
+        """Return the problem with its margins, given the estimate `known`, None if certain."""
         times = self.section.period, self.estimator.dead_time_s
         grown, apart = self.margins.around(problem, self.section.collision, *times, known)
-        return replace(problem, obstacles=grown, separation=apart, **now)
+        return replace(problem, obstacles=grown, separation=apart)
 
     def _cornered(self, problem: Problem) -> bool:
         """Return whether a robot stands within the margin of anything."""

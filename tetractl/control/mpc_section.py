@@ -139,16 +139,23 @@ class PsoMpc(SearchFields):
     samples, 5 Hz, and no extensions. Every default is the paper's."""
 
     type: Literal["pso-mpc"] = "pso-mpc"
+    steps_max: int = Field(default=100, ge=1, le=1_000_000)
+    """Largest number of control steps k_max."""
 
     controller: ClassVar[str] = "tetractl.control.algorithm2:Algorithm2"
 
+    def fitted(self, stands: bool, speed: float) -> Self:
+        """Return the section with a time limit that no trial of `steps_max` steps exceeds."""
+        if "time_limit" in self.model_fields_set:
+            return self
+        return self.model_copy(update={"time_limit": (self.steps_max + 1) * self.period})
 
-@defaults(
-    period=0.05,
-    # a trial lasts at most 160 s
-    steps_max=lambda given: max(1, round(160.0 / given.get("period", SIGNAL_S))),
-    motion="exact",
-)
+    def bounds(self) -> dict[str, str]:
+        """Return the limits of steps, horizons and evaluations as texts to display."""
+        return {"control steps of a trial": f"at most {self.steps_max + 1}"} | super().bounds()
+
+
+@defaults(period=0.05, motion="exact")
 class RecommendedMpc(SearchFields):
     """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
     polished starts in place of a particle swarm, identification while robots drive, paths that keep

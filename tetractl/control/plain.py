@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.control.prior import Prior, nothing
 from tetractl.control.rng import mix
+from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation
@@ -56,6 +57,7 @@ class PlainController:
         self.key, self.k, self._ends = key, 0, section
         self.problem = section.problem(setup)
         self._known = section.known(setup)
+        self._time = TrialTime(section.time_limit, section.period)
 
     @cached_property
     def estimator(self) -> "StateEstimator":
@@ -71,12 +73,13 @@ class PlainController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
+        self._time.seen(observation, last_command)
         problem = self.predicted(observation, last_command)
         gaps = problem.poses.distances(problem.targets)
         if self._ends.arrived(gaps):
             return Outcome.ARRIVED
-        if self.k > self._ends.steps_max:
-            return Outcome.STEPS_MAX
+        if self._time.over:
+            return Outcome.TIME_LIMIT
         decision = self.decided(problem, observation, gaps, mix(self.key, self.k))
         self.k += 1
         return decision

@@ -21,6 +21,7 @@ class Outcome(StrEnum):
     SEQUENCE_COMPLETED = "sequence completed"
     NO_BETTER_PLAN = "no better plan"
     STEPS_MAX = "steps max"
+    TIME_LIMIT = "time limit"
     INTERRUPTED = "interrupted"
     ABORTED = "aborted"
 
@@ -32,6 +33,7 @@ class Outcome(StrEnum):
             Outcome.SEQUENCE_COMPLETED: "every signal was sent",
             Outcome.NO_BETTER_PLAN: "stopped, as no plan found was worth its time",
             Outcome.STEPS_MAX: "the largest number of control steps was reached",
+            Outcome.TIME_LIMIT: "the trial's time was over",
             Outcome.INTERRUPTED: "the user ended the trial",
             Outcome.ABORTED: "a fault or an error ended the trial",
         }[self]

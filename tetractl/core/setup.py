@@ -53,15 +53,15 @@ class Setup:
     """The constants of an experiment of N robots.
 
     `unit` is the unit of all lengths and `metres` the length of one unit [m]. `targets` (N, 2); `a`
-    (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the
-    largest number of control steps, `iterations_max` the largest number of iterations of one
-    search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without
-    wheels; `watchdog_s` the time without a command after which a robot stops, inf if it never does;
-    `lag_s` the time constant with which wheels follow a command. `body_radius` is that of every
-    robot, 0 for points. `way_points` (M, N, 2) are passed before the targets, by all robots
-    together; `hold` is the task after the targets, None if the trial ends there. `loss` is the rule
-    by which a robot counts as lost and the trial goes on without it, None if the trial ends when a
-    robot is lost.
+    (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `time_limit_s`
+    the longest time from the first command to the end, `iterations_max` the largest number of
+    iterations of one search. `wheel_radius` is the distance from a wheel to a robot's centre, None
+    for robots without wheels; `watchdog_s` the time without a command after which a robot stops,
+    inf if it never does; `lag_s` the time constant with which wheels follow a command.
+    `body_radius` is that of every robot, 0 for points. `way_points` (M, N, 2) are passed before the
+    targets, by all robots together; `hold` is the task after the targets, None if the trial ends
+    there. `loss` is the rule by which a robot counts as lost and the trial goes on without it, None
+    if the trial ends when a robot is lost.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Setup:
     arena: Bounds
     obstacles: Sequence[Shape]
     period_s: float
-    steps_max: int
+    time_limit_s: float
     iterations_max: int
     wheel_radius: float | None
     way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))

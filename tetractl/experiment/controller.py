@@ -107,8 +107,9 @@ class ControllerSection(Model):
     """Time from measurement to actuation that the controller assumes [s]: plans start where the
     robots will be after that time under the directions already sent.
     """
-    steps_max: int = Field(default=100, ge=1, le=1_000_000)
-    """Largest number of control steps k_max."""
+    time_limit: float = Field(default=160.0, gt=0, le=1e6, allow_inf_nan=False)
+    """Time from the first command after which a trial ends [s], turns, rests and the hold at the
+    targets included."""
     arrival_tolerance: NonNegative = 0.0
     """The robots are close enough when each is within this distance of its target [length unit];
     with 0, no trial ends early for this reason."""
@@ -157,3 +158,37 @@ class ControllerSection(Model):
 
     def warm_up(self, setup: Setup) -> None:
         """Compile the functions that the controller needs, or load them from the cache."""
+
+
+_PERIOD_S = {"mpc": 0.05}  # the control period of a spec that gives none [s]; 0.2 s for others
+
+
+def earlier_limit(controller: Any) -> float | None:
+    """Return the `time_limit` [s] that ends a trial when `steps_max` did, by the keys of a
+    controller; None if they do not give it. The controller `pso-mpc` counts steps, as published."""
+    if not isinstance(controller, dict) or controller.get("type") == "pso-mpc":
+        return None
+    steps, period = controller.get("steps_max"), controller.get("period")
+    seconds = _PERIOD_S.get(str(controller.get("type")), 0.2) if period is None else period
+    if isinstance(steps, int) and isinstance(seconds, int | float):
+        return float(f"{(steps + 1) * seconds:.9g}")
+    return None
+
+
+def retired_hint(key: str, section: Any) -> str | None:
+    """Return what to write for a retired key of a section, None for any other key."""
+    limit = earlier_limit(section) if key == "steps_max" else None
+    return None if limit is None else f"a trial's limit is a time now; write time_limit: {limit:g}"
+
+
+def without_retired(data: dict[str, Any]) -> None:
+    """Replace the retired keys in the spec of an earlier log, whose limit was `steps_max`."""
+    control = data.get("controller")
+    if isinstance(control, dict) and (limit := earlier_limit(control)) is not None:
+        del control["steps_max"]
+        control["time_limit"] = limit
+
+
+def as_given(fields: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a controller with the keys, also retired ones, `given` in a log."""
+    return {key: fields.get(key, value) for key, value in given.items()}

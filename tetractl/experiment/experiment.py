@@ -101,7 +101,7 @@ class HoldSection(Model):
     radius: Positive
     """Distance from its target within which a robot is to stay [length unit]."""
     time: float = Field(gt=0, le=1e5, allow_inf_nan=False)
-    """Duration of the hold [s]; its control steps count towards `controller.steps_max`."""
+    """Duration of the hold [s]; it counts towards `controller.time_limit`."""
 
 
 class Trials(Model):
@@ -281,7 +281,7 @@ class Experiment(Model):
             arena=self.arena.bounds,
             obstacles=tuple(obstacle.shape() for obstacle in self.obstacles),
             period_s=control.period,
-            steps_max=control.steps_max,
+            time_limit_s=control.time_limit,
             iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
             watchdog_s=(self.wheels and self.wheels.watchdog) or math.inf,

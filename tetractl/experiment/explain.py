@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from tetractl.experiment.controller import retired_hint
 from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.schema import alternatives, child, describe, homes, schema_of, tag
 from tetractl.experiment.yaml.document import Document, frozen
@@ -162,6 +163,8 @@ def words(details: ErrorDetails, value: Any) -> str:
 
 
 def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str:
+    if told := retired_hint(key, _at(data, parent)):
+        return f"unknown key; {told}"
     known = list(describe(parent, data, schema).get("properties", ()))
     if guess := did_you_mean(key, known):
         return f"unknown key{guess}"

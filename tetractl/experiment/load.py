@@ -20,6 +20,7 @@ from tetractl.experiment.consistency import (
     section_contradictions,
     too_large,
 )
+from tetractl.experiment.controller import as_given, without_retired
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import Identified, merge, read_identified
@@ -115,10 +116,14 @@ def resolved_yaml(experiment: Experiment) -> str:
     return dump(experiment.model_dump(mode="json"))
 
 
-def spec_hash(experiment: Experiment) -> str:
-    """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count."""
+def spec_hash(experiment: Experiment, resolved: str = "") -> str:
+    """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count. Of
+    an earlier log it is that of the keys in its `resolved` spec."""
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
+    if resolved and "time_limit" not in resolved:
+        given = parse_document(resolved, "").data["controller"]
+        fields["controller"] = as_given(fields["controller"], given)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -180,6 +185,8 @@ def _experiment(
 ) -> tuple[Experiment, Attached]:
     """Return the experiment, and the texts of files in `folder` that the spec names."""
     document = document_of(text, origin, sets)
+    if written:
+        without_retired(document.data)
     if "base" in document.data and "robots" not in document.data:
         hint = f"run it with: tetractl study {origin}"
         raise InvalidSpecError([SpecProblem(origin, "is a study, not a spec")], hint)

@@ -233,8 +233,8 @@ def flagged(batch: Batch) -> list[Flagged]:
 
     A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle,
     left the arena, touched another one, was lost, stood though commanded to move or turned
-    otherwise than in the other trials, or the trial ended at `steps max`. Warnings flag trials in a
-    lab only, since in a simulation the spec requests the disturbances.
+    otherwise than in the other trials, or the trial ended at `steps max` or `time limit`. Warnings
+    flag trials in a lab only, since in a simulation the spec requests the disturbances.
     """
     found, turned = [], turned_otherwise(batch.trials)
     for trial in batch.trials:
@@ -262,6 +262,8 @@ def _notes(trial: ResultSummary) -> list[str]:
         notes.append(f"{gone} robot{'s' * (gone > 1)} lost")
     if trial.outcome is Outcome.STEPS_MAX:
         notes.append(f"did not end in {trial.result.steps} steps")
+    if trial.outcome is Outcome.TIME_LIMIT:
+        notes.append(f"did not end in {trial.experiment.controller.time_limit:g} s")
     if trial.warnings and not trial.simulated:
         notes.append(f"{trial.warnings} warning{'s' * (trial.warnings > 1)}")
     if trial.recovered:

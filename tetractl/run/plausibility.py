@@ -65,7 +65,7 @@ class CheckContext:
         self.keeps = control.collision if isinstance(control, KeepsClear) else None
         self.margin = self.keeps.margin + self.keeps.radius if self.keeps else 0.0
         self.walls = self.keeps is not None and self.keeps.walls
-        self.longest_s = (self.setup.steps_max + 1) * self.setup.period_s
+        self.longest_s = self.setup.time_limit_s
 
     @property
     def least_total_error(self) -> float:
@@ -116,9 +116,9 @@ def plan_outlasts_trial(spec: CheckContext) -> Found:
     if spec.longest_s * (1 + 1e-9) < spec.plan_s < math.inf:
         yield (
             ("controller", "horizon_max"),
-            f"plans of {spec.plan_s:.4g} s outlast the trial, which ends after steps_max + 1 "
-            f"control steps, {spec.longest_s:.4g} s",
-            "raise controller.steps_max, or lower horizon_max to "
+            f"plans of {spec.plan_s:.4g} s outlast the trial, which ends after "
+            f"{spec.longest_s:.4g} s",
+            "raise controller.time_limit, or lower horizon_max to "
             f"{max(int(spec.longest_s / spec.signal_s * (1 + 1e-9)), 1)}",
         )
 
@@ -167,7 +167,7 @@ def out_of_reach(spec: CheckContext) -> Found:
                 ("robots", i, "target"),
                 f"is {spec.way(i)} away; in the {spec.longest_s:.4g} s of a trial the robot "
                 f"{spec.too_few(i, spec.longest_s, left)}",
-                "raise controller.steps_max, or bring the target nearer",
+                "raise controller.time_limit, or bring the target nearer",
             )
 
 

@@ -24,12 +24,10 @@ SAMPLES = 64  # positions per side of a square that are checked against arena an
 def limits(experiment: Experiment) -> dict[str, str]:
     """Return the limits of a trial by name, as text."""
     control, unit = experiment.controller, experiment.units.length
-    steps = control.steps_max + 1
-    longest = steps * control.period
+    longest = control.time_limit
     fastest = max(robot.speed for robot in experiment.robots)
     found = {
         "control period": f"{control.period:g} s",
-        "control steps of a trial": f"at most {steps}",
         "duration of a trial": f"at most {longest:g} s after the first command",
         "path of a robot": f"at most {fastest * longest:g} {unit}",
     } | control.bounds()

@@ -120,8 +120,9 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     """Check a controller's plans and its end, and that the key alone determines its decisions."""
     if any(section.contradictions(setup)):
         setup = setup.only([0])  # some controllers steer one robot
-    section = section.model_copy(update={"steps_max": STEPS_MAX, "arrival_tolerance": 20.0})
-    setup = replace(setup, period_s=section.period, steps_max=STEPS_MAX)
+    limit_s = (STEPS_MAX + 1) * section.period
+    section = section.model_copy(update={"time_limit": limit_s, "arrival_tolerance": 20.0})
+    setup = replace(setup, period_s=section.period, time_limit_s=limit_s)
     section.warm_up(setup)
     with random_watched() as used:
         play, again = Play(section, setup), Play(section, setup)
@@ -144,8 +145,8 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     yield true("plan: FieldOff only with switches_field", off)
     in_time = len(plans) < len(decisions) and len(plans) <= STEPS_MAX + 1
     if len(plans) == STEPS_MAX + 1:
-        in_time &= decisions[-1] is Outcome.STEPS_MAX
-    yield true("steps_max: ends the trial", in_time)
+        in_time &= decisions[-1] is Outcome.TIME_LIMIT
+    yield true("time_limit: ends the trial", in_time)
     for share, arrived in ((0.95, True), (1.05, False)):
         off = np.array([share * section.arrival_tolerance, 0.0])
         there = Poses.of(np.column_stack([setup.targets + off, np.ones(robots)]))

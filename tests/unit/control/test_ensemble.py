@@ -15,7 +15,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.run.checked_controller import build_controller
 
-FIELDS = {"type": "ensemble", "steps_max": 1000, "period": 0.2}
+FIELDS = {"type": "ensemble", "time_limit": 200.2, "period": 0.2}
 
 
 def drive(fields, **changes):

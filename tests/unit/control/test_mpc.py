@@ -9,6 +9,8 @@ from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
 from tetractl.control.fixed_sequence import given_plan
+from tetractl.control.mpc_step import StepStart
+from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
 
@@ -20,7 +22,7 @@ def spec(collision=POINTS, **controller):
     fields = {"type": "mpc", "period": 0.2, "accept_error": ACCEPT, "estimate": False}
     small = {
         "horizon_max": 30,
-        "steps_max": 60,
+        "time_limit": 12.2,
         "optimizer": {"type": "multistart", "tolerance": 1},
     }
     return experiment(controller=fields | small | {"collision": collision} | controller)
@@ -31,6 +33,7 @@ def driving(costs, left=5, **fields):
     finds plans of the given costs by length."""
     search = Scripted(dict.fromkeys(range(100), 500.0) | {left + 1: 0.0})
     controller = mpc(spec(**fields), 99, search)
+    controller.time.seen(seen(STARTS), Command(Steer(0.0), 0, (True,) * 3))
     controller.began, controller.last = 0, None
     controller.last = first(controller, left + 1)
     controller.k = 1
@@ -89,7 +92,7 @@ def test_longer_plans_are_searched_afresh_where_they_can_be_worth_more():
 
 @pytest.mark.parametrize(("periods", "tried"), [(1, [5, 4, 6, 7, 8]), (2, [5])])
 def test_no_plan_is_longer_than_the_steps_that_are_left(periods, tried):
-    controller, search = driving({}, steps_max=9, signal_periods=periods)
+    controller, search = driving({}, time_limit=2, signal_periods=periods)
     step(controller)
     assert [length for length, _ in lengths(search)] == tried
 
@@ -122,15 +125,14 @@ def test_robots_too_far_off_go_on_though_the_sequence_is_used_up():
 def test_arrival_and_the_last_step_end_a_trial():
     controller, _ = driving({}, arrival_tolerance=20)
     assert step(controller, near(19)) is Outcome.ARRIVED
-    controller, _ = driving({}, steps_max=1)
-    controller.k = 2
-    assert step(controller) is Outcome.STEPS_MAX
+    controller, _ = driving({}, time_limit=0.4)
+    assert step(controller, now=400_000_000) is Outcome.TIME_LIMIT
 
 
-def along_x(collision, steps_max=60):
+def along_x(collision, time_limit=12.2):
     """Robots that all drive along +x with an empty plan: blue is 200 mm/s fast and 20 mm short of
     its target, so that all are there in 0.1 s."""
-    controller, _ = driving({}, left=0, collision=collision, steps_max=steps_max)
+    controller, _ = driving({}, left=0, collision=collision, time_limit=time_limit)
     controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = TARGETS.copy()
     poses[:, 0] -= [18, 20, 15]
@@ -148,16 +150,20 @@ RESTS = POINTS | {"stop_before_collision": True}
 
 
 @pytest.mark.parametrize(
-    ("total", "steps_max", "ends"), [(19, 60, True), (35, 60, False), (35, 6, False)]
+    ("total", "time_limit", "then"),
+    [
+        (19, 12.2, Outcome.NO_BETTER_PLAN),
+        (35, 12.2, State.DRIVING),
+        (35, 1.4, Outcome.NO_BETTER_PLAN),
+    ],
 )
-def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, steps_max, ends):
-    controller, rest = along_x(RESTS)
+def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, then):
+    controller, rest = along_x(RESTS, time_limit)
     assert rest.state is State.RESTING
     assert rest.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
     controller.estimator.sent(Command(Stop(), 300_000_000, (True,) * 3))
     decision = step(controller, near(total), now=1_000_000_000)
-    assert (decision is Outcome.NO_BETTER_PLAN) == ends
-    assert ends or decision.state is State.DRIVING
+    assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
 def beside_a_wall(gap, stop=True, radius=0.0):
@@ -240,7 +246,7 @@ def test_spread_lengths_come_near_the_shortest_that_is_good_enough(shortest):
     search = Scripted(
         dict.fromkeys(range(shortest), 500.0) | dict.fromkeys(range(shortest, 200), 0.5)
     )
-    plan = mpc(spec(horizon_max=100, steps_max=400), 99, search).plan(seen())
+    plan = mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
     asked = [length for length, *_ in search.asked]
     assert asked[0] == 39
     assert max(30, shortest) <= plan.search.length <= max(31, 1.06 * shortest + 1)
@@ -268,3 +274,16 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
     assert plan.leg == 1
     way = np.hypot(*(plan.path[1, :, :2] - plan.path[0, :, :2]).T)
     assert way == pytest.approx(controller.setup.speed * 0.4, rel=0.05)
+
+
+@pytest.mark.parametrize(("wait_s", "allowed"), [(0.0, True), (0.4, True), (0.5, False)])
+def test_a_rest_leaves_time_for_the_plan_after_it(wait_s, allowed):
+    problem = spec().controller.problem(spec().setup)
+    step = StepStart(problem, None, 30, 20.0, Worth(ACCEPT, 0.0, problem.period))
+    assert step.allows(18, wait_s) == allowed
+
+
+def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
+    problem = spec().controller.problem(spec().setup)
+    step = StepStart(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
+    assert step.allows(51, 0.0) and step.signals_max == 12

@@ -49,7 +49,7 @@ def test_there_may_be_no_path():
 def drive(key, fields=None, **plant):
     spec = experiment(
         robots=ONE,
-        controller={"type": "rrt", "margin": 40, "steps_max": 300} | (fields or {}),
+        controller={"type": "rrt", "margin": 40, "time_limit": 60.2} | (fields or {}),
         plant={"type": "sim"} | plant,
     )
     world, controller = sim(spec, key), build_controller(spec, key)

@@ -42,7 +42,9 @@ def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path,
     from anywhere import instance
 
     text = instance(2, 6200, disturbed=True, free=False).model_dump_json(exclude={"lab"})
-    spec = parse_spec(text, "four.yaml", ["controller.steps_max=600", "controller.deadline=0.008"])
+    spec = parse_spec(
+        text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.008"]
+    )
     run_trial(spec, tmp_path, 0, (), Interrupt())
     steps = read_trial(log_path(tmp_path, 0)).steps
     moving = [now.plan for last, now in itertools.pairwise(steps) if not last.plan.pauses]

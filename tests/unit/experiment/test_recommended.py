@@ -19,7 +19,7 @@ WRITTEN = {
 SPECS = {name: parse_spec(text, name).experiment for name, text in (SHIPPED | WRITTEN).items()}
 OURS = [name for name, spec in SPECS.items() if spec.controller.type == "mpc"]
 OF_THE_LAB = {
-    *("dead_time", "steps_max", "horizon_max", "accept_error", "prior"),
+    *("dead_time", "time_limit", "horizon_max", "accept_error", "prior"),
     *("obstacle_weight", "collision.margin", "collision.radius", "collision.separation"),
     *("optimizer.tolerance", "optimizer.rounds"),
 }
@@ -53,7 +53,8 @@ def test_a_spec_says_only_what_is_its_labs(name):
 def test_the_published_controller_is_left_alone():
     assert "three_m3pi.yaml" in OURS
     published = load_spec(ROOT / "experiments" / "three_m3pi_paper.yaml").experiment.controller
-    assert set(different(published, type(published)())) == set()
+    assert set(different(published, type(published)())) == {"time_limit"}
+    assert published.time_limit == pytest.approx(101 * 0.2)  # of 1 + k_max steps
 
 
 LAB = WRITTEN["init: lab"]
@@ -61,12 +62,12 @@ LAB = WRITTEN["init: lab"]
 
 def test_defaults_follow_the_period_the_robots_and_their_bodies():
     control = parse_spec(LAB, "lab.yaml").experiment.controller
-    assert (control.period, control.signal_periods, control.steps_max) == (0.05, 4, 3200)
+    assert (control.period, control.signal_periods, control.time_limit) == (0.05, 4, 160)
     assert control.accept_error == 8.6  # of 380 mm/s
     assert (control.collision.separation, control.arrival_tolerance) == (94, 0)
     assert (control.collision.silence, control.collision.stop_before_collision) == (1, True)
     slow = parse_spec(LAB, "lab.yaml", ["controller.period=0.2"]).experiment.controller
-    assert (slow.signal_periods, slow.steps_max, slow.accept_error) == (1, 800, 34)
+    assert (slow.signal_periods, slow.accept_error) == (1, 34)
     cells = SPECS["two_cells.yaml"].controller
     assert (cells.collision.silence, cells.collision.stop_before_collision) == (0, False)
 

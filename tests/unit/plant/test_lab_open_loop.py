@@ -23,7 +23,10 @@ def driven(dies_s=None):
     spec = experiment()
     lab = fake_lab(spec.setup)
     section = SequenceSection(
-        period=PERIOD_S, steps_max=STEPS, directions=(0.5,) * STEPS, remainder=REMAINDER_S
+        period=PERIOD_S,
+        time_limit=(STEPS + 1) * PERIOD_S,
+        directions=(0.5,) * STEPS,
+        remainder=REMAINDER_S,
     )
     spec = spec.model_copy(update={"controller": section})
 

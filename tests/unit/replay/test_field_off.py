@@ -32,7 +32,7 @@ CELLS = {"type": "sim", "lost_commands": 0.2, "heading_noise": 0.1}
 def path(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     data = THREE_M3PI | {
-        "controller": {"type": "ensemble", "steps_max": 40},
+        "controller": {"type": "ensemble", "time_limit": 8.2},
         "plant": request.param,
         "wheels": {"radius": 40},
     }

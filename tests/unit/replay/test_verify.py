@@ -59,7 +59,7 @@ SETTINGS = {
         "plant.lost_commands=0.1",
         MPC.format(20, "{type: multistart}"),
         "controller.accept_error=10",
-        "controller.steps_max=40",
+        "controller.time_limit=8.2",
         "controller.collision.radius=10",
     ],
     "deadlines": [
@@ -75,7 +75,7 @@ SETTINGS = {
         "controller.collision.margin=5",
         "controller.motion=arc",
     ],
-    "arrives": ["controller.arrival_tolerance=60", "controller.steps_max=30"],
+    "arrives": ["controller.arrival_tolerance=60", "controller.time_limit=6.2"],
     "a square first": ["controller.first_plan={type: square, side: 1.5}"],
     "commands lost": ["plant.lost_commands=0.3"],
     "target stop": ["controller.optimizer.stop={type: target, cost: 40}"],

@@ -152,7 +152,7 @@ def test_a_verdict_needs_the_corrected_p_too():
     off = np.zeros((20, 3))
     off[:, 0] = np.linspace(-1.9, 1.9, 20) + 0.64
     arms = [
-        arm(str(i), ERRORS + (off if i == 5 else 0.0), controller={"steps_max": 100 + i})
+        arm(str(i), ERRORS + (off if i == 5 else 0.0), controller={"time_limit": 20.2 + i})
         for i in range(6)
     ]
     last = contrast(arms).contrasts[-1]

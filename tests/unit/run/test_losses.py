@@ -20,7 +20,7 @@ REST = """
 name: three
 units: {length: um}
 arena: {left: 0, bottom: 0, width: 3000, height: 3000}
-controller: {type: mpc, period: 0.2, horizon_max: 30, steps_max: 40, accept_error: 60,
+controller: {type: mpc, period: 0.2, horizon_max: 30, time_limit: 8.2, accept_error: 60,
   optimizer: {type: multistart, tolerance: 1}}
 plant: {camera_rate: 30, disturbances: [{type: tracking-loss, every: 2.5, duration: 0.6}]}
 """

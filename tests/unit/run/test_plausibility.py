@@ -45,13 +45,13 @@ robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
   0 % in turning rate a and 0.04 rad in start heading | different a
 robots <- robots.blue.a=6
   any plan: 575.6 mm | no controller
-robots.0.target <- controller.steps_max=20; controller.horizon_max=20
-  854.4 mm away; in the 4.2 s of a trial the robot drives 756 mm, 98.4 too few | steps_max
+robots.0.target <- controller.time_limit=4.2; controller.horizon_max=20
+  854.4 mm away; in the 4.2 s of a trial the robot drives 756 mm, 98.4 too few | time_limit
 controller.horizon_max <- controller.horizon_max=20
   red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
 controller.horizon_max <- PSO
   red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
-controller.horizon_max <- controller.horizon_max=102; controller.steps_max=100
+controller.horizon_max <- controller.horizon_max=102; controller.time_limit=20.2
   plans of 20.4 s outlast the trial, .* 20.2 s | horizon_max to 101
 robots.1.target <- WALL
   walled off: .* nearer than 49\d | gap
@@ -127,7 +127,7 @@ def test_a_warning_stands_at_its_line_or_at_its_setting():
 
 
 def test_warnings_come_in_the_order_of_their_lines():
-    warnings = found(THREE, "controller.steps_max=10", "robots.red.heading=90").values()
+    warnings = found(THREE, "controller.time_limit=2.2", "robots.red.heading=90").values()
     lines = [warning.line for warning in warnings if warning.line]
     assert len(lines) > 3
     assert lines == sorted(lines)

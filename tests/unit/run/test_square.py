@@ -77,8 +77,7 @@ def test_a_square_that_cannot_be_driven_is_refused(spec, message):
 
 
 def test_limits_say_what_a_trial_can_do_at_most():
-    found = limits(experiment(controller={"steps_max": 9, "first_plan": SQUARE}))
-    assert found["control steps of a trial"] == "at most 10"
+    found = limits(experiment(controller={"time_limit": 2, "first_plan": SQUARE}))
     assert found["duration of a trial"].startswith("at most 2 s")
     assert found["path of a robot"] == "at most 400 mm"
     assert found["before step 0"] == "a square of 8 s"

@@ -20,7 +20,7 @@ from tetractl.replay.verify import verify
 from tetractl.results.outcomes import TIME_INSIDE
 from tetractl.run.task import log_path, run_trial
 
-MPC = """{type: mpc, period: 0.2, horizon_max: 30, steps_max: 200, accept_error: 20,
+MPC = """{type: mpc, period: 0.2, horizon_max: 30, time_limit: 40.2, accept_error: 20,
   estimate: false, optimizer: {type: multistart, tolerance: 1}}"""
 ONE = f"""
 name: one

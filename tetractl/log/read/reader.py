@@ -228,7 +228,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 def _resolved(text: str) -> tuple[Experiment, str]:
     """Return the experiment of a resolved spec, and its hash."""
     experiment = parse_spec(text, channels.RESOLVED_SPEC, written=True).experiment
-    return experiment, spec_hash(experiment)
+    return experiment, spec_hash(experiment, text)
 
 
 def _frames(contents: RawLog, robots: int) -> Frames:

@@ -115,7 +115,7 @@ def sequence_spec(spec: LoadedSpec, directions: Floats) -> LoadedSpec:
     controller = SequenceSection(
         period=spec.experiment.controller.period,
         dead_time=spec.experiment.controller.dead_time,
-        steps_max=len(directions),
+        time_limit=(len(directions) + 1) * spec.experiment.controller.period,
         directions=tuple(directions.tolist()),
     )
     experiment = spec.experiment.model_copy(update={"controller": controller})

@@ -14,8 +14,8 @@ from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.system
 
-LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
-LONGER = ("controller.steps_max=400", *LONG[1:])  # than another program takes to start
+LONG = ("controller.time_limit=8.2", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
+LONGER = ("controller.time_limit=80.2", *LONG[1:])  # than another program takes to start
 
 
 @pytest.fixture

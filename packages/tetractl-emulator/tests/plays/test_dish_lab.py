@@ -29,7 +29,7 @@ SMALL = (  # a smaller dish, coarser pictures, and few cells
     "arena.height=2100",
     "robots={choose: 2, targets: [[800, 800], [1300, 1300], [800, 1300]], a: 4, speed: 420, "
     "seconds: 4}",
-    "controller.steps_max=60",
+    "controller.time_limit=12.2",
     "controller.accept_error=120",
 )
 FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"

@@ -93,7 +93,7 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
             "lab.camera.um_px=4.5",
             "arena.width=2300",
             "arena.height=2300",
-            "controller.steps_max=8",
+            "controller.time_limit=1.8",
             "trials.seed=3",
             "controller.deadline=60",
         )

@@ -32,7 +32,7 @@ def driven(folder, *sets):
 
 
 def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
-    result, states = driven(tmp_path, "controller.steps_max=240")
+    result, states = driven(tmp_path, "controller.time_limit=48.2")
     assert (result.outcome, result.reason) == (Outcome.NO_BETTER_PLAN, "")
     assert result.total_error < 1
     assert states.index(State.RESTING) == len(states) - 1
@@ -41,7 +41,7 @@ def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
 def test_a_trial_goes_on_after_a_turn_on_the_spot(tmp_path):
     """Regression: its guard ended it, and its log would not have verified."""
     before_an_obstacle = "robots.1.start=[1146, 1200]"
-    result, states = driven(tmp_path, "controller.steps_max=120", before_an_obstacle)
+    result, states = driven(tmp_path, "controller.time_limit=24.2", before_an_obstacle)
     assert result.outcome.complete
     assert states[0] is State.TURNING
     assert State.DRIVING in states

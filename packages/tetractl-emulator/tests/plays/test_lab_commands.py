@@ -130,7 +130,7 @@ def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, m
 def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     """Regression: `rerun LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
     emulated = lab(replace_after=0.5)
-    sets = flags((*emulated.settings, "controller.steps_max=2", "lab.limits.placing=30"))
+    sets = flags((*emulated.settings, "controller.time_limit=0.6", "lab.limits.placing=30"))
 
     def run(*words):
         done = tetractl(tmp_path, *words)
@@ -187,7 +187,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
             *settings,
             f"lab.calibration={tmp_path / 'calibration.yaml'}",
             "lab.limits.placing=60",
-            "controller.steps_max=3",
+            "controller.time_limit=0.8",
         )
     )
     tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets).ok()

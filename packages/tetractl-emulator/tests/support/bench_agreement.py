@@ -31,7 +31,7 @@ from tetractl.run.task import trial_seeds
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (
-    "type: mpc, steps_max: 400, estimate: false, "
+    "type: mpc, time_limit: 20.05, estimate: false, "
     "collision: {margin: 50, adaptive: false, stop_before_collision: false, silence: 0}"
 )
 BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"

@@ -39,7 +39,7 @@ SMALL = (  # a small swarm and under two seconds of driving
     "controller.period=0.2",  # 5 Hz is enough to stop at, and light
     "controller.signal_periods=1",
     "controller.deadline=0.15",
-    "controller.steps_max=8",
+    "controller.time_limit=1.8",
     "trials.count=1",
 )
 APRILTAG = (  # the same robots under a network camera

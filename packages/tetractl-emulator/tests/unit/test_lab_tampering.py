@@ -19,7 +19,7 @@ ONLY_THE_LAB_KNOWS = {
     (channels.RESULT, "turn_std"),
 }
 SMALL = (  # 5 Hz, few steps and a small swarm
-    "controller.steps_max=4",
+    "controller.time_limit=1",
     "controller.period=0.2",
     "controller.signal_periods=1",
     "controller.deadline=0.15",

@@ -1,0 +1,40 @@
+"""The time of a trial begins with its first command, whatever was planned before."""
+
+import numpy as np
+import pytest
+
+from tetractl.control.trial_time import TrialTime
+from tetractl.core.commands import Command, Steer
+from tetractl.core.poses import Observation, Poses
+
+POSES = Poses(np.zeros(1), np.zeros(1), np.zeros(1))
+
+
+def seen(seconds):
+    ns = round(seconds * 1e9)
+    return Observation(0, ns, ns, POSES, np.ones(1, dtype=np.bool_))
+
+
+def sent(seconds):
+    return Command(Steer(0.0), round(seconds * 1e9), (True,))
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.04, 1.0])
+def test_a_trial_of_two_seconds_has_ten_periods_after_its_first_command(latency_s):
+    """However old its frames are."""
+    time = TrialTime(2.0, 0.2)
+    time.seen(seen(1.0), None)  # the first plan takes 4 s
+    steps = 0
+    while not time.over:
+        steps += 1
+        time.seen(seen(5.0 + 0.2 * steps - latency_s), sent(4.8 + 0.2 * steps))
+        assert int(time.left_s / 0.2) == 10 - steps
+    assert steps == 10
+
+
+def test_a_rest_takes_its_time():
+    time = TrialTime(2.0, 0.2)
+    time.seen(seen(0.0), None)
+    time.seen(seen(0.2), sent(0.0))
+    time.seen(seen(1.1), sent(0.4))
+    assert time.passed_s == pytest.approx(1.1)

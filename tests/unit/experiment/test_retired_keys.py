@@ -1,0 +1,32 @@
+"""Keys of earlier specs: a hint in a spec, and another name in a log."""
+
+import pytest
+
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
+
+SPEC = """
+name: earlier
+arena: {left: 0, bottom: 0, width: 9, height: 9}
+robots: [{name: r, start: [1, 1], target: [2, 2], a: 1, speed: 1}]
+controller: {type: %s, steps_max: 300}
+"""
+
+
+@pytest.mark.parametrize(("kind", "limit"), [("ensemble", "60.2"), ("mpc", "15.05")])
+def test_steps_of_an_earlier_spec_get_the_time_to_write(kind, limit):
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(SPEC % kind, "earlier.yaml")
+    (line,) = caught.value.lines()
+    assert line.startswith("earlier.yaml:5:")
+    assert line.endswith(f"a trial's limit is a time now; write time_limit: {limit}")
+
+
+def test_steps_in_the_spec_of_an_earlier_log_are_a_time():
+    found = parse_spec(SPEC % "mpc", "spec.yaml", written=True).experiment.controller
+    assert found.time_limit == pytest.approx(15.05)
+
+
+def test_the_published_controller_counts_steps():
+    found = parse_spec(SPEC % "pso-mpc", "spec.yaml").experiment.controller
+    assert (found.steps_max, found.time_limit) == (300, pytest.approx(60.2))

@@ -24,6 +24,7 @@ class WayOut(NamedTuple):
     room_s: float = 0.1  # clearance kept, as a time of driving, see `way_out`
     share: float = 0.8  # and at most as a fraction of the present clearance
     turn_s: float = 1.5  # time of turning after which robots must have a way out
+    turns: int = 4  # control steps for which a direction to turn to is kept
     parts: int = 4  # number of moments of a signal at which the clearance is computed
     final: float = 0.2  # weight of the final clearance relative to the least on the path
 
@@ -45,10 +46,41 @@ def way_out(
     return signals if least > -np.inf else None
 
 
-def away(problem: Problem, margins: Margins, apart: float) -> tuple[Floats | None, float | None]:
+class Turning(NamedTuple):
+    """The direction [rad] to which standing robots turn, None if they do not, and in how many
+    control steps they have turned to it."""
+
+    facing: float | None = None
+    steps: int = 0
+
+    def then(self, facing: float | None) -> "Turning":
+        """Return what it is after a step in which the robots turn to `facing` [rad]."""
+        if facing is None:
+            return Turning()
+        return Turning(facing, self.steps + 1 if facing == self.facing else 1)
+
+
+STILL = Turning()
+
+
+def away(
+    problem: Problem, margins: Margins, apart: float, turning: Turning = STILL
+) -> tuple[Floats | None, float | None]:
     """Return a way out for standing robots or, if none keeps clear, the direction [rad] to which
-    they turn first; if no turn helps, the best way out that enters nothing."""
+    they turn first; if no turn helps, the best way out that enters nothing.
+
+    Robots that are `turning` to a direction keep it until all have reached it: one that stands
+    nearly opposite to it hardly turns at first, and another direction might be opposite again.
+    After OUT.turns steps the turn has led nowhere: then the best way out that enters nothing comes
+    before another turn.
+    """
     out = way_out(problem, margins, apart)
+    if out is not None:
+        return out, None
+    if 0 < turning.steps < OUT.turns:
+        return None, turning.facing
+    if turning.steps:
+        out = way_out(problem, margins, apart, 0.0)
     facing = turn_away(problem, margins, apart) if out is None else None
     if out is None and facing is None:
         out = way_out(problem, margins, apart, 0.0)

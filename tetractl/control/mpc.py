@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.corners import away
+from tetractl.control.corners import STILL, away
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_drive, compiled_foresee
@@ -65,8 +65,9 @@ class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
     Its state between two steps: the number `k` of the step, the `last` plan, the step `began` in
-    which robots began to follow plans, and the `leg`. `timer()`, the time [ns], is read
-    only while the robots move: a plan for standing robots has no deadline.
+    which robots began to follow plans, the direction they are `turning` to, and the `leg`.
+    `timer()`, the time [ns], is read only while the robots move: a plan for standing robots has no
+    deadline.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -79,6 +80,7 @@ class Mpc:
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
         self.k, self.began, self._legs = 0, 0, setup.legs
+        self.turning = STILL
         self.last: Plan | None
         self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED))
 
@@ -107,6 +109,7 @@ class Mpc:
             if isinstance(decision, Plan):
                 self.began = self.k if step.warm is None else self.began
                 self.last, self.k = decision, self.k + 1
+                self.turning = self.turning.then(decision.facing)
                 found = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
                 return found.of_all(self.left, observation.poses)
             if decision not in PASSED or self._state is State.STUCK or self._last_leg:
@@ -288,7 +291,7 @@ class Mpc:
         touches = best.obstacle_cost > 0 and self._cornered(problem)
         if not (self.stands and (touches or self._enters(problem, best.signals))):
             return None
-        out, facing = away(problem, self.margins, self.section.collision.separation)
+        out, facing = away(problem, self.margins, self.section.collision.separation, self.turning)
         if out is not None:
             return self._given(problem, State.LEAVING, out, searcher.found)
         turning = self._given(problem, State.TURNING, before=searcher.found)

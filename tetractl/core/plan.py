@@ -244,6 +244,11 @@ class Plan:
         return isinstance(self.instead, Stop | Turn)
 
     @property
+    def facing(self) -> float | None:
+        """The direction [rad] to which the robots turn on the spot, None if they do not."""
+        return self.instead.facing if isinstance(self.instead, Turn) else None
+
+    @property
     def doing(self) -> str:
         """Words for what the robots do."""
         if isinstance(self.instead, FieldOff):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
-from tetractl.control.corners import OUT, away, turn_away, way_out
+from tetractl.control.corners import OUT, STILL, away, turn_away, way_out
 from tetractl.control.cost import predict
 from tetractl.control.evaluate import compiled_drive
 from tetractl.control.margins import Margins
@@ -124,3 +124,20 @@ def test_it_never_leads_further_into_anything(seed):
         room = margins.room(path[..., 0], path[..., 1], 0.0)
         assert room.min() >= min(0.0, room[0])
     assert signals is not None or margins.room(x, y, 0.0) < 2 * CIRCLE
+
+
+def test_a_direction_to_turn_to_is_kept_until_the_turn_has_led_nowhere():
+    """Regression: a robot opposite to it dithered, as each step chose another one: 1,769 turns."""
+    problem, margins = standing(facing_the_wall(1.1 * CIRCLE))
+    close = way_out(problem, margins, 95.0, keep_s=0.0)
+    turning = STILL.then(away(problem, margins, 95.0)[1])
+    for step in range(1, OUT.turns):
+        assert turning.steps == step
+        out, facing = away(problem, margins, 95.0, turning)
+        assert (out, facing) == (None, turning.facing)
+        turning = turning.then(facing)
+    out, facing = away(problem, margins, 95.0, turning)
+    assert facing is None
+    np.testing.assert_array_equal(out, close)
+    assert turning.then(None) == STILL
+    assert turning.then(turning.facing + 0.1).steps == 1

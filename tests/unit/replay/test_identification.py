@@ -136,7 +136,7 @@ def noise_is_right(found):
 
 def test_a_lost_command_that_stops_a_robot_by_its_watchdog_is_no_noise():
     sets = (*NOISY[:2], "plant.dead_time=0.08", "plant.lost_commands=0.05")
-    _, track = drive(10, *sets)
+    _, track = drive(9, *sets)
     found = identify([track], EXPECTED)
     assert not any(robot.misfits for robot in found.robots)
     assert noise_is_right(found)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter import likeliest
-from tetractl.control.kernels.filter_motion import advance, rolled
+from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import ASSUMED, GRID, MISFIT, SLOTS, STUCK
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
@@ -77,9 +77,11 @@ def _ahead(bank, model, b, i, s, when, u, tau, begin, sent, z):
             if acts <= until + 1e-9:
                 held = now if stops > until else math.nan
     turn = model.lag * model.a[i] * math.exp(z[at.LN_A]) * z[at.SWING]
-    way = model.lag * model.speed[i] * math.exp(z[at.LN_V]) * z[at.PACE]
-    east, north = rolled(z[at.HEADING], turn, way)
-    z[at.X], z[at.Y], z[at.HEADING] = z[at.X] + east, z[at.Y] + north, z[at.HEADING] + turn
+    half = 0.5 * turn
+    chord = model.lag * model.speed[i] * math.exp(z[at.LN_V]) * z[at.PACE] * (1 - half * half / 6)
+    z[at.X] += chord * math.cos(z[at.HEADING] + half)
+    z[at.Y] += chord * math.sin(z[at.HEADING] + half)
+    z[at.HEADING] += turn
     return held
 
 

@@ -10,10 +10,9 @@ from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import ASSUMED, MOVED, SIZE, SLOTS
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
-from tetractl.model.motion import exact
 from tetractl.model.motion.polynomials import wrap
 
-_wrap, _rates = inlined(wrap), inlined(exact.rates)
+_wrap = inlined(wrap)
 
 # the states that each measured number depends on; the slopes by the last of x and y are 0
 BY = np.array(
@@ -118,8 +117,8 @@ def _copy(bank, b, i, source, slot):
 @compiled(**INLINE_FAST)
 def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
-    a = model.a[i] * math.exp(z[at.LN_A])
-    return 0.0 if math.isnan(u) else _rates(z[at.HEADING], u + z[at.BIAS], a, 0.0)[2]
+    rate = model.a[i] * math.exp(z[at.LN_A]) * math.sin(u + z[at.BIAS] - z[at.HEADING])
+    return 0.0 if math.isnan(u) else rate
 
 
 @compiled(**INLINE_FAST)

@@ -22,22 +22,17 @@ from tetractl.control.kernels.filter_state import (
     Y,
 )
 from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
-from tetractl.model.motion import exact, rolling
-
-differentiate, rolled = inlined(exact.differentiate), inlined(rolling.rolled)
-
-STANDS = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0  # the step of a robot at rest
+from tetractl.core.kernels.kernel_options import INLINE_FAST
 
 
 @compiled(**INLINE_FAST)
 def advance(model, i, z, cov, u, scale, seconds, more):
-    """Predict state and covariance of one hypothesis of robot i; without a covariance, None, the
-    compiler leaves out what it needs. `more` (MOVED, SIZE) is room for products.
+    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule;
+    without a covariance, None, the compiler leaves out what it needs. `more` (MOVED, SIZE) is room
+    for products.
 
     Lagging wheels follow the turning rate that the host sends, computed for the heading in which
-    the robot would come to rest (`tetractl.model.motion.rolling.wish`): that heading follows (3),
-    and the wheels its mean rate over a short step.
+    the robot would come to rest (`tetractl.model.motion.rolling.wish`).
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
     goal = 1.0 if drives else 0.0
@@ -45,19 +40,28 @@ def advance(model, i, z, cov, u, scale, seconds, more):
         z[SWING] = z[PACE] = 0.0
     a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
     helix = model.helix * math.exp(z[LN_W]) if model.helix > 0 else 0.0
-    cu, su = (math.cos(u + z[BIAS]), math.sin(u + z[BIAS])) if drives else (1.0, 0.0)
     while left > 0 and (drives or z[PACE] > 0):
         t = min(left, ASSUMED.substep_s)
-        left -= t
-        rest = z[HEADING] + lag * a * z[SWING]
-        step = differentiate(math.cos(rest), math.sin(rest), cu, su, a, v, t)
-        if lag > 0:
-            step = _lagging(z, step if drives else STANDS, goal, a, v, lag, t)
-        z[X] += step[0] + t * z[FLOW_X]
-        z[Y] += step[1] + t * z[FLOW_Y]
-        z[HEADING] += step[2]
+        left -= ASSUMED.substep_s
+        early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
+        late = early * early
+        off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
+        wish = math.sin(off) if drives else 0.0
+        half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
+        middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
+        wish, pull = (math.sin(off), math.cos(off)) if drives else (0.0, 0.0)
+        turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
+        chord = 1 - turn * turn / 24
+        way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal)) * chord
+        z[SWING] = wish + late * (z[SWING] - wish)
+        z[PACE] = goal + late * (z[PACE] - goal)
+        keep = math.exp(-t * a * pull)
+        dx, dy = way * math.cos(middle), way * math.sin(middle)
+        z[X] += dx + t * z[FLOW_X]
+        z[Y] += dy + t * z[FLOW_Y]
+        z[HEADING] += turn
         if cov is not None:
-            _spread(cov, more, t, step)
+            _spread(cov, more, t, dx, dy, half, turn, keep)
         if helix > 0:
             angle = t * helix
             c, s = math.cos(angle), math.sin(angle)
@@ -71,37 +75,27 @@ def advance(model, i, z, cov, u, scale, seconds, more):
 
 
 @compiled(**INLINE_FAST)
-def _lagging(z, rest, goal, a, v, lag, t):
-    """Return a short step of lagging wheels and its derivatives, given that of the heading in which
-    they come to `rest`; swing and pace approach its mean turning rate over a, and the `goal`."""
-    wish, early = rest[2] / (a * t), math.exp(-0.5 * t / lag)
-    late = early * early
-    half = 0.5 * rest[2] + a * lag * (1 - early) * (z[SWING] - wish)
-    turn = rest[2] + a * lag * (1 - late) * (z[SWING] - wish)
-    way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
-    dx, dy = rolled(z[HEADING] + half - 0.5 * turn, turn, way)
-    z[SWING] = wish + late * (z[SWING] - wish)
-    z[PACE] = goal + late * (z[PACE] - goal)
-    stays, goes = 0.5 * (1 + rest[7]), 0.5 * (1 - rest[7])
-    by = -dy * stays, dx * stays, -dy * goes, dx * goes, rest[7], -dy * half, dx * half, turn
-    return dx, dy, turn, by[0], by[1], by[2], by[3], by[4], by[5], by[6], by[7]
+def _spread(cov, more, t, dx, dy, half, turn, keep):
+    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading.
 
-
-@compiled(**INLINE_FAST)
-def _spread(cov, more, t, step):
-    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading, as
-    `Derivatives` in `step`. With M = S P this is P + M + M' + M S'."""
-    dx, dy, _, x_h, y_h, x_u, y_u, keep, x_a, y_a, turn_a = step
+    With M = S P this is P + M + M' + M S'. Heading, ln a and turn bias alone change the heading,
+    and the headings in the middle, by which the way (dx, dy) turns.
+    """
+    stays, goes = 0.5 * (1 + keep), 0.5 * (1 - keep)
     for k in range(SIZE):
-        h, u, a, v = cov[HEADING, k], cov[BIAS, k], cov[LN_A, k], cov[LN_V, k]
-        more[X, k] = x_h * h + x_u * u + x_a * a + dx * v + t * cov[FLOW_X, k]
-        more[Y, k] = y_h * h + y_u * u + y_a * a + dy * v + t * cov[FLOW_Y, k]
-        more[HEADING, k] = (1 - keep) * (u - h) + turn_a * a
+        middle = stays * cov[HEADING, k] + goes * cov[BIAS, k] + half * cov[LN_A, k]
+        x = dx * cov[LN_V, k] + t * cov[FLOW_X, k] - dy * middle
+        y = dy * cov[LN_V, k] + t * cov[FLOW_Y, k] + dx * middle
+        heading = (1 - keep) * (cov[BIAS, k] - cov[HEADING, k]) + turn * cov[LN_A, k]
+        more[X, k], more[Y, k], more[HEADING, k] = x, y, heading
     for j in range(HEADING + 1):
-        h, u, a, v = more[j, HEADING], more[j, BIAS], more[j, LN_A], more[j, LN_V]
-        cov[X, j] += x_h * h + x_u * u + x_a * a + dx * v + t * more[j, FLOW_X]
-        cov[Y, j] += y_h * h + y_u * u + y_a * a + dy * v + t * more[j, FLOW_Y]
-        cov[HEADING, j] += (1 - keep) * (u - h) + turn_a * a
+        middle = stays * more[j, HEADING] + goes * more[j, BIAS] + half * more[j, LN_A]
+        x = dx * more[j, LN_V] + t * more[j, FLOW_X] - dy * middle
+        y = dy * more[j, LN_V] + t * more[j, FLOW_Y] + dx * middle
+        heading = (1 - keep) * (more[j, BIAS] - more[j, HEADING]) + turn * more[j, LN_A]
+        cov[X, j] += x
+        cov[Y, j] += y
+        cov[HEADING, j] += heading
     _add(cov, more, X, HEADING + 1)
 
 

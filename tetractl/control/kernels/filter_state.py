@@ -33,7 +33,7 @@ class Assumed(NamedTuple):
     """What the filter assumes of radio, robots and camera."""
 
     still: float = 1e-3  # pace below which a stopped robot counts as standing
-    substep_s: float = 0.025  # longest step between two additions of random walks
+    substep_s: float = 0.025  # longest step of the prediction
     lost: float = 0.05  # probability that a command does not arrive
     alike: float = 0.1  # squared difference of two hypotheses' headings, over the variance
     stuck_every_s: float = 30.0  # mean time until a robot gets stuck

@@ -87,11 +87,25 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
         for again in range(1 if first_period == period else 2):  # then the first signal's period
             t = period if again == 0 else first_period
             for j in range(across if again == 0 else 1):
-                c, s, c_u, s_u = cos[i, j], sin[i, j], cu[j], su[j]
-                own = c_u * cb - s_u * sb, s_u * cb + c_u * sb
-                step = derivatives(rest, c, s, own[0], own[1], a_i, v_i, t)
-                x[i, j], y[i, j], keep[i, j] = step[0], step[1], step[7]
-                east_h[i, j], north_h[i, j], east_u[i, j], north_u[i, j] = step[3:7]
+                (
+                    x[i, j],
+                    y[i, j],
+                    _,
+                    east_h[i, j],
+                    north_h[i, j],
+                    east_u[i, j],
+                    north_u[i, j],
+                    keep[i, j],
+                ) = derivatives(
+                    rest,
+                    cos[i, j],
+                    sin[i, j],
+                    cu[j] * cb - su[j] * sb,
+                    su[j] * cb + cu[j] * sb,
+                    a_i,
+                    v_i,
+                    t,
+                )
         fx, fy = drift[2, i], drift[3, i]
         x[i, 0] = start[0, i] + x[i, 0] + fx * first_period
         y[i, 0] = start[1, i] + y[i, 0] + fy * first_period

@@ -29,12 +29,11 @@ from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
-from tetractl.model.motion.motion import DIRECTION
 
 Integers = NDArray[np.int64]
 _wrap = inlined(polynomials.wrap)
 
-LARGEST_STEP = DIRECTION.largest_step
+LARGEST_STEP = 1.0  # largest change of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # weight W of a depth relative to a miss
 PROGRESS = 0.8  # the merit must fall by this factor in `patience` iterations
 

@@ -3,20 +3,13 @@
 The last direction of a sequence therefore cannot move the last position.
 """
 
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import (
-    Derivatives,
-    Held,
-    Motion,
-    PlainLanes,
-    Time,
-    XYHeading,
-    onwards,
-)
+from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
+from tetractl.model.motion.polynomials import sincos, wrap
 
 
 def step(
@@ -38,24 +31,33 @@ def hold(
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
 
 
-def differentiate(
-    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-) -> Derivatives:
-    """Return a step of (4)-(6) and its derivatives."""
-    way, most = t * v, t * a
-    turn, keep = most * (su * c - cu * s), 1 - most * (cu * c + su * s)
-    return way * c, way * s, turn, -way * s, way * c, 0.0, 0.0, keep, 0.0, 0.0, turn
+class EulerLanes(NamedTuple):
+    """Constants of (4)-(6): T v and T a."""
 
+    rows: Floats  # (N, size)
+    pieces: int = 1
+    size = 2
 
-class EulerLanes(PlainLanes):
-    """The constants of (4)-(6)."""
-
-    differentiate = staticmethod(differentiate)
+    @classmethod
+    def of(cls, a: Floats, v: Floats, t: float) -> Self:
+        """Return the constants of robots with a, v (N,) for steps of t [s]."""
+        return cls(np.column_stack([v * t, a * t]))
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, cos and sin of the heading at the end of the step."""
-        return onwards(x, y, c, s, differentiate(c, s, cu, su, k[0], k[1], k[2]))
+        """Return x, y, cos and sin of the heading after (4)-(6)."""
+        step, turn = k
+        sw, cw = sincos(wrap(turn * (su * c - cu * s)))
+        return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
+
+    @staticmethod
+    def differentiate(
+        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+    ) -> Derivatives:
+        """Return a step of (4)-(6) and its derivatives."""
+        way, most = t * v, t * a
+        keep = 1 - most * (cu * c + su * s)
+        return way * c, way * s, most * (su * c - cu * s), -way * s, way * c, 0.0, 0.0, keep
 
 
 EULER = Motion("euler", step, hold, EulerLanes)

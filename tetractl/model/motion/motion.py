@@ -4,34 +4,16 @@ A motion is one file that defines a `Motion`, and one line in `tetractl.core.reg
 it. See docs/how-to/extend.md.
 """
 
-import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, Self
-
-import numpy as np
+from typing import Any, Protocol, Self
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.polynomials import sincos, wrap
 
 Time = float | Floats
 XYHeading = tuple[Floats, Floats, Floats]
-Derivatives = tuple[float, float, float, float, float, float, float, float, float, float, float]
-"""dx, dy, dheading of one step. By the state: d(dx)/dheading, d(dy)/dheading. By the signal:
-d(dx)/du, d(dy)/du. d(heading')/dheading = 1 - d(heading')/du. By the parameters: d(dx)/d(ln a),
-d(dy)/d(ln a), d(dheading)/d(ln a); by ln v they are dx, dy, 0."""
-
-
-class Component(NamedTuple):
-    """A component of the common signal: searches stay between `low` and `high`, from which they
-    draw; values beyond are wrapped. One iteration changes a value by at most `largest_step`."""
-
-    low: float
-    high: float
-    largest_step: float
-
-
-DIRECTION = Component(-math.pi, math.pi, 1.0)
-"""The direction u [rad], (12)."""
+Derivatives = tuple[float, float, float, float, float, float, float, float]
+"""dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
+d(heading')/dheading = 1 - d(heading')/du."""
 
 
 @dataclass(slots=True)
@@ -109,29 +91,8 @@ class Lanes(Protocol):
     def differentiate(
         c: float, s: float, cu: float, su: float, a: float, v: float, t: float
     ) -> Derivatives:
-        """Return the displacement of a whole step of t [s] and its derivatives, by the state c, s,
-        the signal cu, su and the parameters a, v."""
+        """Return the displacement of a whole step of t [s] and its derivatives."""
         ...
-
-
-def onwards(x: Any, y: Any, c: Any, s: Any, step: Any) -> Any:
-    """Return x, y, cos and sin of the heading after a step, of which `Derivatives` are given."""
-    sw, cw = sincos(wrap(step[2]))
-    return x + step[0], y + step[1], c * cw - s * sw, s * cw + c * sw
-
-
-class PlainLanes(NamedTuple):
-    """`Lanes` of a motion that computes nothing beforehand: a, v and t of each robot. Its subclass
-    has `differentiate`, and `advance` by that and `onwards`."""
-
-    rows: Floats  # (N, 3)
-    pieces: int = 1
-    size = 3
-
-    @classmethod
-    def of(cls, a: Floats, v: Floats, t: float) -> Self:
-        """Return the constants of robots with a, v (N,) for steps of t [s]."""
-        return cls(np.column_stack([a, v, np.full(len(a), t)]))
 
 
 @dataclass(frozen=True, slots=True)

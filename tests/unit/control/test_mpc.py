@@ -2,17 +2,20 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
+from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.mpc_step import StepStart
 from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
+from tetractl.core.poses import Poses
 
 ACCEPT = 20.0
 POINTS = {"walls": False, "adaptive": False, "stop_before_collision": False, "silence": 0}
@@ -166,11 +169,35 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, the
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
-def beside_a_wall(gap, stop=True, radius=0.0):
+@pytest.mark.parametrize(("steps", "state"), [(9, State.DRIVING), (11, State.RESTING)])
+def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(steps, state):
+    controller, _ = driving({}, collision=RESTS)
+    controller.k = steps
+    assert step(controller).state is state
+
+
+@pytest.mark.parametrize(("length", "tested"), [(2, None), (3, 1), (5, 2), (6, 2), (7, 5)])
+@pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, 0.8), (0.5, 0.5)])
+def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
+    length, tested, watchdog_s, seconds
+):
+    """The plan under way has 5 signals left, so that one of 7 is new."""
+    controller, _ = driving({}, collision=POINTS | {"silence": 0.6})
+    controller.setup = replace(controller.setup, watchdog_s=watchdog_s)
+    asked = []
+    now = controller._step(controller.estimator.seen(seen()))
+    controller.margins = SimpleNamespace(clear_unheard=lambda *given: asked.append(given))
+    signals = np.zeros(length)
+    controller._safe(now, signals, compiled_foresee(now.problem, signals))
+    found = [(len(given[2]), pytest.approx(given[3])) for given in asked]
+    assert found == ([] if tested is None else [(tested, seconds)])
+
+
+def beside_a_wall(gap, stop=True, radius=0.0, **fields):
     """A controller of robots of which green drives towards the right wall, 36 mm in a period, and
     no plan keeps clear."""
     collision = POINTS | {"walls": True, "radius": radius, "stop_before_collision": stop}
-    controller, _ = driving({}, collision=collision)
+    controller, _ = driving({}, collision=collision, **fields)
     controller.optimizer = controller.section.optimizer
     controller.last = first(controller, 2)
     controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
@@ -216,6 +243,14 @@ def test_robots_in_a_corner_look_for_a_way_out_before_they_search_thoroughly():
 def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     controller, poses = beside_a_wall(gap, radius=radius)
     assert step(controller, poses).state is State.RESTING
+
+
+@pytest.mark.parametrize(("gap", "enters"), [(70, True), (75, False)])
+def test_a_stop_that_is_lost_once_acts_after_two_dead_times(gap, enters):
+    """Green drives 72 mm in a period and two dead times."""
+    controller, poses = beside_a_wall(gap, dead_time=0.1)
+    problem = replace(controller.estimator.problem, poses=Poses.of(poses))
+    assert controller._enters(problem, np.zeros(1)) is enters
 
 
 def test_robots_stop_before_the_arc_of_a_signal_touches_a_wall_its_ends_do_not():

@@ -346,6 +346,8 @@ def test_the_hash_follows_the_experiment_and_not_its_text():
     assert len(base) == 64
     same = "# a comment\n" + GOOD.replace("a: 3", "a: 3.0") + "trials: {seed: 1, count: 20}\n"
     assert spec_hash(parse_spec(same, "other.yaml").experiment) == base
+    zeros = [parse_spec(GOOD, "s.yaml", [f"arena.left={zero}"]).experiment for zero in (0.0, -0.0)]
+    assert spec_hash(zeros[0]) == spec_hash(zeros[1]) == base
     for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.cost=6"):
         assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
 

@@ -13,9 +13,10 @@ from tetractl.lab.motion_check import motion
 NAMES, SPEED, FRAME_NS = ("green", "blue", "red"), 180.0, SECOND // 120
 
 
-def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None):
+def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None, noisy=1.0):
     """Return what is said first, and when [s], if the camera adds `shown` (3, 3) [mm, mm, rad] to
-    the robots' true places (3, 3) t s after the start; wheels are up to `share` off.
+    the robots' true places (3, 3) t s after the start; wheels are up to `share` off, and poses
+    `noisy` times as noisy as usual.
 
     The check is added to `checks`.
     """
@@ -31,7 +32,7 @@ def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None):
         places[:, 2] += turning * gains * FRAME_NS / SECOND
         courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
         places[:, :2] += SPEED * (gains * courses).T * FRAME_NS / SECOND
-        noise = random.normal(size=(3, 3)) * (0.3, 0.3, 0.004)
+        noise = noisy * random.normal(size=(3, 3)) * (0.3, 0.3, 0.004)
         rows = places + noise + shown(places, now / SECOND)
         poses = [Pose(*map(float, row)) for row in rows]
         if before:
@@ -45,6 +46,19 @@ def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None):
 
 def test_robots_that_drive_as_commanded_are_let():
     assert drifting(lambda places, t: 0.0)[0] == ""
+
+
+def test_robots_before_a_camera_eight_times_as_noisy_as_usual_are_let():
+    assert drifting(lambda places, t: 0.0, 4.0, noisy=8.0)[0] == ""
+
+
+def test_a_rest_leaves_out_the_ways_that_were_still_to_be_counted():
+    checks = []
+    pushed = np.array([[20.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3])
+    drifting(lambda places, t: pushed * (t > 1.95), 2.0, checks=checks)
+    assert checks[0]._carried.any()
+    checks[0].rest()
+    assert not checks[0]._carried.any()
 
 
 @pytest.mark.parametrize("who", [0, 2])

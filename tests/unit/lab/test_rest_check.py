@@ -12,7 +12,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.preflight import inspect
-from tetractl.lab.rest_check import wait_for_rest
+from tetractl.lab.rest_check import moving_robots, wait_for_rest
 
 SETUP = experiment().setup
 MOTIVE, COARSE = (120.0, 0.3, 0.004), (20.0, 0.5, 0.005)  # frames a second, noise [mm, rad]
@@ -60,6 +60,24 @@ def test_a_pose_that_turns_slowly_does_not_stand(rate, camera):
     """Regression: 0.3 rad/s and 10 mm/s were allowed, so a false pose that turned was accepted."""
     said = at_rest(camera, (0.0, 0.0, rate), (1,))
     assert said.startswith("2 s after the stop: blue still moves (")
+
+
+def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
+    lab = fake_lab(SETUP)
+    frames = lab.camera.frames
+
+    def shown():  # without blue from half a second on
+        return [
+            replace(f, poses=(f.poses[0], None, f.poses[2])) if f.sampled_ns > SECOND // 2 else f
+            for f in frames()
+        ]
+
+    lab.camera.frames = shown
+    with lab.plant.rig as rig:
+        lab.clock.sleep_until(7 * SECOND // 10)
+        (line,) = moving_robots(rig)
+    assert line.startswith("blue ")
+    assert line.endswith(", so it is not seen to stand")
 
 
 def test_poses_that_drift_together_name_the_camera():

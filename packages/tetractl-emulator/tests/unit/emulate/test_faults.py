@@ -8,6 +8,9 @@ from support.lab_processes import emulated, turn_until
 from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
 from support.paths import SCRIPTS
 from support.virtual_lab import virtual_lab
+from tetractl_emulator.faults import Injector, Visible
+from tetractl_emulator.faults import fault as kind_of
+from tetractl_emulator.loop import Timeline
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.yaml.document import parse_document
@@ -123,6 +126,20 @@ def test_a_fault_is_over_after_its_time(tmp_path):
             lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
             tracked.append(body.tracked)
     assert tracked == [True, False, False, True, True]
+
+
+def test_a_fault_is_told_with_the_first_frame_that_was_exposed_during_it():
+    told, timeline = [], Timeline(lambda until_ns: None)
+    hidden = kind_of("hidden", "A fault.", lambda *_: lambda: None, Visible.EXPOSED)
+    faults = (hidden(fault="hidden", since="start"),)
+    injector = Injector(timeline, faults, lambda _: None, lambda phase, _: told.append(phase))
+    injector.happened("start")
+    timeline.run_to(0)
+    injector.exposed(7)
+    injector.sent(6)  # was under way when the fault began
+    assert told == []
+    injector.sent(7)
+    assert told == ["start"]
 
 
 def test_nothing_is_left_open(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from support.dish_films import Score, film, followed
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
+from tetractl_microscope.cells.helix import HEADING
 from tetractl_microscope.cells.readings import note_size, own_path
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import no_field
@@ -165,3 +166,14 @@ def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
     tracker.finder.learn([picture(12 * k) for k in range(9)])
     counts = [len(tracker.see(picture(k), k / 30, no_field)) for k in range(100)]
     assert counts[20:60] == [2] * 40 and counts[-1] == 1
+
+
+@pytest.mark.parametrize(("came_from", "heading"), [(180.0, 0.0), (220.0, math.pi)])
+def test_a_cell_that_is_astray_heads_the_way_its_blob_has_moved(came_from, heading):
+    tracker = CellTracker(2.3, known=False)
+    cell = CellTrack(1, [], row=tracker.bank.add(0.0, 0.0, 1.0, 300.0))
+    cell.last = np.array([came_from, 100.0])
+    tracker._check(cell, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1), 0.0)
+    x, y, found = tracker.bank.mean[cell.row, [0, 1, HEADING]]
+    assert (x, y) == (200.0, 100.0)
+    assert math.cos(found - heading) == pytest.approx(1.0)

@@ -1,6 +1,7 @@
 """The bytes between the host and the current driver."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from support.paths import ROOT
 from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
+from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.cobs import Flag
@@ -93,3 +95,23 @@ def test_unknown_status_bits_of_a_driver_are_dropped():
     raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
     raw[2] |= 0xE0
     assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
+
+
+def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
+    """A driver that answers each poll only after the next one."""
+    sent = []
+
+    class Port:
+        failure = None
+
+        def __init__(self, *given):
+            self.hear = given[4]
+
+        def write(self, frame):
+            sent.append(driver.decode_command(frame[:-1]).sequence)
+            if len(sent) > 1:
+                self.hear(packed_reply(replace(DRIVER, sequence=sent[-2])), 0)
+            return 0
+
+    assert driver.Driver("coils", 115_200, VirtualClock(), Port).ask() is None
+    assert len(sent) == 5

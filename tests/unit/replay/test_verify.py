@@ -12,6 +12,7 @@ from numpy._core._multiarray_umath import __cpu_dispatch__
 from support import mutate, random_trials
 from support.mutate import of_host, rewrite, stating, with_entry
 from support.paths import ROOT
+from support.trials import three_robots
 
 from tetractl.core.commands import HALTS, PlantInfo
 from tetractl.core.errors import LogError
@@ -24,8 +25,9 @@ from tetractl.log.format.channels import LOG, RESULT, STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import Damage
 from tetractl.replay.lab_checks import lab_differences
-from tetractl.replay.recompute import recompute
+from tetractl.replay.recompute import first_steps, recompute
 from tetractl.replay.verify import Method, verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
@@ -342,3 +344,12 @@ def test_a_complete_lab_trial_shows_every_robot_at_rest(
     differences = lab_differences(log, log.result, log.stop)
     found = [one.message for one in differences if one.field == "result.outcome"]
     assert found == ([said] if said else [])
+
+
+def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
+    whole = three_robots()
+    numbers = whole.frames + (np.arange(len(whole.frames)) > 30)
+    ended = replace(whole, frames=numbers, result=None, damage=Damage((), ("the result",)))
+    assert first_steps(ended) == list(whole.steps)
+    torn = replace(ended, damage=Damage((), ("a chunk", "the result")))
+    assert len(first_steps(torn)) == 2

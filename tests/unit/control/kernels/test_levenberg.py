@@ -13,7 +13,7 @@ from support import problems
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.kernels import levenberg
 from tetractl.control.kernels import multistart as kernel
-from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, lay_out_polish
+from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, PROGRESS, lay_out_polish
 from tetractl.control.kernels.rollout import lay_out
 from tetractl.core.kernels import kernel_cache as kernels
 
@@ -120,6 +120,9 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
     found = compiled(problem, start, 20, budget)
     assert np.array_equal(start, kept)
     assert np.all(np.diff(found.history) <= 0)
+    then, before, now = found.history, found.history[PATIENCE - 1 :], found.history[PATIENCE:]
+    for z in range(len(now) - 1):  # all but the last
+        assert now[z] == before[z] or now[z] <= PROGRESS * then[z]
     assert len(found.history) <= 21
     assert found.evaluations <= budget
     assert evaluate(problem, found.signals[None]).target[0] <= found.history[-1] * (1 + 1e-9) + 1e-9

@@ -157,3 +157,10 @@ def test_headings_are_predicted_over_a_tenth_of_a_second_at_most():
         return actuator.counts(Steer(2.0), [Pose(500, 500, 0.5)] * 2, SECOND - age_ms * 1_000_000)
 
     assert counts(0) != counts(93) == counts(500)
+
+
+def test_a_frame_that_is_too_long_is_dropped_though_it_comes_in_pieces():
+    splitter = cobs.Splitter()
+    assert [splitter.feed(b"\1" * 50) for _ in range(3)] == [[]] * 3
+    assert splitter.feed(b"\0\2\1\0") == [b"\2\1"]
+    assert splitter.overlong == 1

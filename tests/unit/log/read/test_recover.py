@@ -5,13 +5,13 @@ import random
 from pathlib import Path
 
 import pytest
-from mcap.records import Channel
+from mcap.records import Attachment, Channel
 from support.durable import small_disk
 from support.mutate import rewrite
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import RECOVERED, Entry
+from tetractl.log.format.channels import HOST_TIMING, RECOVERED, Entry
 from tetractl.log.read.find import find_logs
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import content_digest, read_result, read_trial
@@ -174,3 +174,17 @@ def test_a_channel_that_is_only_in_the_index_is_copied(log, tmp_path):
     data = rewrite(changed, tmp_path / "whole", {}, apart=True).read_bytes()
     cut = damaged(tmp_path, flipped(data, data.index(b"\x04\0\0\0zstd") + 60))
     assert extra in scan(Path(str(recover(cut).path))).entries
+
+
+def test_a_lost_record_of_the_host_is_a_loss(log, tmp_path):
+    """The file is whole, and so is the trial: the digest of the host's records alone tells."""
+    contents, path = scan(log), tmp_path / "changed.mcap"
+    timing, sink = contents.by_topic[HOST_TIMING][3], Sink(path)
+    for record in contents.records:
+        if isinstance(record, Attachment):
+            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+        elif record != timing:
+            sink.messages([record])
+    sink.close(complete=True)
+    assert recover(log).whole
+    assert recover(path).damage.lost == ("a record covered by the log's digest or its host digest",)

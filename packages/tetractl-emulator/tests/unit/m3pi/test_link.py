@@ -121,3 +121,17 @@ def test_a_broadcast_puts_every_robot_at_its_number():
     Broadcaster(link, link._clock, [2, 0]).drive([(10, -20), (30, 40)])
     (frame,) = Splitter().feed(radio.sent[0].removeprefix(BROADCAST))
     assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
+
+
+def test_an_answer_to_an_earlier_request_is_none_to_the_next():
+    """A module that answers each request only after the next one."""
+    radio, heard = Module(), []
+    link = radio.opened()
+
+    def late():
+        heard.extend(radio.decoder.feed(radio.port.read()))
+        for content in heard[-2:-1]:
+            radio.say(at_response(content[1], b"HV", SERIES_1[b"HV"]))
+
+    radio.port.written = late
+    assert [link.ask(b"HV") for _ in range(3)] == [None] * 3

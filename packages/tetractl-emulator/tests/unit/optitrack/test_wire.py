@@ -5,7 +5,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.natnet_samples import VERSIONS, every_version, full_frame, full_modeldef
+from support.natnet_samples import BODY, VERSIONS, every_version, full_frame, full_modeldef
 from tetractl_emulator.optitrack.natnet_server import pack_answer, pack_modeldef, parse_request
 
 from tetractl.core.errors import WireError
@@ -183,3 +183,12 @@ def test_every_truncation_is_refused(version):
             cut = whole[:2] + struct.pack("<H", size - 4) + whole[4:size]
             with pytest.raises(WireError):
                 parse(cut, version)
+
+
+def test_a_wrong_size_of_the_section_of_bodies_is_refused():
+    whole = pack_answer(natnet.NatNetFrame(1, (BODY,)), V41)
+    assert parse(whole, V41).number == 1
+    stated = struct.pack("<ii", 1, 38)  # one body, and its size
+    assert whole.count(stated) == 1
+    with pytest.raises(WireError, match="the stated size of the rigid bodies is wrong"):
+        parse(whole.replace(stated, struct.pack("<ii", 1, 39)), V41)

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.device_replies import packed_reply
 from support.paths import ROOT
+from tetractl_emulator.virtual_wires import LabClock
 from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
-from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.cobs import Flag
@@ -99,19 +99,23 @@ def test_unknown_status_bits_of_a_driver_are_dropped():
 
 def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
     """A driver that answers each poll only after the next one."""
-    sent = []
+    sent, waiting, hear, clock = [], [], [], LabClock()
 
     class Port:
         failure = None
 
         def __init__(self, *given):
-            self.hear = given[4]
+            hear.append(given[4])
 
         def write(self, frame):
             sent.append(driver.decode_command(frame[:-1]).sequence)
-            if len(sent) > 1:
-                self.hear(packed_reply(replace(DRIVER, sequence=sent[-2])), 0)
+            waiting.extend(sent[-2:-1])
             return 0
 
-    assert driver.Driver("coils", 115_200, VirtualClock(), Port).ask() is None
+    def answered():
+        while waiting:
+            hear[0](packed_reply(replace(DRIVER, sequence=waiting.pop())), 0)
+
+    clock.steps.append(answered)
+    assert driver.Driver("coils", 115_200, clock, Port).ask() is None
     assert len(sent) == 5

@@ -245,7 +245,7 @@ class InnerLoop:
             self._hearer.steered(sent.direction, sent.sent_ns)
 
     def _note(self, sent: Transmission) -> None:
-        if not _loggable(sent, len(self.guard.rules.names)):
+        if not _loggable(sent, len(self.guard.rules.names), self._clock.now()):
             text = "a transmission that no log can hold"
             raise WrongValueError(self._actuator, "an actuator", text)
         self.last = sent
@@ -255,16 +255,19 @@ class InnerLoop:
 
 
 def _holdable(frame: CameraFrame, robots: int) -> bool:
-    """Return whether a log can hold a camera's frame of N robots."""
+    """Return whether a log can hold a camera's frame of N robots, which it exposed, then sent."""
     known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
     times = frame.number, frame.sampled_ns, frame.received_ns
     fit = len(frame.poses) == robots and all(abs(value) <= POSE_MAX for p in known for value in p)
-    return fit and all(isinstance(one, int) and abs(one) < NEVER for one in times)
+    whole = all(isinstance(one, int) and abs(one) < NEVER for one in times)
+    return fit and whole and frame.sampled_ns <= frame.received_ns
 
 
-def _loggable(sent: object, robots: int) -> bool:
-    """Return whether an actuator returned what a log can hold of N robots."""
+def _loggable(sent: object, robots: int, now: int) -> bool:
+    """Return whether an actuator returned what a log can hold of N robots, sent before now [ns]."""
     if not (isinstance(sent, Transmission) and isinstance(sent.sent_ns, int)):
+        return False
+    if not 0 <= sent.sent_ns <= now:
         return False
     speeds = (sent.speed, sent.turning, sent.left, sent.right)
     known = [np.asarray(one) for one in speeds if one is not None]

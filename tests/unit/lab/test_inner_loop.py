@@ -84,7 +84,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     assert guard.reason == "the camera"
 
 
-WRONG = [{"left": np.array([math.nan] * 3)}, {"left": np.zeros(1)}, {"sent_ns": 1.5}, None]
+WRONG = [{"left": np.array([math.nan] * 3)}, {"left": np.zeros(1)}, {"sent_ns": 1.5}, {"sent_ns": -5}, {"sent_ns": 10**18}, None]
 
 
 @pytest.mark.parametrize("change", WRONG)
@@ -117,6 +117,16 @@ def test_a_frame_that_no_log_can_hold_stops_the_robots(number, value):
     assert guard.state is GuardState.ABORT
     assert "a camera returned a frame that no log can hold" in guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
+
+
+def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
+    """Regression: exit 0, and a log that `verify` refused."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    lab.camera.frames = lambda: [CameraFrame(10**6, 10**18, lab.clock.now(), (None,) * 3)]
+    lab.plant.rig.loop.step()
+    assert "a camera returned a frame that no log can hold" in lab.plant.rig.guard.reason
 
 
 def test_a_camera_that_raises_for_good_stops_the_robots():

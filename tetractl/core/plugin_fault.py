@@ -49,7 +49,8 @@ def plugin_fault(
     """
     if isinstance(error, WrongValueError):
         if owner := _owner(_file(type(error.giver).__module__)):
-            text = f"plug-in {error.who} ({owner[1]}) returned {error.what}"
+            who = error.who if error.who in owner[0] else owner[0]  # the one of many that is named
+            text = f"plug-in {who} ({owner[1]}) returned {error.what}"
             return FaultyPluginError(text, CHECK)
     elif isinstance(error, TetractlError):
         return None

@@ -181,10 +181,15 @@ class InnerLoop:
             if not _holdable(frame, len(guard.rules.names)):
                 text = "a frame that no log can hold"
                 raise WrongValueError(self._camera, "a camera", text)
+            if frame.received_ns < frame.sampled_ns:
+                text = f"a frame received {frame.sampled_ns - frame.received_ns} ns before exposure"
+                raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
                 self.frames.append(accepted)
         if self._emergency.is_set():
             guard.abort("emergency stop by the operator", emergency=True)
+        if not isinstance(self._actuator.failure, str | None):
+            raise WrongValueError(self._actuator, "an actuator", "a failure that is no text")
         ruling = guard.tick(now, self._camera.damaged, self._actuator.failure)
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT and not self._aborted:
@@ -245,8 +250,12 @@ class InnerLoop:
             self._hearer.steered(sent.direction, sent.sent_ns)
 
     def _note(self, sent: Transmission) -> None:
-        if not _loggable(sent, len(self.guard.rules.names), self._clock.now()):
+        if not _loggable(sent, len(self.guard.rules.names)):
             text = "a transmission that no log can hold"
+            raise WrongValueError(self._actuator, "an actuator", text)
+        now = self._clock.now()
+        if not 0 <= sent.sent_ns <= now:
+            text = f"a transmission sent at {sent.sent_ns} ns, not between 0 and now, {now} ns"
             raise WrongValueError(self._actuator, "an actuator", text)
         self.last = sent
         self._pass_on(sent)
@@ -255,19 +264,16 @@ class InnerLoop:
 
 
 def _holdable(frame: CameraFrame, robots: int) -> bool:
-    """Return whether a log can hold a camera's frame of N robots, which it exposed, then sent."""
+    """Return whether a log can hold a camera's frame of N robots."""
     known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
     times = frame.number, frame.sampled_ns, frame.received_ns
     fit = len(frame.poses) == robots and all(abs(value) <= POSE_MAX for p in known for value in p)
-    whole = all(isinstance(one, int) and abs(one) < NEVER for one in times)
-    return fit and whole and frame.sampled_ns <= frame.received_ns
+    return fit and all(isinstance(one, int) and abs(one) < NEVER for one in times)
 
 
-def _loggable(sent: object, robots: int, now: int) -> bool:
-    """Return whether an actuator returned what a log can hold of N robots, sent before now [ns]."""
+def _loggable(sent: object, robots: int) -> bool:
+    """Return whether an actuator returned what a log can hold of N robots."""
     if not (isinstance(sent, Transmission) and isinstance(sent.sent_ns, int)):
-        return False
-    if not 0 <= sent.sent_ns <= now:
         return False
     speeds = (sent.speed, sent.turning, sent.left, sent.right)
     known = [np.asarray(one) for one in speeds if one is not None]

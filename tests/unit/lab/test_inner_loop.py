@@ -84,10 +84,11 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     assert guard.reason == "the camera"
 
 
-WRONG = [{"left": np.array([math.nan] * 3)}, {"left": np.zeros(1)}, {"sent_ns": 1.5}, {"sent_ns": -5}, {"sent_ns": 10**18}, None]
+UNTIMELY = {"sent_ns": -5}, {"sent_ns": 10**18}
+SPEEDS = {"left": np.array([math.nan] * 3)}, {"left": np.zeros(1)}
 
 
-@pytest.mark.parametrize("change", WRONG)
+@pytest.mark.parametrize("change", [*SPEEDS, {"sent_ns": 1.5}, None, *UNTIMELY])
 def test_a_transmission_that_no_log_can_hold_stops_the_robots(change):
     """Regression: exit 0, and a log that could not be read."""
     lab = fake_lab(experiment().setup)
@@ -95,7 +96,8 @@ def test_a_transmission_that_no_log_can_hold_stops_the_robots(change):
     lab.plant.send(Steer(0.5))
     send = lab.actuator.send
     lab.actuator.send = lambda *a: None if change is None else replace(send(*a), **change)
-    with pytest.raises(AbortError, match="an actuator returned a transmission that no log"):
+    text = "sent at .* ns, not between 0 and now" if change in UNTIMELY else "that no log can hold"
+    with pytest.raises(AbortError, match=f"an actuator returned a transmission {text}"):
         lab.plant.send(Steer(0.6))
     assert lab.actuator.sent[-1].direction is None  # a stop
 
@@ -119,6 +121,16 @@ def test_a_frame_that_no_log_can_hold_stops_the_robots(number, value):
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 
+def test_a_failure_that_is_no_text_stops_the_robots():
+    """Regression: no log could hold the reason, and the log stayed a .part."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    lab.actuator.failure = 5
+    lab.plant.rig.loop.step()
+    assert "an actuator returned a failure that is no text" in lab.plant.rig.guard.reason
+
+
 def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
     """Regression: exit 0, and a log that `verify` refused."""
     lab = fake_lab(experiment().setup)
@@ -126,7 +138,8 @@ def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
     lab.plant.send(Steer(0.5))
     lab.camera.frames = lambda: [CameraFrame(10**6, 10**18, lab.clock.now(), (None,) * 3)]
     lab.plant.rig.loop.step()
-    assert "a camera returned a frame that no log can hold" in lab.plant.rig.guard.reason
+    assert "a camera returned a frame received " in lab.plant.rig.guard.reason
+    assert lab.actuator.sent[-1].direction is None  # a stop
 
 
 def test_a_camera_that_raises_for_good_stops_the_robots():

@@ -10,6 +10,7 @@ from pydantic import PrivateAttr
 from support.random_trials import trial, write
 from support.trials import experiment
 
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.errors import WrongValueError
 from tetractl.core.plan import End, Estimate, Outcome, Plan, Search, StopReason
@@ -124,6 +125,21 @@ def test_what_cannot_be_sent_and_logged_is_refused(name):
     assert str(found.value).startswith("controller 'given' returned a ")
     assert "\n" not in found.value.message
     assert isinstance(found.value.giver, Given)
+
+
+class Silent(Pso):
+    """An optimiser that does not say why it ended."""
+
+    def search(self, *given):
+        return replace(super().search(*given), stopped=None)
+
+
+def test_what_an_optimiser_of_another_package_gives_is_refused():
+    """Regression: the log could not hold it, and stayed a .part."""
+    optimizer = Silent(particles=2, iterations=1)
+    section = experiment().controller.model_copy(update={"optimizer": optimizer})
+    with pytest.raises(WrongValueError, match="a search was stopped by NoneType, not a text"):
+        CheckedController(section, SETUP, 1).plan(SEEN)
 
 
 FINE = {

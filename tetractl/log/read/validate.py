@@ -95,6 +95,8 @@ def check_plan(plan: Plan, robots: int) -> None:
             )
         if search.history.ndim != 1 or not search.history.size:
             raise ValueError("a search has no history")
+        if not isinstance(search.stopped, str):
+            raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
     check_counts("evaluations", (search.evaluations for search in searches))
     costs = [plan.cost, plan.target_cost, plan.obstacle_cost, *(one.cost for one in searches)]
     found = {

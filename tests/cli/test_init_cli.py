@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 from functools import partial
 
 import pytest
@@ -48,6 +49,19 @@ def test_the_lab_of_a_new_spec_can_be_used(tetractl):
 def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
     assert tetractl("init", name).returncode == 0
     assert load_spec(tmp_path / f"{name}.yaml").experiment.name == name
+
+
+def test_a_file_for_which_the_disk_has_no_room_is_not_left(tetractl, tmp_path):
+    """Regression: an empty spec stayed, and the next `init` refused to write over it."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        done = tetractl("init", "first")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert done.returncode == 2
+    assert done.stderr == "error: first.yaml: cannot be written: File too large\n"
+    assert not (tmp_path / "first.yaml").exists()
 
 
 def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
@@ -138,6 +139,8 @@ def _write(path: Path, text: str, hint: str) -> None:
     except FileExistsError:
         raise UsageError(f"{path}: exists already", hint) from None
     except OSError as error:
+        with suppress(OSError):
+            path.unlink()
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
     print(path)
 

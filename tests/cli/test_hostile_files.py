@@ -140,3 +140,16 @@ def test_seeds_are_the_same_numbers_in_every_table(tmp_path):
     tetractl(tmp_path, "export", "logs", "-o", "out", "--format", "parquet").ok()
     found = parquet.read_table(tmp_path / "out" / "trials.parquet")["seed"].to_pylist()
     assert set(found) == {3, 2**64 - 1}
+
+
+def test_the_unit_of_identified_values_is_shown_as_a_terminal_may(tmp_path):
+    """Regression: a change of the writing direction came to the terminal."""
+    value = "{value: 1}"
+    fields = ("a", "speed", "heading_bias", "position_noise", "heading_noise", "heading_walk")
+    robot = ", ".join(f"{field}: {value}" for field in fields)
+    head = f'identified: "1"\norigin: lab\nunit: "\\u202e"\ndead_time: {value}\n'
+    (tmp_path / "measured.yaml").write_text(f"{head}robots: {{r: {{{robot}}}}}\n")
+    (tmp_path / "spec.yaml").write_text("identified: measured.yaml\n" + QUICK)
+    done = tetractl(tmp_path, "validate", "spec.yaml")
+    assert done.returncode == 2
+    assert "measured.yaml: unit: \\u202e: differs from the spec's, mm" in done.stdout

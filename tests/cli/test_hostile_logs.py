@@ -13,9 +13,18 @@ from support.mutate import rewrite, stating
 from support.paths import ROOT
 from support.random_trials import trial, write
 
-from tetractl.log.format.channels import FRAMES, HOST, LOG, RESOLVED_SPEC, RESULT, RUN, STEP
+from tetractl.log.format.channels import (
+    CHANNELS,
+    FRAMES,
+    HOST,
+    LOG,
+    RESOLVED_SPEC,
+    RESULT,
+    RUN,
+    STEP,
+)
 from tetractl.log.format.codec import decode_frames, encode_frames
-from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact
+from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact, Search
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
@@ -75,6 +84,26 @@ def test_a_log_from_anybody_is_read_or_told_in_a_line(build, contents, tmp_path)
     log = build(contents, tmp_path / "hostile.mcap")
     for command in COSTLY:
         check(command, log, tmp_path / "out")
+
+
+@pytest.mark.parametrize("topic", [*CHANNELS])
+def test_a_message_that_is_none_is_told_in_a_line(topic, contents, tmp_path):
+    """Regression: `info`, which looks into few of the messages, and `verify`, which makes the
+    host's again, ended in tracebacks."""
+    entries = {one: one._replace(data=b"\xff" * 4) for one in contents.by_topic.get(topic, ())}
+    log = rewrite(contents, tmp_path / "hostile.mcap", entries)
+    for command in ("info", "info --json", "verify"):
+        check(command, log, tmp_path / "out")
+
+
+def test_a_count_that_no_column_can_hold_is_told_in_a_line(contents, tmp_path):
+    """Regression: the sum of two such counts was an OverflowError of the Parquet file."""
+    searches = [Search(length=1, signals=[0.0], history=[1.0], evaluations=2**63 - 1)] * 2
+    spoilt = stating(contents, STEP, searches=searches, chosen=0)
+    log = rewrite(contents, tmp_path / "hostile.mcap", spoilt)
+    done = check("export --parquet", log, tmp_path / "out")
+    assert done.returncode == 1
+    assert "contains a value that tetractl does not write: evaluations" in done.stderr
 
 
 def test_too_few_addresses_are_one_line():

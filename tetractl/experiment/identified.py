@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pydantic import Field
 
+from tetractl.core.errors import printable
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.experiment.explain import validated
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
@@ -89,7 +90,11 @@ def merge(document: Document, found: Identified, origin: str) -> None:
     unit = units.get("length", "mm") if isinstance(units, dict) else "mm"
     if unit != found.unit:
         document.problems.append(
-            place.problem(("unit",), f"differs from the spec's, {unit}", found.unit)
+            place.problem(
+                ("unit",),
+                f"differs from the spec's, {printable(str(unit), 60)}",
+                printable(found.unit, 60),
+            )
         )
         return
     robots = data.get("robots")

@@ -8,9 +8,12 @@ within a tolerance, and the arena may be drawn differently.
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+
+from google.protobuf.message import DecodeError
 
 from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
@@ -157,9 +160,10 @@ def _host(raw: RawLog, log: TrialLog, stop: Command) -> Iterator[Difference]:
     begin = log.start.start_unix_ns
     for topic, at_ns in ((channels.HOST, begin), (channels.HOST_END, begin + stop.sent_ns)):
         made = list[Entry]()
-        for message in raw.messages(topic):
-            message.DiscardUnknownFields()
-            made.append(Entry(topic, at_ns, at_ns, message.SerializeToString()))
+        with suppress(DecodeError):  # then fewer are made
+            for message in raw.messages(topic):
+                message.DiscardUnknownFields()
+                made.append(Entry(topic, at_ns, at_ns, message.SerializeToString()))
         if len(made) != 1 or made != raw.by_topic[topic]:
             yield Difference(None, topic, "is not the one message that tetractl writes")
     used = provenance.plugins(packages(log.experiment))

@@ -34,6 +34,9 @@ AT_ONCE = "stopped at once by a second interruption"
 
 Decision = Plan | Outcome | End
 
+Timed = tuple[Decision, int]
+"""A controller's decision, and the wall time that it needed [ns]."""
+
 
 @dataclass(slots=True)
 class Trial:
@@ -50,7 +53,6 @@ class Trial:
     observers: Sequence[Observer]
     interrupt: Interrupt
     _solve_ns: list[int] = field(default_factory=list)
-    _solving_ns: int = 0
     _misses: int = 0
     _turning: bool = False  # whether robots turn on the spot
     _began_ns: int | None = None  # time at which the first direction was sent
@@ -104,7 +106,7 @@ class Trial:
         period_s = self.start.setup.period_s
         period = round(period_s * SECOND)
         observation = self.plant.observe()
-        decision = self._first(observation, info)
+        decision, solve_ns = self._first(observation, info)
         began, standing = self.clock.now(), True
         for k in itertools.count():
             if isinstance(decision, Outcome):
@@ -121,12 +123,12 @@ class Trial:
                 self._tell_pause(command, again=standing and k > 0)
             if begins:
                 self._say(command, begins)
-            self._solve_ns.append(self._solving_ns)
-            missed = not standing and self._solving_ns > period
+            self._solve_ns.append(solve_ns)
+            missed = not standing and solve_ns > period
             standing = decision.pauses
             self._misses += missed
             self._pass_samples()
-            step = Step(k, observation, decision, command, self._solving_ns, missed)
+            step = Step(k, observation, decision, command, solve_ns, missed)
             for observer in self.observers:
                 observer.on_step(step)
             self._tell_misfit(decision, command)
@@ -138,7 +140,8 @@ class Trial:
             began += round(PAUSE_S * SECOND) if standing else 0
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
             last, observation = observation, self.plant.observe()
-            decision = self._plan(observation, command, self._frames_between(last, observation))
+            between = self._frames_between(last, observation)
+            decision, solve_ns = self._plan(observation, command, between)
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _frames_between(self, last: Observation, now: Observation) -> list[Observation]:
@@ -150,19 +153,18 @@ class Trial:
 
     def _plan(
         self, observation: Observation, last: Command | None, earlier: Sequence[Observation]
-    ) -> Decision:
+    ) -> Timed:
         with self.interrupt.breakable():
             return self._timed_plan(observation, last, earlier)
 
     def _timed_plan(
         self, observation: Observation, last: Command | None, earlier: Sequence[Observation]
-    ) -> Decision:
+    ) -> Timed:
         before = time.perf_counter_ns()
         decision = self.controller.plan(observation, last, earlier)
-        self._solving_ns = time.perf_counter_ns() - before
-        return decision
+        return decision, time.perf_counter_ns() - before
 
-    def _first(self, observation: Observation, info: PlantInfo) -> Decision:
+    def _first(self, observation: Observation, info: PlantInfo) -> Timed:
         """Compute the first plan while the robots stand, and record frames in the lab, or while
         they drive squares (section IV-B.1 of the paper).
         """
@@ -186,7 +188,7 @@ class Trial:
             return planning.result()
 
     @contextmanager
-    def _planning(self, observation: Observation) -> Iterator[Future[Decision]]:
+    def _planning(self, observation: Observation) -> Iterator[Future[Timed]]:
         """Compute the first plan in a thread of its own."""
         pool = ThreadPoolExecutor(1)
         try:

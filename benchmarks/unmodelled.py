@@ -128,13 +128,13 @@ def true(plant: SimPlant) -> Truth:
     """Return what holds at the end of a trial."""
     a, speed = plant.rates
     drives = speed != 0
-    radios = [one for one in plant.spec.disturbances if isinstance(one, RadioSection)]
+    radios = [one for one in plant.section.disturbances if isinstance(one, RadioSection)]
     delay = sum(one.delay + one.jitter / 2 + one.spread / 2 for one in radios)
     known = {
         "a": np.where(drives, a, plant.a),
         "speed": np.where(drives, np.abs(speed), plant.speed),
         "side": np.zeros(len(a)),
-        "dead_time": np.array([plant.spec.dead_time + delay]),
+        "dead_time": np.array([plant.section.dead_time + delay]),
         "lives": np.ones(len(a), dtype=np.bool_),
     }
     for one in plant.disturbances:

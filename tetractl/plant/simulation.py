@@ -189,7 +189,7 @@ class SimPlant:
     def __init__(
         self, section: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
     ) -> None:
-        self.spec, self.setup, self.clock = section, setup, clock
+        self.section, self.setup, self.clock = section, setup, clock
         streams = (np.random.default_rng(child) for child in seed.spawn(4))
         measuring, swerving, self.losing, erring = streams
         self._swerving = swerving
@@ -208,8 +208,9 @@ class SimPlant:
             starts = disturbance.placed(starts)
         self._news: list[Command | Note] = []
         self.camera = SimCamera(count, section.measurement_noise, measuring, disturbances)
-        self.wheels: WheelDrive | None = None
-        self.drive = self._driven(starts, seed)
+        key = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, WHEELS_KEY))
+        self.wheels = self._on_wheels(starts, key)
+        self.drive: Drive = self.wheels or self._without_wheels(starts, key)
         walk = section.heading_noise / np.sqrt(section.camera_rate)
         self.motion = TrueMotion(
             setup,
@@ -247,7 +248,7 @@ class SimPlant:
             "true_a": json.dumps(self.a.tolist()),
             "true_speed": json.dumps(self.speed.tolist()),
         }
-        return PlantInfo("sim", True, self.spec.camera_rate, facts)
+        return PlantInfo("sim", True, self.section.camera_rate, facts)
 
     def observe(self) -> Observation:
         """Return the newest camera frame that the host has received."""
@@ -316,7 +317,7 @@ class SimPlant:
         """Wait until the robots stand and a frame shows them standing, and check the true path."""
         stopped = max(self.motion.transit.settled_ns, self.clock.now())
         stand = stopped + round(self.drive.rest_s * SECOND)
-        self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
+        self.clock.sleep_until(stand + round(2 * SECOND / self.section.camera_rate))
         self.motion.advance(self.clock.now())
         self._await_frame(stand)
         self.motion.check()
@@ -325,17 +326,20 @@ class SimPlant:
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
 
-    def _driven(self, starts: Poses, seed: np.random.SeedSequence) -> Drive:
-        section, setup = self.spec, self.setup
-        key = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, WHEELS_KEY))
-        if section.cells is not None:
-            random, walk = np.random.default_rng(key), section.heading_noise
-            return CellDrive(section.cells, setup, self.a, self.speed, starts, walk, random)
-        if section.drive is None:
+    def _without_wheels(self, starts: Poses, key: np.random.SeedSequence) -> Drive:
+        section = self.section
+        if section.cells is None:
             return DirectDrive(MOTIONS.load(section.motion), self.a, self.speed, starts)
-        self.wheels = WheelDrive(
+        random, walk = np.random.default_rng(key), section.heading_noise
+        return CellDrive(section.cells, self.setup, self.a, self.speed, starts, walk, random)
+
+    def _on_wheels(self, starts: Poses, key: np.random.SeedSequence) -> WheelDrive | None:
+        section = self.section
+        if section.drive is None:
+            return None
+        return WheelDrive(
             section.drive,
-            setup,
+            self.setup,
             self.a,
             self.speed,
             starts,
@@ -344,7 +348,6 @@ class SimPlant:
             self._swerving,
             np.random.default_rng(key),
         )
-        return self.wheels
 
     def _await_frame(self, since: int) -> None:
         """Wait until the host has a frame exposed at `since` or later [ns]."""
@@ -374,23 +377,26 @@ class SimPlant:
     def _due_ns(self, answered: Observation, now: int) -> int:
         """Return the time [ns] at which a command sent `now` in answer to a frame acts if
         `dead_time` is the only delay."""
-        return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
+        return max(now, answered.sampled_ns + round(self.section.dead_time * SECOND))
 
     def _transmit(self, now: int, seen: Observation | None) -> Command:
         """Send the held action, or the wheel speeds for it in answer to the newest frame."""
         held, host, setup = self._held, self.drive.host, self.setup
-        new, seen = seen is not None, seen if host is None else self.camera.newest
+        new = seen is not None
+        if host is not None:  # wheel speeds are computed anew, also when a direction is repeated
+            seen = self.camera.newest
         assert seen is not None, "there is no frame: call open() first"
         headings = seen.poses.heading
+        towards = aim(held, headings)
+        drives = not isinstance(held, Turn)
         left = right = made = None
-        drives, towards = not isinstance(held, Turn), aim(held, headings)
-        if host is not None:
+        if host is not None:  # its arrays have an axis of trials: here there is one
             given = [True], [new], [now], [headings], [seen.sampled_ns], [towards], [drives]
             (left, right), made = host.speeds(*map(np.array, given))[0]
         elif setup.wheel_radius is not None:
             speed, radius = setup.speed * drives, setup.wheel_radius
             left, right = wheel_speeds(headings, towards, setup.a, speed, radius)
-        heard = self.losing.uniform(size=self.a.size) >= self.spec.lost_commands
+        heard = self.losing.uniform(size=self.a.size) >= self.section.lost_commands
         due = self._due_ns(seen, now)
         command = DelayedCommand(now, due, held, heard, None, headings, made)
         reached = tuple(self.motion.transit.send(command, now).reached.tolist())

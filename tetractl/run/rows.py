@@ -193,7 +193,8 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
 
 
 def cut_to_lines(path: Path) -> None:
-    """Cut a file after its last complete line, with the errors of `read_rows`."""
+    """Cut a file after its last complete line. Raises LogError if it cannot be written, and the
+    errors of `check_rows`."""
     check_rows(path)
     try:
         with path.open("r+b") as file:
@@ -202,7 +203,7 @@ def cut_to_lines(path: Path) -> None:
             if whole < len(text):
                 file.truncate(whole)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def row_results(path: Path) -> dict[int, Row | None]:

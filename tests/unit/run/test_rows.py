@@ -13,7 +13,7 @@ from tetractl.log.read.reader import read_result
 from tetractl.results.open_batch import Batch
 from tetractl.results.trial_tables import trials_table
 from tetractl.run import rows as run_rows
-from tetractl.run.rows import row_results
+from tetractl.run.rows import cut_to_lines, row_results
 from tetractl.study.options import Logs
 
 
@@ -153,3 +153,12 @@ def test_rows_need_their_spec(arm, text, problem):
         assert spec.read_text() != whole
     with pytest.raises(LogError, match=problem):
         row_results(arm / ROWS)
+
+
+def test_rows_that_cannot_be_cut_are_said_to_be_not_writable(arm, monkeypatch):
+    def refuse(path, mode="r"):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(run_rows.Path, "open", refuse)
+    with pytest.raises(LogError, match=f"{ROWS}: cannot be written: Read-only file system"):
+        cut_to_lines(arm / ROWS)

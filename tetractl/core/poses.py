@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Times = NDArray[np.int64]  # [ns]
+Integers = NDArray[np.int64]
+Times = Integers  # [ns]
 Grey = NDArray[np.uint8]  # a picture (height, width)
 
 POSE_MAX = 1e9

@@ -10,13 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
-from tetractl.core.poses import Bools, Floats, Observation
-
-Integers = NDArray[np.int64]
+from tetractl.core.poses import Bools, Floats, Integers, Observation
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,16 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import Bools, Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.tour import TourMeasure
-
-Integers = NDArray[np.int64]
 
 # time at which all simulated trials start, so that their logs can be reproduced: 2020-01-01 UTC
 EPOCH_NS = 1_577_836_800_000_000_000
@@ -67,12 +62,12 @@ class Result:
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant if none was sent. `passed` (M,) are the sums of the
-    robots' distances to the way-points passed, `inside` (N,) the fraction of a hold's time that
-    each robot was within the radius of its target, as defined by `TourMeasure`, and `lost` (N,) how
-    often each robot was lost. `solve_ns` is the wall time the
-    controller needed for each control step, and `deadline_misses` the number of steps that took
-    longer than the control period; both differ from run to run on the same seed.
+    from the opening of the plant if none was sent. `passed` (M,) are the sums of the robots'
+    distances to the M way-points passed, `inside` (N,) the fraction of a hold's time that each
+    robot was within the radius of its target, as defined by `TourMeasure`, and `lost` (N,) how
+    often each robot was lost. `solve_ns` is the wall time that the controller needed for each
+    control step, and `deadline_misses` the number of steps that took longer than the control
+    period; both differ from run to run on the same seed.
     """
 
     outcome: Outcome
@@ -143,9 +138,9 @@ class TrialRecords:
     (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
     numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
     if a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, None for a
-    trial in the lab. `commands` are all commands: of the
-    control steps, between them, and the stop; `notes` are the operator messages, such as a command
-    that did not arrive. `result` is None if the run crashed or the end of the log is lost.
+    trial in the lab. `commands` are all commands: of the control steps, between them, and the stop;
+    `notes` are the operator messages, such as a command that did not arrive. `result` is None if
+    the run crashed or the end of the log is lost.
     """
 
     start: Start = field(repr=False)

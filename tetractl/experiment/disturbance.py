@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.commands import Action
-from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 
@@ -28,7 +27,7 @@ class DelayedCommand:
     due_ns: int
     action: Action
     reached: Bools
-    late_ns: NDArray[np.int64] | None = None
+    late_ns: Times | None = None
     headings: Floats | None = None
     wheels: Floats | None = None
 

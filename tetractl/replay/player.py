@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Integers
 from tetractl.core.setup import Setup
-from tetractl.core.trial import Integers, Result, Step
+from tetractl.core.trial import Result, Step
 from tetractl.log.read.trial_log import Event, TrialLog
 
 

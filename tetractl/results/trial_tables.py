@@ -17,9 +17,8 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import printable
 from tetractl.core.plan import INNOVATIONS
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Integers
 from tetractl.core.table.table import Column, Table
-from tetractl.core.trial import Integers
 from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import OF_ESTIMATE, STOP_REASON_MAX
 from tetractl.log.format.tetractl_pb2 import StepTiming

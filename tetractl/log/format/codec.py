@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
 from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Plan, Search, State, StopReason
-from tetractl.core.poses import Bools, Floats, Observation, Poses
-from tetractl.core.trial import Integers, Step
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
+from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 
 OF_ESTIMATE = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
@@ -23,7 +23,7 @@ STOP_REASON_MAX = 60  # largest number of characters read of the reason why a se
 DIFFERENCES = 4  # how often a packed column is replaced by its differences
 DRAWN_PRECISION = 2.0**-14  # largest relative rounding error of `drawn`
 
-_reader = lru_cache(attrgetter)
+_reader = lru_cache(attrgetter)  # `named` is called for each step: its getters are made once
 
 
 class Frames(NamedTuple):

@@ -80,8 +80,10 @@ class StateEstimator:
         self.dead_time_s = known.dead_time
         if self.estimate is None:
             return replace(self.problem, poses=poses).only(self.left)
-        self.estimate, a, speed = known, known.a, known.speed
-        of_all = replace(self.problem, poses=poses, a=a, speed=speed, bias=bias, flow=flow)
+        self.estimate = known
+        of_all = replace(
+            self.problem, poses=poses, a=known.a, speed=known.speed, bias=bias, flow=flow
+        )
         return of_all.only(self.left)
 
     def sent(self, command: Command) -> None:

@@ -186,14 +186,17 @@ class Estimate:
         """Return the estimates of the robots for which `some` (N,) is true."""
         if some.all():
             return self
-        a, speed = (self.a[some], self.a_std[some]), (self.speed[some], self.speed_std[some])
-        bias, std = self.heading_bias, self.heading_bias_std
-        kept = (
-            None if bias is None or std is None else bias[some],
-            None if std is None else std[some],
+        bias, bias_std, misfit = self.heading_bias, self.heading_bias_std, self.misfit
+        return replace(
+            self,
+            a=self.a[some],
+            a_std=self.a_std[some],
+            speed=self.speed[some],
+            speed_std=self.speed_std[some],
+            heading_bias=None if bias is None else bias[some],
+            heading_bias_std=None if bias_std is None else bias_std[some],
+            misfit=None if misfit is None else misfit[some],
         )
-        misfit = None if self.misfit is None else self.misfit[some]
-        return Estimate(*a, *speed, *kept, self.dead_time, self.dead_time_std, misfit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,9 +116,17 @@ class Guard:
     def __post_init__(self) -> None:
         rules, limits, mm = self.rules, self.rules.limits, self.rules.mm
         low, high = limits.height_mm
-        each = limits.jump_mm / mm, 0.7, low / mm, high / mm, limits.tilt, mm  # 0.7 rad
+        motion_limits = partial(
+            MotionLimits,
+            jump=limits.jump_mm / mm,
+            jump_heading=0.7,
+            lowest=low / mm,
+            highest=high / mm,
+            tilt=limits.tilt,
+            mm=mm,
+        )
         self._filters = [
-            PoseFilter(MotionLimits(speed, turning, *each))
+            PoseFilter(motion_limits(speed, turning))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
         ]
         noise = NOISE_MM / mm if rules.individual else 0.0
@@ -158,7 +166,8 @@ class Guard:
             self.state = GuardState.READY
 
     def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
-        """Enter `abort`, for good, for a robot perhaps; later calls do not change the reason."""
+        """Enter `abort`, for good; later calls do not change the reason. `suspect` is the robot
+        whose poses may be false, None for no one robot."""
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
@@ -182,7 +191,8 @@ class Guard:
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        share = self.rules.limits.wheel_error if self.rules.individual else 0.7  # cells wander
+        # cells wander: their speed and turning rate may be off by much more than wheels are
+        share = self.rules.limits.wheel_error if self.rules.individual else 0.7
         self._places.sent(speed, turning)
         self._motion.sent(now_ns, speed, turning, share)
         self.drift.sent(now_ns, speed, turning)
@@ -207,7 +217,8 @@ class Guard:
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
         self.culprit.see(now, frame.poses)
-        fresh, gone_ns = list[bool](), self.rules.limits.untracked_abort * SECOND
+        fresh = list[bool]()
+        gone_ns = self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
             if self._active:
@@ -351,7 +362,7 @@ class Guard:
                 self.abort(f"{name} {track.refused}", suspect=i)
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
-            # the most time unseen, though not at once
+            # unseen for three times as long, though not all at once
             elif track.unseen_ns >= 3.0 * limits.untracked_abort * SECOND:
                 self.lose(i, f"{name} is seen too rarely: it, or frames, are missing too often")
 

@@ -84,7 +84,7 @@ class Rig:
         wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
-        """Make the robots' present poses their starts."""
+        """Let the robots start where they stand, however far from the setup's starts."""
         anywhere = {"start_mm": math.inf, "start_heading": math.inf}
         self.limits = self.limits.model_copy(update=anywhere)
 

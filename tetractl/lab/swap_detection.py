@@ -149,9 +149,7 @@ class _TurnIntegrals:
         """
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
-        commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
-            0
-        ]
+        commanded = self._commanded[misfits.argmin(axis=0), i, np.arange(misfits.shape[1])]
         better = self._own(ALONE_GAINS)[i] - misfit
         return (
             (self._differ[i] > DISTINCT)

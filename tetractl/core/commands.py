@@ -12,6 +12,7 @@ import numpy as np
 from tetractl.core.poses import Floats, Observation, Poses
 
 HALTS = "halts"
+"""The fact of a lab that says whether its robots stand still after a stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +91,9 @@ class Sample:
 class Command(Sent):
     """One command as it was sent to N robots.
 
-    `delivered` (N,) is False for a robot
-    that did not receive it, as far as is known. `left`, `right` (N,) are the wheel speeds of the
-    paper's equations (24)-(25) [length unit/s], None for robots without wheels; these arrays cannot
-    be written.
+    `delivered` (N,) is False for a robot that did not receive it, as far as is known. `left`,
+    `right` (N,) are the wheel speeds of the paper's equations (24)-(25) [length unit/s], None for
+    robots without wheels; these arrays cannot be written.
     """
 
     delivered: tuple[bool, ...]

@@ -27,8 +27,8 @@ class Plant(Protocol):
     """N robots under one control signal, simulated or real.
 
     Calls come in this order: open, then any of observe, send, samples and news, then stop, settle,
-    close.
-    Times are nanoseconds on the clock with which the plant was created, 0 at the trial's start.
+    close. Times are nanoseconds on the clock with which the plant was created, 0 at the trial's
+    start.
     """
 
     def open(self) -> PlantInfo:
@@ -224,8 +224,8 @@ class PlacementPrompt(Protocol):
     """Asks a person to put robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Show the problems that prevent a start, one line each; without lines, all
-        robots are ready.
+        """Show the problems that prevent a start, one line each; without lines, all robots are
+        ready.
 
         By letting the robots start, the operator answers yes to all `questions`, one line each.
         This method is called repeatedly while robots are placed.

@@ -108,7 +108,8 @@ def verify(path: Path) -> Verification:
     if others and elsewhere:
         tolerance = ROUGHLY if log.start.plant.simulated else NEARLY
         others = [*differences(raw, log, tolerance)]
-    known, lost = len(first_steps(log)), [f"missing: {gap}" for gap in frame_gaps(log)]
+    known = len(first_steps(log))
+    lost = [f"missing: {gap}" for gap in frame_gaps(log)]
     notes = lost if log.experiment.plant.loses_frames and not log.damage else []
     missing = [Difference(None, "frames", text) for text in lost if not notes]
     if raw.reordered:

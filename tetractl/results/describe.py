@@ -132,7 +132,7 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
         total=total,
         robots=tuple(distributions(errors.T)),
         values=(
-            *_kept(batch, experiment, total, origin),
+            *_overview(batch, experiment, total, origin),
             _published(experiment, total, origin),
             _scaled(experiment, total, origin),
             *(statistic.of_batch(batch.trials) for statistic in statistics()),
@@ -146,11 +146,12 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
     )
 
 
-def _kept(
+def _overview(
     batch: Batch, experiment: Experiment, total: Distribution, origin: Origin
 ) -> tuple[Value, ...]:
     """Return the plant, how many trials are valid, and the tail of their errors."""
-    assumed, tail = [("disturbances", "assumed in the spec, not measured")], total.tail
+    assumed = [("disturbances", "assumed in the spec, not measured")]
+    tail = total.tail
     plant = {
         "origin": origin.value,
         "kind": "simulated" if origin.simulated else origin.name.lower(),

@@ -1,6 +1,8 @@
 """The interfaces of emulated devices: an actuator moves bodies, and a camera shows them.
 
-To emulate another camera or actuator, implement the interface and add a line to `core.registries`.
+To emulate another camera or actuator, implement the interface and name the class in the entry
+points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`; those of this package are named
+in `tetractl_emulator.registries`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,9 +27,8 @@ class Options:
     `link` is the name of the serial port, None for the spec's. `record` is a file for the true
     events, None for no file. `replace_after` [s]: robots that have stood still for this time after
     a run are switched off, put back on their starts and switched on; None leaves them where they
-    are.
-    `chosen`: trials choose their cells, so the emulation's settings give the cells in the dish,
-    drawn by the seed `dish`, by default `seed`. An `address` of None is that of the spec.
+    are. `chosen`: trials choose their cells, so the emulation's settings give the cells in the
+    dish, drawn by the seed `dish`, by default `seed`. An `address` of None is that of the spec.
     """
 
     address: str | None = "127.0.0.1"

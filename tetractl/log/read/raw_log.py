@@ -81,7 +81,8 @@ class RawLog:
 
     @cached_property
     def run(self) -> Run:
-        """What identifies the trial; LogError if it is lost, unreadable or of another format."""
+        """What identifies the trial; LogError if it is lost, unreadable or of another format,
+        UsageError for a log that holds no trial."""
         if channels.TRACK in self.attachments:
             said = f"{self.path}: was written by `tetractl track`, and holds no trial"
             raise UsageError(said, "tetractl track shows such a log")

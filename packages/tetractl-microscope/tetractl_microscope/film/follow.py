@@ -20,9 +20,11 @@ from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.who import CellPath, Whereabouts
 from tetractl_microscope.organisms import Organism
 
-# pictures in which cells move this many times as fast as usual, or less: some are lost, or doubled;
-# least number of cells that tell; least share, and number, of such pictures that are said
-LOST, DOUBLED, TELL, ODD = 1.6, 0.3, 3, (0.015, 3)
+# median pace of the cells from one picture to the next, relative to their usual one, above which
+# pictures are missing between the two, and below which a picture is doubled
+LOST, DOUBLED = 1.6, 0.3
+TELL = 3  # least number of cells in a picture from which its pace is computed
+ODD = 0.015, 3  # least share and least number of lost or doubled pictures that are reported
 FADED = 0.05  # share of cells' pictures without a blob above which a warning is given
 
 
@@ -73,7 +75,8 @@ def follow(
     tracker.take(seen_as.finder)
     pieces = no_field if field is None else field.pieces
     where = Whereabouts()
-    lights, disturbances = [], Disturbances(seen_as.um_px, seen_as.organism.body_um[0])
+    lights = []
+    disturbances = Disturbances(seen_as.um_px, seen_as.organism.body_um[0])
     for number, picture in film:
         seconds = film.seconds(number)
         where.enter(number, seconds, tracker, tracker.see(picture, seconds, pieces))

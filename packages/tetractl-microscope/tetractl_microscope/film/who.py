@@ -202,6 +202,7 @@ def _uncertain(rows: list[TrackRow]) -> Iterator[tuple[list[TrackRow], int, int 
     """Yield each part of a track in which its name is uncertain, the name before, and the one
     after, None if the track ends; but no part whose name is the same before and after.
     """
+    # a run has successive pictures, for which `at` minus the index of the row is the same
     runs = groupby(enumerate(rows), lambda each: (each[1].at - each[0], each[1].likely > ASSERTED))
     before = None
     for run, later in pairwise([*([row for _, row in run] for _, run in runs), list[TrackRow]()]):

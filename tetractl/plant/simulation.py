@@ -383,7 +383,7 @@ class SimPlant:
         """Send the held action, or the wheel speeds for it in answer to the newest frame."""
         held, host, setup = self._held, self.drive.host, self.setup
         new = seen is not None
-        if host is not None:  # wheel speeds are computed anew, also when a direction is repeated
+        if host is not None:  # each transmission has the wheel speeds for the newest frame
             seen = self.camera.newest
         assert seen is not None, "there is no frame: call open() first"
         headings = seen.poses.heading

@@ -92,3 +92,12 @@ def test_packages_are_in_the_order_of_imports_and_in_their_own_words():
         package = importlib.import_module(f"tetractl.{name}")
         assert package.__doc__ is not None and package.__doc__.split("\n")[0] == holds
         assert (ROOT / "tetractl" / name / first).exists()
+
+
+def test_every_file_that_the_page_for_contributors_names_exists():
+    said = re.findall(r"`([\w./-]+(?:\.\w+|/))`", (ROOT / "CONTRIBUTING.md").read_text())
+    roots = ("tetractl", "packages", "docs", "tests", "benchmarks", "experiments", "examples")
+    there = {f"/{one.relative_to(ROOT)}" for root in roots for one in (ROOT / root).rglob("*")}
+    there |= {f"/{root}" for root in roots}
+    lost = {name for name in said if not any(p.endswith(f"/{name.strip('/')}") for p in there)}
+    assert lost == set()

@@ -21,7 +21,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
 from scipy.optimize import linear_sum_assignment
 from support.virtual_lab import DISH, VirtualLab, virtual_dish
-from tetractl_microscope.choices import predicted, ranked
+from tetractl_microscope.choices import RankedChoice, ranked
 
 from tetractl.analysis.closed_loop import Noise
 from tetractl.core.errors import TetractlError
@@ -136,7 +136,7 @@ def survey(count: int) -> None:
         for one in (one for some in choices for one in some):
             true = tuple(known[cell.number] for cell in one.cells)
             if numbers(true) not in errors:
-                errors[numbers(true)] = predicted(test, true, noise, TESTED)
+                errors[numbers(true)] = RankedChoice(test, true, noise).along(TESTED).error
         best = min(errors.values(), default=math.inf)
         if not math.isfinite(best) or not all(choices):
             print(f"seed {seed}: no choice of {len(cells)} cells can be steered", flush=True)

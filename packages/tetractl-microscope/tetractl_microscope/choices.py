@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations, islice
 
 import numpy as np
@@ -21,16 +20,7 @@ PLANS_MAX = 1000  # largest number of plans of a choice
 ALIKE = 0.08
 
 
-@dataclass(frozen=True, slots=True)
 class RankedChoice:
-    """A choice of cells, in the order of falling turning rates, and its predicted mean total error
-    [length unit], inf if no plan reaches the targets."""
-
-    cells: tuple[RobotCandidate, ...]
-    error: float
-
-
-class _Candidate:
     """A choice of cells, and the errors predicted for it along the plans of its first trials."""
 
     def __init__(
@@ -53,7 +43,7 @@ class _Candidate:
             covariance = end_covariance(linear, noise, True, section.estimate)
             yield float(mean_errors(covariance, linear.miss).sum())
 
-    def along(self, count: int) -> "_Candidate":
+    def along(self, count: int) -> "RankedChoice":
         """Return this choice with errors along its first `count` plans."""
         for error in islice(self._more, max(0, count - self._tried)):
             self._tried += 1
@@ -63,7 +53,9 @@ class _Candidate:
 
     @property
     def error(self) -> float:
-        """The median of the errors so far, inf if no plan reaches the targets."""
+        """The predicted mean total error [length unit], which is the median along the plans so far;
+        inf if none of them reaches the targets.
+        """
         return float(np.median(self._errors)) if self._errors else math.inf
 
 
@@ -87,7 +79,7 @@ def ranked(
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     told_apart = [some for some in combinations(able, choice.choose) if not any(alike(some))]
     every = sorted(told_apart, key=lambda some: worth(some, experiment))
-    found = [_Candidate(experiment, some, noise) for some in every[: -COMPARED - 1 : -1]]
+    found = [RankedChoice(experiment, some, noise) for some in every[: -COMPARED - 1 : -1]]
     counts = [min(max(5, round(share * len(found))), len(found)) for share, _ in ROUNDS]
     done = 0
     for count, (_, share) in zip(counts, ROUNDS, strict=True):
@@ -98,15 +90,7 @@ def ranked(
         found[:count] = sorted(found[:count], key=lambda one: one.error)
         if found and math.isinf(found[0].error):
             break  # no plan reaches the targets, and more plans of the same choices would not
-    return [RankedChoice(one.cells, one.error) for one in found[: counts[-1]]]
-
-
-def predicted(
-    experiment: Experiment, cells: Sequence[RobotCandidate], noise: Noise, plans: int
-) -> float:
-    """Return the mean total error [length unit] predicted for a choice of cells, inf if no plan
-    reaches the targets."""
-    return _Candidate(experiment, cells, noise).along(plans).error
+    return found[: counts[-1]]
 
 
 def alike(cells: Sequence[RobotCandidate]) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:

@@ -23,16 +23,15 @@ from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.format.scene import stamp
 from tetractl.view.style import SCREEN_DPI, save
 from tetractl_microscope.cells.cell import SeenCell
-from tetractl_microscope.figures.draw_cells import draw_cells
+from tetractl_microscope.figures.cells import cells_figure
 from tetractl_microscope.film.film_tables import pixel, pose_tables
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.track_log import CELL, PICTURE, PROFILE, UM, read_track
-from tetractl_microscope.pictures.jpeg import LENS, jpeg_image
+from tetractl_microscope.pictures.whole_pictures import LENS, WHOLE_NS, jpeg_image
 from tetractl_microscope.results.cell_tables import cell_data
 from tetractl_microscope.results.geff_file import write_geff
 
-PICTURES_S = 1.0  # interval of whole pictures in the log [s]
 SIDE_PX = 768  # longest side of the film with the tracks; larger films are drawn at a fraction
 TRAIL = 45  # length of a trail [pictures]
 ARROW_UM = 40.0  # length of an arrow along a cell's heading [um]
@@ -57,7 +56,7 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     except OSError as error:
         raise TetractlError(f"{path}: cannot be written: {error.strerror}") from error
     if followed.paths:
-        save(draw_cells("cells", [read_track(path)]), folder / "cells.png", SCREEN_DPI)
+        save(cells_figure(read_track(path)), folder / "cells.png", SCREEN_DPI)
         if find_spec("geff") is not None:
             scale = followed.rate_hz, followed.um_px
             write_geff(folder / "tracks.geff", poses, tracks, followed.divisions, *scale)
@@ -81,13 +80,12 @@ def _write_pictures(
         log.add_attachment(0, 0, TRACK, "application/json", text)
         background = cv2.imencode(".png", followed.background)[1].tobytes()
         log.add_attachment(0, 0, "background.png", "image/png", background)
-        due = -math.inf
+        due_ns = 0
         for number, picture in film:
-            seconds = film.seconds(number)
-            ns = round(seconds * SECOND)
+            ns = round(film.seconds(number) * SECOND)
             log.write_message(TRANSFORMS, _transforms(cells[number], ns), ns, ns)
-            if seconds >= due:
-                due = seconds + PICTURES_S
+            if ns >= due_ns:
+                due_ns = ns + WHOLE_NS
                 log.write_message(PICTURE, jpeg_image(picture, stamp(ns)), ns, ns)
             draw(picture, cells[number])
     part.replace(path)

@@ -12,10 +12,10 @@ from tetractl.core.table.number_columns import read_numbers
 from tetractl.core.table.table_files import read_csv
 from tetractl.replay.identification.tracks import POSES_MAX
 from tetractl_microscope.film.kinematics import TURN_S
+from tetractl_microscope.film.track_log import CELL
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")
-CELL, SHORTEST_S = "cell ", 2.0  # begins the name of a cell; the shortest track that is used [s]
 
 PoseRow = dict[str, str]
 

@@ -140,7 +140,6 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
     """Print the cells in the log of a film; draw all figures and write the table into `out`."""
     from tetractl.core.table.table_files import table_files
     from tetractl.view.style import save
-    from tetractl_microscope.figures.draw_cells import draw_cells
     from tetractl_microscope.film.track_log import read_track
     from tetractl_microscope.registries import CELL_FIGURES
     from tetractl_microscope.results.cell_tables import cell_data, cell_tables
@@ -155,7 +154,7 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
             add("cells", cell_data(found.record), "")
         for kind in CELL_FIGURES.names():
             with suppress(UsageError):  # this film has no field, or no cell
-                save(draw_cells(kind, [found]), out / f"{kind}.png")
+                save(CELL_FIGURES.load(kind)(found), out / f"{kind}.png")
         ui.tell(printable(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}"))
     return Exit.FAILED if found.damage else Exit.DONE
 
@@ -172,7 +171,8 @@ def _identify(
     from tetractl.cli.identify import show_found
     from tetractl.replay.identification.identify import identify
     from tetractl.replay.identification.tracks import csv_tracks
-    from tetractl_microscope.foreign_tracks import SHORTEST_S, pose_rows
+    from tetractl_microscope.film.fit_cell import SHORTEST_S
+    from tetractl_microscope.foreign_tracks import pose_rows
 
     ui.refuse_existing(out)
     found = csv_tracks([tracks, field], partial(pose_rows, um_px=scale, rate_hz=rate), SHORTEST_S)

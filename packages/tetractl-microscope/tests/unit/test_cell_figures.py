@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.figures.cells import turns
-from tetractl_microscope.figures.draw_cells import draw_cells
+from tetractl_microscope.figures.cells import cells_figure, msd_figure, turning_figure, turns
 from tetractl_microscope.film.track_log import TrackLog
 from tetractl_microscope.registries import CELL_FIGURES
 
@@ -48,36 +47,31 @@ def film(cells=6, field=True):
         cell=np.repeat(np.arange(1, cells + 1), 180),
         poses=np.concatenate([poses for _, poses in made]) if made else np.zeros((0, 3)),
         picture=np.tile(np.arange(640, dtype=np.uint8), (480, 1)),
-        contents=None,
         damage=(),
     )
 
 
 @pytest.mark.parametrize("kind", CELL_FIGURES.names())
 def test_each_figure_is_drawn_and_states_the_film(kind):
-    figure = draw_cells(kind, [film()])
+    figure = CELL_FIGURES.load(kind)(film())
     words = [text.get_text() for text in figure.texts]
     assert any("dish.avi: 6 tracks, 6 s, 4 µm/px" in text for text in words)
     assert len(figure.axes) == (6 if kind == "cells" else 1)
 
 
 def test_a_film_without_a_field_or_without_cells_has_the_other_figures():
-    titles = [axes.get_title(loc="left") for axes in draw_cells("cells", [film(field=False)]).axes]
+    titles = [axes.get_title(loc="left") for axes in cells_figure(film(field=False)).axes]
     assert len(titles) == 5 and not any("turning" in title for title in titles)
-    assert len(draw_cells("cells", [film(0)]).axes) == 1
+    assert len(cells_figure(film(0)).axes) == 1
     with pytest.raises(UsageError, match="has no data for the figure 'turning'"):
-        draw_cells("turning", [film(field=False)])
-    with pytest.raises(UsageError, match="one film, not 2"):
-        draw_cells("cells", [film(), film()])
-    with pytest.raises(UsageError, match="no figure of a film's cells is called 'error'"):
-        draw_cells("error", [film()])
+        turning_figure(film(field=False))
 
 
 def test_the_turning_stated_is_that_of_the_cells_that_respond():
     log = film(7)
     log.record["cells"][6] |= {"magnetised": None, "a_rad_s": None}  # a piece of 0.4 s
     log.record["cells"][5] |= {"magnetised": False, "a_rad_s": {"value": 0.1, "ci95": [-1, 1]}}
-    (axes,) = draw_cells("turning", [log]).axes
+    (axes,) = turning_figure(log).axes
     assert "a = 3.00 [3.00, 3.00], n = 5 cells" in axes.get_xlabel()
     squares, curve = (line.get_data()[1] for line in axes.lines[-2:])
     assert np.nanmax(np.abs(squares)) == pytest.approx(np.abs(curve).max(), rel=0.1)
@@ -93,6 +87,6 @@ def test_the_rate_of_turning_is_that_of_the_model_at_any_strength():
 def test_the_displacement_of_a_straight_path_is_the_square_of_the_lag():
     log = film(1, field=False)
     log.poses[:, :2] = np.column_stack([SPEED * log.time, 0 * log.time])
-    (axes,) = draw_cells("msd", [log]).axes
+    (axes,) = msd_figure(log).axes
     lags, squares = axes.lines[0].get_data()
     assert np.asarray(squares, float) == pytest.approx((SPEED * np.asarray(lags)) ** 2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.paths import EXAMPLES
-from tetractl_microscope.choices import predicted, ranked
+from tetractl_microscope.choices import RankedChoice, ranked
 
 from tetractl.analysis.closed_loop import Noise
 from tetractl.core.poses import Pose
@@ -49,4 +49,4 @@ def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_ar
     cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
     noise = Noise.of(spec.experiment.plant)
     (one,) = ranked(spec.experiment, cells, noise, 12)
-    assert one.error == predicted(spec.experiment, one.cells, noise, 12)
+    assert one.error == RankedChoice(spec.experiment, one.cells, noise).along(12).error

@@ -24,9 +24,9 @@ from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl_microscope.cells.section import CellsSection
 from tetractl_microscope.cells.tracking import CellTracker
-from tetractl_microscope.cells.whole_pictures import PictureLog
 from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
+from tetractl_microscope.pictures.whole_pictures import PictureLog
 
 BACKGROUND = 15  # number of pictures from which the background is computed
 WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise

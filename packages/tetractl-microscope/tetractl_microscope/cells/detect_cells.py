@@ -99,14 +99,11 @@ class BlobFinder:
     bright: bool = field(default=False, init=False)
     """Whether most of what moves is brighter than the background."""
     light: Light = field(default=Light(1.0, 0.0, None, 0.0, False), init=False)
-    limits: tuple[float, ...] = field(default=(), init=False)
-    """Limits of the newest search: low and high threshold [grey levels], least and most area
-    [px^2].
-    """
     background: Grey | None = field(default=None, init=False)
     """The learned picture without cells."""
-    searched: Grey = field(init=False)
-    """The newest picture minus its background; blobs are searched for in this difference."""
+    _searched: Grey = field(init=False)  # the newest picture minus its background
+    # limits of the newest search: low and high threshold [grey levels], least and most area [px^2]
+    _limits: tuple[float, ...] = field(default=(), init=False)
     _fine: NDArray[np.float32] = field(init=False)  # the background in fractions of grey levels
     _smooth: Grey = field(init=False)  # the newest picture, blurred
     _mean: NDArray[np.float32] = field(  # averaged differences
@@ -143,11 +140,11 @@ class BlobFinder:
         """Return the blobs of a picture (height, width), largest first."""
         assert self.background is not None, "learn() comes first"
         if self._mean.shape != picture.shape:
-            self.searched, self._smooth, self._mask, self._was = (
+            self._searched, self._smooth, self._mask, self._was = (
                 np.zeros_like(picture) for _ in range(4)
             )
             self._mean = np.empty(picture.shape, np.float32)
-        _blurred(picture, self.searched, self._smooth)
+        _blurred(picture, self._searched, self._smooth)
         light, shift = self._compare(), (0.0, 0.0)
         first, usual = self._usual is None, self._usual or 0.0
         if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
@@ -161,7 +158,7 @@ class BlobFinder:
         self._noise = light.noise if first else self._noise
         noisy = light.noise > NOISY * max(self._noise, 1.0)
         lost = light.lost or noisy or light.changed > CHANGED or bool(self._again)
-        found = [] if lost else blobs_of(self.searched, self.limits, mean=self._mean)
+        found = [] if lost else self._blobs()
         blobs = [blob for blob in found if not self._mended(blob, light.gain)]
         contrast = float(np.median([each.strength for each in blobs])) if blobs else None
         self.light = replace(
@@ -178,21 +175,36 @@ class BlobFinder:
         seen, known = _sparse(self._smooth), np.maximum(_sparse(self.background), 1)
         gain = float(np.median(seen / known))
         gain = gain if 0.05 < gain < 20 else 1.0
-        cv2.convertScaleAbs(self.background, self.searched, gain)
-        cv2.absdiff(self._smooth, self.searched, self.searched)
+        cv2.convertScaleAbs(self.background, self._searched, gain)
+        cv2.absdiff(self._smooth, self._searched, self._searched)
         # medians, and averages of what is near them: cells and debris do not count
         noise = min(1.48 * float(np.median(np.abs(seen - gain * known))), NOISE_MAX)
-        averaged(self.searched, self.least_px2, self._mean)
+        size = _square(self.least_px2).shape
+        cv2.boxFilter(self._searched, cv2.CV_32F, size, self._mean, borderType=cv2.BORDER_CONSTANT)
         sample = _sparse(self._mean)
         usual = sample[sample <= np.median(sample) + max(2.0, noise)].astype(float)
         level, spread = min(float(usual.mean()), NOISE_MAX), max(float(usual.std()), LEAST)
         low, high = level + LOW * spread, level + HIGH * spread
-        self.limits = (low, high, self.least_px2, self.most_px2)
+        self._limits = (low, high, self.least_px2, self.most_px2)
         np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
         lost = noise == NOISE_MAX or float(np.median(seen)) == 255 > float(np.median(known))
         changed = cv2.countNonZero(self._mask) / self._mask.size
         return Light(gain, noise, None, changed, lost, limit=high)
+
+    def _blobs(self) -> list[Blob]:
+        """Return the blobs of the newest picture, largest first."""
+        boxes = [(cv2.boundingRect(region), region) for region in self.regions()]
+        large = [each for each in boxes if each[0][2] * each[0][3] >= self.least_px2]
+        large.sort(key=lambda each: -each[0][2] * each[0][3])
+        found: list[Blob] = []
+        for box, region in large[:BLOBS]:
+            found += _bodies(box, region, self._searched, self._mean, self._limits)
+        return found[:BLOBS]
+
+    def regions(self) -> Sequence[np.ndarray]:
+        """Return the contours of all that differs from the background in the newest picture."""
+        return cv2.findContours(self._mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
 
     def _mended(self, blob: Blob, gain: float) -> bool:
         """Return whether a blob is not in the picture but only in the background, which is then
@@ -240,50 +252,12 @@ class BlobFinder:
                 self.learn(self._again)
 
 
-def blobs_of(
-    difference: Grey,
-    limits: Sequence[float],
-    corner: tuple[int, int] = (0, 0),
-    mean: NDArray[np.float32] | None = None,
-) -> list[Blob]:
-    """Return the blobs of a background-subtracted picture, or of a part of it, largest first.
-
-    `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
-    column and row of the part's upper left pixel; `mean` are averages computed before.
-    """
-    mean = averaged(difference, limits[2]) if mean is None else mean
-    above = (mean > limits[0]).view(np.uint8)
-    regions = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-    boxes = [(cv2.boundingRect(region), region) for region in regions]
-    large = [each for each in boxes if each[0][2] * each[0][3] >= limits[2]]
-    large.sort(key=lambda each: -each[0][2] * each[0][3])
-    found: list[Blob] = []
-    for box, region in large[:BLOBS]:
-        found += _bodies(box, region, difference, mean, limits, corner)
-    return found[:BLOBS]
-
-
-def box_px(least_px2: float) -> int:
-    """Return the side of the squares over which differences are averaged [px]; it is odd."""
-    return 2 * int(BOX * math.sqrt(least_px2) / 2) + 1
-
-
-def averaged(
-    difference: Grey, least_px2: float, into: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
-    """Average over squares; a crop gives the same to the last bit. `into` is a buffer."""
-    size, rim = (box_px(least_px2),) * 2, cv2.BORDER_CONSTANT
-    mean = cv2.boxFilter(difference, cv2.CV_32F, size, into, borderType=rim)
-    return np.asarray(mean, np.float32)
-
-
 def _bodies(
     box: Sequence[int],
     region: np.ndarray,
     difference: Grey,
     mean: NDArray[np.float32],
     limits: Sequence[float],
-    corner: tuple[int, int],
 ) -> Iterator[Blob]:
     """Yield the bodies in a region, given by its contour and the box around it; that with the
     greatest difference comes first.
@@ -320,20 +294,21 @@ def _bodies(
         xy, middle = moments["mu11"] / mass, (xx + yy) / 2
         spread = math.hypot((xx - yy) / 2, xy)
         yield Blob(
-            x=left + corner[0] + moments["m10"] / mass,
-            y=top + corner[1] + moments["m01"] / mass,
+            x=left + moments["m10"] / mass,
+            y=top + moments["m01"] / mass,
             axis=0.5 * math.atan2(2 * xy, xx - yy),
             long=4 * math.sqrt(middle + spread),
             wide=4 * math.sqrt(max(middle - spread, 1e-3)),
             strength=cv2.mean(difference[here], body)[0],
             body=body,
-            corner=(left + corner[0], top + corner[1]),
+            corner=(left, top),
             at_edge=at_edge,
         )
 
 
 def _square(least_px2: float) -> Grey:
-    return np.ones((box_px(least_px2),) * 2, np.uint8)
+    """Return the square over which differences are averaged; its side [px] is odd."""
+    return np.ones((2 * int(BOX * math.sqrt(least_px2) / 2) + 1,) * 2, np.uint8)
 
 
 def _blurred(picture: np.ndarray, between: np.ndarray, into: np.ndarray) -> None:

@@ -60,7 +60,7 @@ def cells_figure(log: TrackLog) -> Figure:
 def _single(name: str, log: TrackLog) -> Figure:
     """Draw one panel."""
     if not PANELS[name].known(log):
-        raise UsageError(f"{log.path}: has no data for the figure {name!r}", "try --kind cells")
+        raise UsageError(f"{log.path}: has no data for the figure {name!r}")
     shape = log.record["height"] / log.record["width"]
     size = (style.PAGE_IN, style.PAGE_IN * shape) if name == "paths" else (4.2, 3.2)
     figure = style.figure(*size)
@@ -278,17 +278,21 @@ def _moves(log: TrackLog) -> bool:
     return any(True for _ in log.tracks)
 
 
+def _has(key: str) -> Callable[[TrackLog], bool]:
+    return lambda log: bool(known_values(log.record["cells"], key)[1])
+
+
 _velocities = partial(
     _strips, {f"{name}_um_s": name.upper() for name in VELOCITIES}, "velocity [µm/s]", 0, None
 )
 _linearity = partial(_strips, {"lin": "LIN"}, "VSL / VCL", 2, 1.0)
 PANELS = {
     "paths": Panel("paths over the first picture", _paths, lambda log: True),
-    "speeds": Panel("speed", _speeds, lambda log: len(log.values("speed_um_s")) > 0),
+    "speeds": Panel("speed", _speeds, _has("speed_um_s")),
     "turning": Panel("turning", _turning, lambda log: bool(log.record["field"]) and _moves(log)),
     "msd": Panel("mean squared displacement", _displacement, _moves),
-    "velocities": Panel("velocities", _velocities, lambda log: len(log.values("vcl_um_s")) > 0),
-    "linearity": Panel("linearity", _linearity, lambda log: len(log.values("lin")) > 0),
+    "velocities": Panel("velocities", _velocities, _has("vcl_um_s")),
+    "linearity": Panel("linearity", _linearity, _has("lin")),
 }
 paths_figure, speeds_figure, turning_figure, msd_figure, velocities_figure, linearity_figure = (
     partial(_single, name) for name in PANELS

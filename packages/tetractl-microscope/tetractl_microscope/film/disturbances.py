@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from tetractl.core.poses import Floats, Grey
-from tetractl_microscope.cells.detect_cells import BlobFinder, averaged
+from tetractl_microscope.cells.detect_cells import BlobFinder
 from tetractl_microscope.cells.knocks import SIDE, shift_of
 
 STEP_S, EVERY = 0.2, 5  # time between examined pictures [s]; shifts are over so many
@@ -41,9 +41,8 @@ class Disturbances:
         small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         light = cv2.resize(small.astype(float), TILES, interpolation=cv2.INTER_AREA)
         self._lights.append(light / light.mean() if light.mean() >= 1 else np.ones(TILES))
-        above = (averaged(finder.searched, finder.limits[2]) > finder.limits[0]).view(np.uint8)
-        found = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-        wide = max((min(cv2.boundingRect(each)[2:]) for each in found), default=0) * self.um_px
+        sides = (min(cv2.boundingRect(region)[2:]) for region in finder.regions())
+        wide = max(sides, default=0) * self.um_px
         large = wide > LARGE * self.body_um and not finder.light.lost
         if large:
             self._turn.append((seconds, wide))

@@ -1,7 +1,7 @@
 """The smoothed path of each cell of a film, and its speed, turning rate and bias with 95 %
 intervals.
 
-The filter of `lab.cameras.cells.helix` runs over each path again, from the likeliest of some
+The filter of `cells.helix` runs over each path again, from the likeliest of some
 helices and headings. Newton steps find the likeliest noise of the cell. A second pass starts where
 the first found that the cell was, if that is likelier; the smoother gives the states given all
 pictures.

@@ -12,6 +12,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Bools, Floats, Grey
 from tetractl_microscope.cells.cells_health import SMALL_PX
 from tetractl_microscope.cells.detect_cells import BlobFinder
+from tetractl_microscope.cells.specks import straight
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
@@ -138,14 +139,14 @@ def _motion(rows: Floats) -> tuple[float, ...]:
     """Return length, width, speed and way of an object by its `rows`; nothing if it hardly moves,
     or was seen too briefly.
     """
-    off = rows[:, :3] - rows[:, :3].mean(axis=0)
-    times, places = off[:, 0], off[:, 1:]
-    velocity = times @ places / max(times @ times, 1e-9)
-    strayed = np.sqrt(np.mean(np.square(places - times[:, None] * velocity)))
+    if len(rows) < SEEN:
+        return ()
+    velocity, fitted = straight(rows)
+    strayed = np.sqrt(np.mean(np.square(rows[:, 1:3] - fitted)))
     long, wide = np.median(rows[:, 3:], axis=0)
-    speed = np.hypot(*velocity)
-    way = speed * np.ptp(times)
-    moves = len(rows) >= SEEN and way > MOVED * long and strayed < STRAIGHT * way
+    speed = math.hypot(*velocity)
+    way = speed * np.ptp(rows[:, 0])
+    moves = way > MOVED * long and strayed < STRAIGHT * way
     return (long, wide, speed, way) if moves else ()
 
 

@@ -44,7 +44,6 @@ class TrackLog:
     cell: Floats
     poses: Floats
     picture: Grey
-    contents: RawLog
     damage: tuple[str, ...]
 
     @property
@@ -55,29 +54,19 @@ class TrackLog:
             if len(rows) > 1:
                 yield each["cell"], self.time[rows], self.poses[rows]
 
-    def values(self, key: str) -> Floats:
-        """Return the known values of one quantity of the cells."""
-        found = (value_of(each.get(key)) for each in self.record["cells"])
-        return np.array([value for value in found if value is not None])
-
 
 def value_of(entry: Any) -> float | None:
     """Return the value of an entry of a cell, with or without an interval; None if unknown."""
     return entry["value"] if isinstance(entry, dict) else entry
 
 
-def is_track(path: Path) -> bool:
-    """Return whether a file is the log of a film."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return PROFILE.encode() in file.read(64)
-
-
 def track_log_of(path: Path) -> Path | None:
     """Return the log of a film: the path itself, or `track.mcap` in a folder; None if it is not."""
     log = path / "track.mcap" if path.is_dir() else path
-    return log if is_track(log) else None
+    if not log.is_file():
+        return None
+    with log.open("rb") as file:
+        return log if PROFILE.encode() in file.read(64) else None
 
 
 def read_track(path: Path) -> TrackLog:
@@ -92,7 +81,7 @@ def read_track(path: Path) -> TrackLog:
         raise LogError(f"{path}: the cells of the film cannot be read: {said}") from None
     time, cell, poses = rows[:, 0], rows[:, 1], rows[:, 2:]
     problems = (*contents.problems, *(f"lost: {lost}" for lost in contents.lost))
-    return TrackLog(str(path), record, time, cell, poses, picture, contents, problems)
+    return TrackLog(str(path), record, time, cell, poses, picture, problems)
 
 
 def _checked(record: Any) -> dict[str, Any]:

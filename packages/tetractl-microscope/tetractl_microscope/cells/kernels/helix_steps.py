@@ -1,4 +1,4 @@
-"""The compiled steps of the filter of `lab.cameras.cells.helix`, for one cell: its state and
+"""The compiled steps of the filter of `cells.helix`, for one cell: its state and
 covariance move over pieces of constant field, and are updated by a measurement.
 
 `tests/oracles/helix_steps.py` computes the same with whole matrices.

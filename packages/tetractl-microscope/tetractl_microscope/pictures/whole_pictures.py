@@ -1,14 +1,25 @@
-"""Selects the pictures of a run that its log has: one a second, and the background now and then."""
+"""The pictures of a run that its log has, as JPEG: one a second, and the background at times."""
 
 from dataclasses import dataclass
+
+import cv2
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Grey
 from tetractl.log.format.channels import BACKGROUND, PICTURE
-from tetractl_microscope.pictures.jpeg import jpeg_image
 
+LENS = "microscope"  # name of the pictures' coordinate frame
 WHOLE_NS = SECOND  # interval between whole pictures
 BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
+
+
+def jpeg_image(picture: Grey, time: Timestamp | None = None) -> CompressedImage:
+    """Encode a whole picture; `time` is that of its exposure, by default that of its message."""
+    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
+    coded = data.tobytes() if done else b""
+    return CompressedImage(timestamp=time, frame_id=LENS, data=coded, format="jpeg")
 
 
 @dataclass(slots=True)

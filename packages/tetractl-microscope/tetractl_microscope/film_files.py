@@ -23,8 +23,9 @@ from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.format.scene import stamp
 from tetractl.view.style import SCREEN_DPI, save
 from tetractl_microscope.cells.cell import SeenCell
+from tetractl_microscope.cells.match import pixels_of
 from tetractl_microscope.figures.cells import cells_figure
-from tetractl_microscope.film.film_tables import pixel, pose_tables
+from tetractl_microscope.film.film_tables import pose_tables
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.track_log import CELL, PICTURE, PROFILE, UM, read_track
@@ -132,7 +133,7 @@ def _transforms(cells: Cells, ns: int) -> FrameTransforms:
 def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[int, int]]) -> None:
     """Draw a cell: its trail, the outline of its body if it was found, heading and number."""
     look = COLORS[cell.identity % len(COLORS)], 1, cv2.LINE_AA
-    x, y = pixel(cell.x, cell.y, um_px, picture.shape[0])
+    ((x, y),) = pixels_of(np.array([(cell.x, cell.y)]), um_px, picture.shape[0]).tolist()
     at = column, row = round(x), round(y)
     trail[:] = [*trail[1 - TRAIL :], at]
     cv2.polylines(picture, [np.array(trail, np.int32)], False, *look)

@@ -42,19 +42,15 @@ class Organism:
         return sum(self.long_um) / 2, sum(self.wide_um) / 2
 
     @property
-    def outline_long_um(self) -> Range:
-        """Range of the length of an outline that may be this organism [um]."""
-        return self.long_um[0] / OUTLINE, self.long_um[1] * OUTLINE
-
-    @property
-    def outline_wide_um(self) -> Range:
-        """Range of the width of an outline that may be this organism [um]."""
-        return self.wide_um[0] / OUTLINE, self.wide_um[1] * OUTLINE
+    def outline_um(self) -> tuple[Range, Range]:
+        """Ranges of length and width of an outline that may be this organism [um]."""
+        (short, long), (thin, thick) = self.long_um, self.wide_um
+        return (short / OUTLINE, long * OUTLINE), (thin / OUTLINE, thick * OUTLINE)
 
     @property
     def outline_um2(self) -> Range:
         """Range of the area of an outline that may be this organism, an ellipse [um^2]."""
-        (short, long), (thin, thick) = self.outline_long_um, self.outline_wide_um
+        (short, long), (thin, thick) = self.outline_um
         return math.pi / 4 * short * thin, math.pi / 4 * long * thick
 
     @property

@@ -90,10 +90,6 @@ class AprilTagSection(PictureSection):
         """Yield the place and text of each problem with the robots or their tags."""
         yield from mismatches(self.robots, setup.names)
 
-    def bounds(self) -> dict[str, str]:
-        """Return the source of the pictures as {name: text}, for display."""
-        return {"camera": self.source_name}
-
     def heading_offset(self, name: str) -> float:
         """Return the angle added to the heading of a robot's tag [rad]."""
         return entry(self.robots, name).heading_offset

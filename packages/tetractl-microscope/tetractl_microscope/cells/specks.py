@@ -28,7 +28,7 @@ def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
     if np.isfinite(path[:, 4]).sum() < WHOLE:
         return False
     long, wide = usual_size(path)
-    (short, longest), (thin, thick) = organism.outline_long_um, organism.outline_wide_um
+    (short, longest), (thin, thick) = organism.outline_um
     if not (short < long < longest and thin < wide < thick):
         return False
     (vx, vy), fitted = straight(path)

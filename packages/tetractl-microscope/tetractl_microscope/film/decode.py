@@ -21,7 +21,6 @@ from tetractl_microscope.film import film_source as films
 
 MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B]
 PATIENCE_S = 20.0  # longest time to read the tags, or to decode a picture [s]
-PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
 HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, CZI and ND2
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
@@ -37,7 +36,7 @@ def main(path: Path, out: BinaryIO) -> None:
         if source.count is first is None:
             hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
             raise UsageError(f"{path}: OpenCV cannot read this film", hint)
-        if first is not None and math.prod(first.shape[:2]) > PIXELS_MAX:
+        if first is not None and math.prod(first.shape[:2]) > films.PIXELS_MAX:
             said = f"{path.name}: a picture of {first.shape[1]} x {first.shape[0]} px"
             hint = "crop the film, or bin its pixels"
             raise UsageError(f"{said}; at most 4096 x 4096 px are read", hint)
@@ -51,7 +50,7 @@ def main(path: Path, out: BinaryIO) -> None:
     for picture in chain([first], pictures):
         faulthandler.cancel_dump_traceback_later()  # the command may read slowly
         shape = () if picture is None else picture.shape[:2]
-        if picture is None or shape != (size or shape) or math.prod(shape) > PIXELS_MAX:
+        if picture is None or shape != (size or shape) or math.prod(shape) > films.PIXELS_MAX:
             pickle.dump(None, out)
         else:
             size = shape

@@ -18,6 +18,7 @@ import numpy as np
 
 from tetractl.core.poses import Grey
 
+PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
 SAMPLED = 25  # number of pictures that give a film's range of grey levels
 SPREAD_LEAST = 32  # least span of a film's grey levels after conversion, of 256
 SPREAD = 200  # span of the grey levels of a film that is stretched

@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from tetractl.core.table.table import Column, Table
 from tetractl.core.table.table_files import plain
 from tetractl.replay.identification.fit import SampleInterval
+from tetractl_microscope.cells.match import pixels_of
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import CellSummary
 from tetractl_microscope.film.follow import Followed
@@ -110,18 +113,13 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
         (
             *(int(picture), path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
             *(cell.sure, cell.found, cell.merged),
-            *pixel(cell.x, cell.y, followed.um_px, followed.size[1]),
         )
         for path in followed.paths
         for time, picture, cell in zip(path.times.tolist(), path.frames, path.seen, strict=True)
     )
-    values = zip(*rows, strict=True) if rows else [()] * 12
-    picture, cell, time, *states, x, y = values
+    picture, cell, time, *states = zip(*rows, strict=True) if rows else [()] * 10
+    places = np.transpose(states[:2]).reshape(-1, 2)
+    x, y = pixels_of(places, followed.um_px, followed.size[1]).T.tolist()
     poses = map(Column, POSES, (time, picture, cell, *states), POSES.values())
     tracks = map(Column, TRACKS, (cell, picture, y, x, picture, cell))
     return Table("Poses", tuple(poses)), Table("Tracks", tuple(tracks))
-
-
-def pixel(x: float, y: float, um_px: float, height: int) -> tuple[float, float]:
-    """Return column and row, whose whole numbers are the middles of pixels, of a place [um]."""
-    return x / um_px - 0.5, height - 0.5 - y / um_px

@@ -153,7 +153,7 @@ def _motion(rows: Floats) -> tuple[float, ...]:
 def _fits(moving: Floats, kind: Organism) -> Bools:
     """Return whether each moving object (M,) has a length, width and speed of this kind."""
     speeds = kind.slowest_um_s, FAST * kind.speed_um_s[1]
-    low, high = np.transpose([kind.outline_long_um, kind.outline_wide_um, speeds])
+    low, high = np.transpose([*kind.outline_um, speeds])
     return ((moving[:, :3] > low) & (moving[:, :3] < high)).all(axis=1)
 
 

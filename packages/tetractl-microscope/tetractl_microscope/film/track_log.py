@@ -20,12 +20,12 @@ from tetractl.core.setup import METRES
 from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
+from tetractl_microscope.film.film_source import PIXELS_MAX
 
 PROFILE = "tetractl.track"  # of the MCAP file, in its header
 PICTURE = "/picture"
 CELL = "cell "  # begins the name of a cell's coordinate frame, which its number ends
 UM = METRES["um"]
-PIXELS_MAX = 4096 * 4096
 FILM = ("pictures", "rate_hz", "um_per_px", "width", "height")  # what must be known of a film
 
 

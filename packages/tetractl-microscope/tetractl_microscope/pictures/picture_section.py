@@ -72,6 +72,10 @@ class PictureSection(CameraSection):
     connect: Positive = 5.0
     """Longest wait for the source to open, and then for the first picture [s]."""
 
+    def bounds(self) -> dict[str, str]:
+        """Return the source of the pictures as {name: text}, for display."""
+        return {"camera": self.source_name}
+
     @property
     def source_name(self) -> str:
         """Name of the source for display, such as its address."""

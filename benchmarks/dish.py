@@ -185,7 +185,7 @@ def numbers(cells: tuple[RobotCandidate, ...]) -> frozenset[int]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("part", choices=("trials", "survey"))
     parser.add_argument("--count", type=int, default=20)
     chosen = parser.parse_args()

@@ -9,7 +9,7 @@ from unittest import mock
 
 import pytest
 from support.cli import tetractl
-from support.paths import EXAMPLES, ROOT
+from support.paths import ROOT
 from support.running import QUICK
 from support.studies import SMALL, write
 
@@ -102,10 +102,6 @@ lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
 lab calibrate lab.yaml | robots would move
 lab calibrate lab.yaml --robot pink --yes | has no such robot
-lab emulate spec.yaml | has no lab
-lab emulate LAB --port-link /no/such/folder/radio | cannot make the port
-lab emulate LAB --port-link . | exists already
-lab emulate LAB --script none.yaml | no such file
 init Käse | 'Käse' cannot be the name of an experiment | use up to 64 characters: a to z, A to Z
 init no/first | no/first.yaml: cannot be written: No such file or directory
 init spec | spec.yaml: exists already | give another NAME
@@ -120,14 +116,9 @@ recover noise.mcap | noise.mcap: not an MCAP file
 stats noise.mcap | none of 1 logs can be read
 report noise.mcap | none of the logs can be read: noise.mcap: not an MCAP file
 lab stop --port nowhere | nowhere: there is no such port
-lab emulate LAB --port-link radio --record /no/such/folder/r | cannot write the record
-lab emulate LAB --port-link radio --address 192.0.2.1 | cannot open UDP 192.0.2.1
 run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
 """
-NAMED = {
-    "LOG": "logs/trial-000.mcap",
-    "LAB": "lab.yaml --set lab.camera.transport=unicast --command-port 0 --data-port 0",
-}
+LOG = "logs/trial-000.mcap"
 ROWS = [(2, row) for row in USAGE.strip().splitlines()]
 ROWS += [(1, row) for row in FAILED.strip().splitlines()]
 
@@ -166,8 +157,7 @@ def contents(folder):
 def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     command, message, hint = (*map(str.strip, row.split("|")), "")[:3]
     before = contents(folder)
-    words = shlex.split(re.sub(r"\b(LOG|LAB)\b", lambda found: NAMED[found[0]], command))
-    done = tetractl(folder, *words)
+    done = tetractl(folder, *shlex.split(re.sub(r"\bLOG\b", LOG, command)))
     assert (done.returncode, done.stdout) == (code, "")
     lines = [line for line in done.stderr.splitlines() if not line.startswith("damaged: ")]
     hints = [line for line in lines[1:] if line.startswith(f"hint: {hint}")]
@@ -178,7 +168,6 @@ def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     assert contents(folder) == before
 
 
-DISH = EXAMPLES / "tetrahymena_dish.yaml"
 MISSING = """
 import sys
 from unittest import mock
@@ -191,7 +180,6 @@ sys.exit(run_app())
 @pytest.mark.parametrize(
     ("module", "words", "hinted"),
     [
-        ("cv2", f"lab emulate {DISH} --port-link coils", "./packages/tetractl-microscope"),
         ("pyarrow", "export logs/trial-000.mcap --format parquet -o out", "'.[parquet]'"),
         ("distributed", "study study.yaml --cluster tcp://localhost:1", "'.[dask]'"),
     ],

@@ -1,14 +1,11 @@
 """Whatever comes from outside, its parser keeps its promises; longer in benchmarks/fuzz.py."""
 
-import subprocess
-import sys
 from collections import Counter
 from itertools import pairwise
 
 import pytest
 from support import hostile
 from support.bounded_work import bounded, withstands
-from support.paths import ROOT
 from support.targets import TARGETS
 
 pytestmark = pytest.mark.slow
@@ -25,19 +22,6 @@ LAUGHS = "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefghijklm
 def test_aliases_cannot_multiply():
     with bounded(4_000_000):
         TARGETS["calibration"].run(("a: &a [x, x]\n" + LAUGHS).encode())
-
-
-@pytest.mark.system
-def test_the_long_run_prints_what_it_found(tmp_path):
-    script = ROOT / "benchmarks" / "fuzz.py"
-    words = [sys.executable, str(script), "--target", "serial", "--seconds", "0.2"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    *_, row = done.stdout.splitlines()
-    name, runs, crashes = row.strip("| ").split(" | ")[:3]
-    assert (name, crashes) == ("serial", "0")
-    assert int(runs) > 0
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", hostile.KINDS)

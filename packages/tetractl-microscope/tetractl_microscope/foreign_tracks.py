@@ -8,11 +8,11 @@ import numpy as np
 
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.number_columns import read_numbers
 from tetractl.core.table.table_files import read_csv
 from tetractl.replay.identification.tracks import POSES_MAX
 from tetractl_microscope.film.kinematics import TURN_S
 from tetractl_microscope.film.track_log import CELL
+from tetractl_microscope.number_columns import read_numbers
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")

@@ -68,15 +68,6 @@ def test_defaults_follow_the_period_the_robots_and_their_bodies():
     assert (control.collision.silence, control.collision.stop_before_collision) == (1, True)
     slow = parse_spec(LAB, "lab.yaml", ["controller.period=0.2"]).experiment.controller
     assert (slow.signal_periods, slow.accept_error) == (1, 34)
-    cells = SPECS["two_cells.yaml"].controller
-    assert (cells.collision.silence, cells.collision.stop_before_collision) == (0, False)
-
-
-def test_robots_that_cannot_stand_still_are_not_to_pause():
-    with pytest.raises(InvalidSpecError, match="is only for robots that can stand still"):
-        parse_spec(
-            SHIPPED["two_cells.yaml"], "c.yaml", ["controller.collision.stop_before_collision=true"]
-        )
 
 
 def test_a_wrong_period_is_one_error():

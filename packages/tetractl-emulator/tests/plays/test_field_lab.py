@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.lab_specs import FIELD_SPEC
+from support.device_specs import FIELD_SPEC
 from support.virtual_lab import virtual_lab
 from tetractl_emulator import firmware
 

@@ -9,8 +9,9 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
 from support.lab_processes import emulated
-from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
+from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import MonotonicClock

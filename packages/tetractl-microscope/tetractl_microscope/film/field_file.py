@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.number_columns import read_numbers
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import handedness, wrong_sides
+from tetractl_microscope.number_columns import read_numbers
 
 TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 STRONGEST = 100.0  # greatest strength of a field, relative to the reference field

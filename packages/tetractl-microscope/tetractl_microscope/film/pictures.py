@@ -19,7 +19,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
-from tetractl.core.table.number_columns import read_numbers
+from tetractl_microscope.number_columns import read_numbers
 
 RATES_HZ = (0.1, 2000.0)
 SCALES_UM = (0.05, 100.0)

@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
+from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
 from support.lab_processes import emulated, turn_until
-from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
+from support.lab_specs import SPEC
 from support.paths import SCRIPTS
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.faults import Injector, Visible

@@ -1,0 +1,28 @@
+"""Without OpenCV a command that draws pictures says in one line what to install."""
+
+import subprocess
+import sys
+
+import pytest
+from support.paths import EXAMPLES
+
+pytestmark = pytest.mark.slow
+
+MISSING = """
+import sys
+sys.modules["cv2"] = None  # as if it were not installed
+from tetractl.cli.app import run_app
+sys.exit(run_app())
+"""
+
+
+def test_a_missing_opencv_is_named_in_one_line(tmp_path):
+    words = "lab", "emulate", EXAMPLES / "tetrahymena_dish.yaml", "--port-link", "coils"
+    done = subprocess.run(
+        [sys.executable, "-c", MISSING, *words], cwd=tmp_path, capture_output=True, text=True
+    )
+    error, hint = done.stderr.splitlines()[-2:]
+    assert error.startswith("error: ") and error.endswith("which is not installed")
+    assert "pip install ./packages/tetractl-microscope" in hint
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr

@@ -1,7 +1,9 @@
 from dataclasses import replace
+from unittest import mock
 
 import pytest
 from support import random_trials as made
+from support import studies
 from support.paths import ROOT
 from support.running import QUICK
 
@@ -12,7 +14,7 @@ from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial
 from tetractl.run import executors, task
-from tetractl.run.batch import TimeLeft, run_batch
+from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.store import Store
@@ -157,22 +159,23 @@ def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, t
     assert list(tmp_path.iterdir()) == []
 
 
+class OneByOne:
+    """An executor whose trials take 1 s in one arm and 4 s in another."""
+
+    workers = 2
+
+    def run(self, tasks, ready):
+        result = made.trial(1, steps=2, frames=2).result
+        for one in tasks:
+            yield one, Finished(result, True, {"quick": 1.0, "slow": 4.0}[one.arm], 1.0)
+
+
 def test_the_time_left_is_drawn_from_every_arm():
     """It was that of the first trials on: 47 s that became 3 min, as one arm took four times as
     long as another."""
     tasks = [Task(i, 10, b"", arm) for i in range(10) for arm in ("quick", "slow")]
-    left = TimeLeft(tasks)
-    assert left.of(1) is None
-    left.count("quick", 1.0)
-    assert (left.known, left.of(1)) == (False, 19.0)
-    left.count("slow", 4.0)
-    assert (left.known, left.of(1)) == (True, 9 * 1.0 + 9 * 4.0)
-    left.count("slow", None)  # it has no outcome
-    assert left.of(2) == (9 * 1.0 + 8 * 4.0) / 2
-    left.count("slow", 2.0)
-    assert left.of(1) == pytest.approx(9 * 1.0 + 7 * 3.0)
-    for _ in range(9):
-        left.count("quick", 1.0)
-    for _ in range(7):
-        left.count("slow", 3.0)
-    assert left.of(1) == 0.0
+    watcher = studies.Watcher()
+    run_batch(tasks, mock.Mock(), OneByOne(), watcher)
+    found = [(ending.left_s, ending.every_arm) for ending in watcher.endings]
+    assert found[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
+    assert found[-1] == (0.0, True)

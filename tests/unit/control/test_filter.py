@@ -21,12 +21,13 @@ from tetractl.control.kernels.filter_state import (
     HEADING,
     LOG_FOLLOWS,
     MARKER,
+    STUCK,
     Bank,
     X,
 )
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Steer, Stop
+from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
@@ -218,6 +219,16 @@ def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
     found, plant, _ = know([*NOISY, stuck], 20, until=compare)
     assert np.mean(agree) > 0.9
     assert found.speed == pytest.approx(plant.setup.speed, rel=0.02)
+
+
+def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
+    *_, estimator = know(rate=20, seconds=2)
+    filters = estimator.filter
+    now = filters._last.sampled_ns
+    filters._bank.weight[...] = -np.inf
+    filters._bank.weight[..., STUCK] = 0.0
+    filters.sent(Command(Steer(1.0), now + 1, (True,) * 3))
+    assert np.isnan(filters.ahead(now + SECOND).held).all()
 
 
 def frozen(frames):

@@ -64,6 +64,8 @@ PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
 """Frequencies of the helix to start from, over the usual one."""
 KEPT_COMMANDS = 32  # least number of commands kept after they acted: filters may restart
 SPACING_S = 0.03  # least time between two frames used [s]
+REOPEN_STD_S = 0.05  # standard deviation of a dead time's change [s]
+REOPEN_S = 4.0  # least time from laying out dead times to laying them out again [s]
 
 
 class Usual(NamedTuple):
@@ -142,6 +144,7 @@ class FilterBank:
         low, high = max(0.0, prior.dead_time - reach), prior.dead_time + reach
         self._tau = np.arange(low, high + 1e-9, GRID.step_s)  # dead times to start from [s]
         self._steps = np.full(count, GRID.step_s)  # spacing of each robot's dead times [s]
+        self._misfit, self._laid_out_ns = 0.0, 0
         self._lay_out(self._first_bank())
 
     def _first_bank(self) -> Bank:
@@ -210,6 +213,9 @@ class FilterBank:
             self._follow(frames)
         self._last = last
         self._select()
+        due = observation.sampled_ns >= self._laid_out_ns + REOPEN_S * SECOND
+        if due and self._misfit > 1 and not self._model.helix:  # cells pause and turn by themselves
+            self._reopen(observation)
 
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
@@ -226,6 +232,24 @@ class FilterBank:
             self._steps[replaced] = GRID.step_s
             self._place(self._last, np.isin(np.arange(all_robots), replaced))
             self._lay_out(self._bank)
+
+    def _reopen(self, frame: Observation) -> None:
+        """Lay out the first dead times again, each in the state of the robot's likeliest filter.
+
+        The dead time may have changed, and the others are gone by then. The likeliest one stays so
+        until frames tell otherwise; how well the model fits is tested again.
+        """
+        old, robots = self._bank, np.arange(len(self.prior.a))
+        best = self._shared.score.argmax(axis=0)
+        chosen = best, robots, old.weight[best, robots].argmax(axis=1)
+        mean = np.repeat(old.state[chosen][None], len(self._tau), axis=0)
+        bank = Bank.start(self._tau, mean, self._std.T, np.zeros(len(self._tau), dtype=np.int64))
+        bank.cov[:, :, 0], bank.scale[:] = old.cov[chosen], old.scale[best, robots]
+        bank.score[:] = -(((bank.tau - old.tau[best, robots]) / REOPEN_STD_S) ** 2) / 2
+        self._bank, self._steps[:], self._misfit = bank, GRID.step_s, 0.0
+        self._laid_out_ns = frame.sampled_ns
+        self._place(frame, self._all)
+        self._lay_out(bank)
 
     def _place(self, frame: Observation, robots: Bools) -> None:
         """Set the poses of some `robots` (N,) to those of a frame, and let them follow the last
@@ -280,6 +304,7 @@ class FilterBank:
         given = self._when, self._u, self._last.sampled_ns / SECOND, sent / SECOND
         dead_time, std = forecast(self._bank, self._model, self._shared, *given, found)
         x, y, heading, *motion, turn, held = found[: DRIFT.start]
+        self._misfit = float(found[MISFIT].max())
         more = {"dead_time": dead_time, "dead_time_std": std, "misfit": found[MISFIT].T}
         known = Estimate(*motion, **more)
         return Ahead(Poses(x, y, heading), turn, found[DRIFT].T, held, known)

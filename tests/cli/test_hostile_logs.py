@@ -24,7 +24,7 @@ from tetractl.log.format.channels import (
     STEP,
 )
 from tetractl.log.format.codec import decode_frames, encode_frames
-from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact, Search
+from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
@@ -98,8 +98,12 @@ def test_a_message_that_is_none_is_told_in_a_line(topic, contents, tmp_path):
 
 def test_a_count_that_no_column_can_hold_is_told_in_a_line(contents, tmp_path):
     """Regression: the sum of two such counts was an OverflowError of the Parquet file."""
-    searches = [Search(length=1, signals=[0.0], history=[1.0], evaluations=2**63 - 1)] * 2
-    spoilt = stating(contents, STEP, searches=searches, chosen=0)
+    entry = contents.by_topic[STEP][1]  # of the first, more is checked
+    step = ControllerStep.FromString(entry.data)
+    step.searches[0].evaluations = 2**64 // 4
+    step.searches.append(step.searches[0])
+    step.searches.append(step.searches[0])
+    spoilt = {entry: entry._replace(data=step.SerializeToString())}
     log = rewrite(contents, tmp_path / "hostile.mcap", spoilt)
     done = check("export --parquet", log, tmp_path / "out")
     assert done.returncode == 1

@@ -13,7 +13,7 @@ from support import problems
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.kernels import levenberg
 from tetractl.control.kernels import multistart as kernel
-from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, PROGRESS, lay_out_polish
+from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS, lay_out_polish
 from tetractl.control.kernels.rollout import lay_out
 from tetractl.core.kernels import kernel_cache as kernels
 
@@ -126,3 +126,12 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
     assert len(found.history) <= 21
     assert found.evaluations <= budget
     assert evaluate(problem, found.signals[None]).target[0] <= found.history[-1] * (1 + 1e-9) + 1e-9
+
+
+def test_no_signal_changes_by_more_than_the_largest_step_in_an_iteration():
+    largest = 0.0
+    for seed in range(20):
+        problem, start = problems.problem(problems.world(seed, 1, 0, "arc")), random_start(seed, 12)
+        off = compiled(problem, start, 1).signals - start
+        largest = max(largest, np.abs((off + math.pi) % math.tau - math.pi).max())
+    assert largest == pytest.approx(LARGEST_STEP)

@@ -104,7 +104,7 @@ def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
 
     loop = InnerLoop(Listener(), None, Calm(), VirtualClock(), None, None)
     for action in (Steer(1.0), Stop()):
-        loop._note(Transmission(action, 5, (True,), np.zeros(1), np.zeros(1)))
+        loop._note(Transmission(action, 0, (True,), np.zeros(1), np.zeros(1)))
     assert heard == [(1.0, 5), (None, 5)]
 
 

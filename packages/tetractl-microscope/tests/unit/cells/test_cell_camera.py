@@ -105,7 +105,7 @@ def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
     loop = InnerLoop(Listener(), None, Calm(), VirtualClock(), None, None)
     for action in (Steer(1.0), Stop()):
         loop._note(Transmission(action, 0, (True,), np.zeros(1), np.zeros(1)))
-    assert heard == [(1.0, 5), (None, 5)]
+    assert heard == [(1.0, 0), (None, 0)]
 
 
 LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)

@@ -56,7 +56,7 @@ class Turning(NamedTuple):
     def then(self, facing: float | None) -> "Turning":
         """Return what it is after a step in which the robots turn to `facing` [rad]."""
         if facing is None:
-            return Turning()
+            return STILL
         return Turning(facing, self.steps + 1 if facing == self.facing else 1)
 
 
@@ -69,9 +69,9 @@ def away(
     """Return a way out for standing robots or, if none keeps clear, the direction [rad] to which
     they turn first; if no turn helps, the best way out that enters nothing.
 
-    Robots that are `turning` to a direction keep it until all have reached it: one that stands
-    nearly opposite to it hardly turns at first, and another direction might be opposite again.
-    After OUT.turns steps the turn has led nowhere: then the best way out that enters nothing comes
+    Robots that are `turning` to a direction keep it for OUT.turns steps, in which all reach it: one
+    that stands nearly opposite to it hardly turns at first, and another direction might be opposite
+    again. After that the turn has led nowhere: then the best way out that enters nothing comes
     before another turn.
     """
     out = way_out(problem, margins, apart)
@@ -79,11 +79,11 @@ def away(
         return out, None
     if 0 < turning.steps < OUT.turns:
         return None, turning.facing
-    if turning.steps:
+    facing = None if turning.steps else turn_away(problem, margins, apart)
+    if facing is None:
         out = way_out(problem, margins, apart, 0.0)
-    facing = turn_away(problem, margins, apart) if out is None else None
-    if out is None and facing is None:
-        out = way_out(problem, margins, apart, 0.0)
+    if turning.steps and out is None:
+        facing = turn_away(problem, margins, apart)
     return out, facing
 
 

@@ -1,0 +1,34 @@
+"""What every pair of functions that write and read a frame of bytes must do."""
+
+import itertools
+
+import pytest
+from hypothesis import strategies as st
+
+from tetractl.core.errors import WireError
+from tetractl.lab import cobs
+
+ANY_BYTES = st.binary(max_size=100) | st.binary(min_size=1, max_size=78).map(
+    lambda body: cobs.frame_with_crc(body)[:-1]
+)
+
+
+def check_round_trip(encode, decode, message):
+    """A message comes out as it went in, and every error of one bit is detected."""
+    frame = encode(message)
+    assert frame.index(0) == len(frame) - 1
+    assert decode(frame[:-1]) == message
+    for at, bit in itertools.product(range(len(frame) - 1), range(8)):
+        bad = bytearray(frame[:-1])
+        bad[at] ^= 1 << bit
+        with pytest.raises(WireError):
+            decode(bytes(bad))
+
+
+def check_any_bytes(encode, decode, raw):
+    """Any bytes are a message, or refused."""
+    try:
+        read = decode(raw)
+    except WireError:
+        return
+    assert decode(encode(read)[:-1]) == read

@@ -5,6 +5,7 @@ H + 1 from what is left of the sequence in use; the best is exerted. Nothing is 
 `tetractl.control.mpc` is the controller that we recommend.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -30,7 +31,10 @@ class Algorithm2:
         self.estimator = StateEstimator(
             section.problem(setup), section.period, section.known(setup), loss=setup.loss
         )
-        self.time = TrialTime(section.time_limit, section.period)
+        # by default k_max alone ends the trial: late steps take longer than their periods
+        steps_s = (section.steps_max + 1) * section.period
+        limit_s = section.time_limit if section.time_limit < steps_s else math.inf
+        self.time = TrialTime(limit_s, section.period)
         self.warm: Floats | None = None  # u_(warm), None before the first step
         self.k = 0
 

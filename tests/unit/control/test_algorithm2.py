@@ -4,6 +4,7 @@ from support.scripted import TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
 from tetractl.control.rng import mix
+from tetractl.core.commands import Command, Steer
 from tetractl.core.plan import Outcome, Plan
 
 
@@ -103,3 +104,20 @@ def test_arrival_comes_before_the_other_ends():
     assert isinstance(controller.plan(seen()), Plan)
     assert controller.plan(seen(TARGETS)) is Outcome.ARRIVED
     assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED
+
+
+def test_steps_are_counted_however_long_each_takes():
+    """Regression: after late steps its time was over before k_max."""
+    controller = mpc(spec(steps_max=2), 99, Scripted({6: 0.0}))
+    sent = [Command(Steer(0.0), k * 10**9, (True,) * 3) for k in range(3)]
+    decisions = [controller.plan(seen())]
+    decisions += [controller.plan(seen(now=one.sent_ns + 10**9), one) for one in sent]
+    assert all(isinstance(one, Plan) for one in decisions[:3])
+    assert decisions[3] is Outcome.STEPS_MAX
+
+
+def test_a_limit_of_time_that_is_given_ends_a_trial_before_its_last_step():
+    controller = mpc(spec(steps_max=50, time_limit=1), 99, Scripted({6: 0.0}))
+    assert isinstance(controller.plan(seen()), Plan)
+    sent = Command(Steer(0.0), 0, (True,) * 3)
+    assert controller.plan(seen(now=10**9), sent) is Outcome.TIME_LIMIT

@@ -6,7 +6,7 @@ the robots away from their targets and back.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from tetractl.control.rng import mix
 from tetractl.core.plan import Limits, Problem, Search, never
@@ -104,6 +104,24 @@ class Searcher:
             else:
                 failed = middle
         return True
+
+    def onward(
+        self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
+    ) -> bool:
+        """Search from each of `starts` until a plan is good; return whether one was found.
+
+        The searches use `problem`, which has the same robots as the searcher's own problem, and is
+        the searcher's problem afterwards if a plan was found.
+        """
+        posed, self.problem = self.problem, problem
+        for start in starts:
+            found = self.search(len(start), start)
+            if found is None:
+                break
+            if good(found):
+                return True
+        self.problem = posed
+        return False
 
     def thoroughly(self, problem: Problem, most: int, good_enough: float) -> None:
         """Search up to THOROUGH growing lengths, each thoroughly, until a cost is good enough.

@@ -30,6 +30,7 @@ from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.mpc_step import Candidate, Leg, StepStart
+from tetractl.control.passage import AHEAD, LOST, TRUSTED_S, ahead, narrow, ways
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
@@ -169,7 +170,24 @@ class Mpc:
             if not len(step.warm) or self._enters(problem, step.warm):
                 return self._given(problem, State.RESTING)
             return self._given(problem, State.LEAVING, step.warm)
+        if self._state is State.PASSING and len(step.warm) > AHEAD:
+            return self._passing(step, step.warm)
         return self._under_way(step, step.warm, holds)
+
+    def _passing(self, step: StepStart, warm: Floats) -> Plan:
+        """Go on through a passage, with the signals `warm` left: the next AHEAD are searched again,
+        to bring robots where the plan from rest led them; the rest of that plan stays."""
+        assert self.last is not None
+        problem, way = step.problem, self.last.path[len(self.last.signals) - len(warm) :]
+        near, key, limits = ahead(problem, way), mix(self.key, self.k), self._expired()
+        found = self.optimizer.search(near, AHEAD, warm[:AHEAD], key, Limits(None, limits))
+        seen = compiled_foresee(near, found.signals)
+        lost = seen.target > LOST * self.section.accept_error
+        lost &= (self.k - self.began) * self.section.period > TRUSTED_S
+        if self.stands and (lost or self._enters(problem, found.signals)):
+            return self._given(problem, State.RESTING, before=[found])
+        plan = self._given(problem, State.PASSING, np.append(found.signals, warm[AHEAD:]), [found])
+        return replace(plan, path=np.concatenate([seen.path, way[AHEAD + 1 :]]))
 
     def _under_way(self, step: StepStart, warm: Floats, holds: bool) -> Plan | Outcome | End:
         """Decide while a plan is under way, of which the signals `warm` are left."""
@@ -261,16 +279,22 @@ class Mpc:
         good_enough = self.section.optimizer.good_enough or 0.0
 
         def good(search: Search) -> bool:
-            seen = compiled_foresee(problem, search.signals)
+            seen = compiled_foresee(searcher.problem, search.signals)
             return search.cost <= good_enough and self._safe(step, search.signals, seen)
 
         reached = searcher.spread(least, most, good)
+        later = self._with_margins(problem, None)  # the motion will be identified by then
+        if not (reached or self._moving) and self._narrow(later):
+            for one in (problem, later):
+                starts = ways(one, self.setup.arena, most, mix(self.key, self.k))
+                if searcher.onward(one, starts, good):
+                    plan = self._best(searcher, replace(step, problem=one))
+                    return replace(plan, state=State.PASSING)
         plan = self._best(searcher, step)
         out = self._out(searcher, plan)
         accepted = max(good_enough, self.section.accept_error)
         # in a corner, thorough searches take longer than a way out, and are mostly in vain
         if not (out or reached) and min(one.cost for one in searcher.found) > accepted:
-            later = self._with_margins(problem, None)  # the motion will be identified by then
             searcher.thoroughly(later, most, good_enough)
             step = replace(step, problem=searcher.problem)
             plan = self._best(searcher, step)
@@ -278,6 +302,11 @@ class Mpc:
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
         return out or plan
+
+    def _narrow(self, problem: Problem) -> bool:
+        """Return whether robots have to pass a place that has no room for all of them abreast."""
+        collision = self.section.collision
+        return collision.walls and narrow(problem, self.margins, self.setup.arena)
 
     def _best(self, searcher: Searcher, step: StepStart) -> Plan:
         """Return the plan of least value that was found."""

@@ -57,7 +57,7 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 
     found = np.zeros(len(setup.targets))
     for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
-        reached = _connected(around(start), free)
+        reached = connected(around(start), free)
         if reached.any() and not (reached & around(target)).any():
             rows, columns = np.nonzero(reached)
             nearest = np.hypot(x[columns] - target[0], y[rows] - target[1]).min()
@@ -72,7 +72,7 @@ def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
     return begin + (cells + 0.5) * side
 
 
-def _connected(cells: Bools, free: Bools) -> Bools:
+def connected(cells: Bools, free: Bools) -> Bools:
     """Return the free cells that are connected with any of `cells`.
 
     The cells grow by their free neighbours until nothing is added. (SciPy's `ndimage.label` takes

@@ -10,7 +10,7 @@ from scipy.ndimage import label
 from support.bounded import shapes, spec
 
 from tetractl.core.poses import Poses
-from tetractl.model.free_space import _connected, clearance, shut_out
+from tetractl.model.free_space import clearance, connected, shut_out
 from tetractl.model.obstacles import Obstacles
 
 pytestmark = pytest.mark.slow
@@ -94,4 +94,4 @@ def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
     free, cells = rng.random((rows, columns)) < share, rng.random((rows, columns)) < 0.01
     regions, _ = label(free, np.ones((3, 3)))
     expected = np.isin(regions, regions[cells & free])
-    assert np.array_equal(_connected(cells, free), expected)
+    assert np.array_equal(connected(cells, free), expected)

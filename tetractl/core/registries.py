@@ -65,6 +65,7 @@ ACTUATORS = Registry(
     "tetractl.actuators",
     {
         "m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection",
+        "twist": "tetractl.lab.actuators.twist.section:TwistSection",
     },
     "tetractl.experiment.lab_section:ActuatorSection",
 )

@@ -18,7 +18,8 @@ from typing import Any, ClassVar
 
 from tetractl.core.cache import cache_folder, digest
 from tetractl.core.errors import TetractlError
-from tetractl.lab.actuators.m3pi.broadcast import Counts, Status
+from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.model.wheels import Counts
 
 _P, _U8, _I16 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_int16
 _U16, _U32, _SIZE = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_size_t
@@ -32,6 +33,12 @@ FUNCTIONS = {  # functions of each core: type of the result, types of the argume
     "m3pi": _BOTH
     | {
         "init": (None, _P, _U8),
+        "wheels": (None, _P, _U32, _P, _P),
+        "set_battery": (None, _P, _U16),
+    },
+    "twist": _BOTH
+    | {
+        "init": (None, _P, _U8, _U16),
         "wheels": (None, _P, _U32, _P, _P),
         "set_battery": (None, _P, _U16),
     },
@@ -147,23 +154,19 @@ class Core:
         return self._one.value, self._two.value
 
 
-class RobotCore(Core):
-    """The firmware core of robot `index`."""
+class WheelsCore(Core):
+    """The firmware core of a robot with two wheels."""
 
-    name, reply_size, number = "m3pi", 14, ctypes.c_int8
-
-    def __init__(self, index: int, library: Library | None = None) -> None:
-        super().__init__(library)
-        self._call("init", index)
-        self._stands = False  # its counts are 0 until a byte comes
+    _stands = False  # whether its speeds are 0 until a byte comes
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
-        """As `Core.push`; the counts may be others then."""
+        """As `Core.push`; the speeds may be others then."""
         self._stands = False
         return super().push(data, now_ms)
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present counts of both wheels, which the watchdog may have set to 0."""
+        """Return the present counts, or speeds, of both wheels, which the watchdog may have set to
+        0."""
         if self._stands:
             return 0, 0
         counts = self._pair("wheels", now_ms)
@@ -177,3 +180,24 @@ class RobotCore(Core):
     def set_battery(self, battery_mv: int) -> None:
         """Set the battery voltage that the core reports [mV]; 0 for unknown."""
         self._call("set_battery", battery_mv)
+
+
+class RobotCore(WheelsCore):
+    """The firmware core of m3pi `index`, whose wheels have counts."""
+
+    name, reply_size, number = "m3pi", 14, ctypes.c_int8
+
+    def __init__(self, index: int, library: Library | None = None) -> None:
+        super().__init__(library)
+        self._call("init", index)
+
+
+class TwistCore(WheelsCore):
+    """The core of robot `index` that takes lines, whose wheels have speeds [mm/s] and are
+    `radius_mm` from its centre."""
+
+    name, reply_size, number = "twist", 48, ctypes.c_int32
+
+    def __init__(self, index: int, radius_mm: int, library: Library | None = None) -> None:
+        super().__init__(library)
+        self._call("init", index, radius_mm)

@@ -5,7 +5,7 @@ import os
 import termios
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
@@ -34,7 +34,7 @@ class SerialDevice(ABC):
         self.garbled = 0  # number of chunks sent at another baud rate than the device's
         self._timeline, self._baud = timeline, baud
         self._in_ns = self._out_ns = 0  # when the line is free again, in and out
-        self._splitter = Splitter()
+        self._splitter = Splitter()  # of frames closed by 00
 
     @abstractmethod
     def hear(self, data: bytes) -> None:
@@ -52,15 +52,15 @@ class SerialDevice(ABC):
         if not data:
             return
         self._witness(data)
-        if self.port.baud() != self._baud:
+        if self.port.baud() not in (self._baud, None):
             self.garbled += 1
             return
         self._in_ns = max(self._timeline.now_ns, self._in_ns) + uart_ns(len(data), self._baud)
         self._timeline.at(self._in_ns, lambda: self.hear(data))
 
-    def _note_commands(self, data: bytes) -> None:
+    def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""
-        for sealed in self._splitter.feed(data):
+        for sealed in frames:
             try:
                 self.note("command", **self._command(sealed))
             except WireError:
@@ -145,8 +145,9 @@ class PseudoPort:
         if self.fd >= 0:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
-    def baud(self) -> int:
-        """Return the speed that the program has set [bits per second]; 0 for an unknown speed."""
+    def baud(self) -> int | None:
+        """Return the speed that the program has set [bits per second], 0 for an unknown one; None
+        if the port has none."""
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:

@@ -19,6 +19,7 @@ EMULATED_ACTUATORS = Registry(
     "tetractl.emulated_actuators",
     {
         "m3pi-xbee": "tetractl_emulator.m3pi.side:EmulatedM3pi",
+        "twist": "tetractl_emulator.twist.side:EmulatedTwist",
         "field": "tetractl_emulator.pictures.field:EmulatedField",
     },
 )

@@ -124,21 +124,22 @@ class MemorySocket:
 class MemoryPort(PseudoPort):
     """A device's end of a serial port in memory; `written` is called after a write of ours."""
 
-    def __init__(self, plugged: "Plugged", link: Path) -> None:
-        super().__init__(link)
+    def __init__(self, plugged: "Plugged", link: Path | str) -> None:
+        super().__init__(Path(link))
+        self._name = str(link)
         self.near: MemorySerial | None = None
         self.written: Callable[[], None] = lambda: None
         self.stalled, self.taken, self._plugged = False, b"", plugged
 
     def plug(self) -> None:
         """Make the port known by its name."""
-        self.fd = 3
-        self._plugged[str(self.link)] = self
+        self.fd = 1 + max((port.fd for port in self._plugged.values()), default=2)
+        self._plugged[self._name] = self
 
     def unplug(self) -> None:
         """Remove the port; our end fails. May be called twice."""
         self.fd = -1
-        self._plugged.pop(str(self.link), None)
+        self._plugged.pop(self._name, None)
         if self.near is not None:
             self.near.hear(b"")
 

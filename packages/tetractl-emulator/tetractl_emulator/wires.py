@@ -9,6 +9,7 @@ from typing import Any
 from tetractl.core.clock import Clock, MonotonicClock
 from tetractl.core.errors import TetractlError
 from tetractl.lab.serial_port import Ports
+from tetractl_emulator.emulated_udp import make_port
 from tetractl_emulator.port import PseudoPort
 
 
@@ -32,13 +33,13 @@ def bound_udp(address: str, port: int) -> socket.socket:
 class Wires:
     """Functions that make the ends of connections; by default those of this computer, in real time.
 
-    Of the emulation: `port` makes a serial port from the name that programs open, `bound` a UDP
+    Of the emulation: `port` makes a port from the name that programs open, `bound` a UDP
     socket at an address and port, and `clock` its clock; cameras serve pictures over `http` or in
     memory. Of programs: `ports` and `make_socket`, None for the devices' own.
     """
 
     clock: Callable[[], Clock] = MonotonicClock
-    port: Callable[[Path], PseudoPort] = PseudoPort
+    port: Callable[[Path | str], PseudoPort] = make_port
     bound: Callable[[str, int], Any] = bound_udp
     http: bool = True
     ports: Ports | None = None

@@ -1,4 +1,4 @@
-"""The lab of two robots with another actuator, a field, or another camera, of tags."""
+"""The lab of two robots with another actuator, a field or lines, or another camera, of tags."""
 
 from support.lab_specs import SPEC
 
@@ -15,6 +15,16 @@ FIELD = """
     slew_max_a_s: 100
 """
 FIELD_SPEC = SPEC[: SPEC.index("  actuator:")].replace("wheels: {radius: 40}\n", "") + FIELD[1:]
+TWIST_SPEC = (
+    SPEC[: SPEC.index("  actuator:")]
+    + """  actuator:
+    type: twist
+    port: udp://192.168.4.255:9750
+    robots:
+      - {name: green, right_gain: 1.05}
+      - {name: blue, index: 4, port: radio}
+"""
+)
 APRILTAG = """lab:
   camera:
     type: apriltag

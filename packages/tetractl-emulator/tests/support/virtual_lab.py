@@ -84,6 +84,7 @@ def joined(lab, clock):
     with contextlib.ExitStack() as stack:
         for name, value in (
             ("tetractl.lab.actuators.xbee.link.SerialPort", lab.wires.ports),
+            ("tetractl.lab.actuators.twist.line_ports.open_port", lab.wires.ports),
             ("tetractl_microscope.coils.driver.SerialPort", lab.wires.ports),
             ("tetractl.lab.serial_port.require_port", lambda name, device: None),
         ):

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
+from support.device_specs import APRILTAG_SPEC, FIELD_SPEC, TWIST_SPEC
 from support.lab_processes import emulated
 from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
@@ -71,6 +71,7 @@ CAMERAS = {"optitrack": optitrack, "apriltag": apriltag}
 ACTUATORS = {
     "m3pi-xbee": lambda folder: actuator(folder, SPEC),
     "field": lambda folder: actuator(folder, FIELD_SPEC),
+    "twist": lambda folder: actuator(folder, TWIST_SPEC),
 }
 
 

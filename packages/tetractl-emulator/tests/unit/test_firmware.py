@@ -17,11 +17,11 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     ROBOTS_MAX,
     BroadcastCommand,
     Reply,
-    Status,
     decode_command,
     decode_reply,
     encode_command,
 )
+from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.lab.cobs import Flag, encode, frame_with_crc
 
 pytestmark = pytest.mark.slow

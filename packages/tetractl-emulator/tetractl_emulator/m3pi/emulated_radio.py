@@ -76,7 +76,7 @@ class EmulatedRadio(SerialDevice):
         for content in self._witnessed.feed(data):
             if not content.startswith(BROADCAST):
                 continue
-            self._note_commands(content[len(BROADCAST) :])
+            self._note_commands(self._splitter.feed(content[len(BROADCAST) :]))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)

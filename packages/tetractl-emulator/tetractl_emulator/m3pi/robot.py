@@ -4,7 +4,7 @@
 Lengths are millimetres.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.poses import Floats, Poses
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
-from tetractl_emulator.firmware import RobotCore
+from tetractl_emulator.firmware import RobotCore, WheelsCore
 
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
@@ -47,9 +47,15 @@ class EmulatedRobot:
     robots: "EmulatedRobots"
     row: int
 
-    def __init__(self, name: str, index: int, battery: EmulatedBattery | None = None) -> None:
-        self.name, self.core = name, RobotCore(index)
-        self.index = index
+    def __init__(
+        self,
+        name: str,
+        index: int,
+        battery: EmulatedBattery | None = None,
+        make_core: Callable[[int], WheelsCore] = RobotCore,
+    ) -> None:
+        self.name, self.core = name, make_core(index)
+        self.index, self._make_core = index, make_core
         self.battery = battery or EmulatedBattery()
         self.powered, self.stuck = True, (False, False)
         self.veer: Counts | None = None
@@ -111,7 +117,7 @@ class EmulatedRobot:
         """Switch the robot on or off; switching it on restarts its firmware."""
         self.powered = on
         if on:
-            self.core = RobotCore(self.index)
+            self.core = self._make_core(self.index)
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the robot, at rest, at a pose [mm, rad]."""

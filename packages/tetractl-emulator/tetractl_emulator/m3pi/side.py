@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.experiment.base import Model, Name, Positive
-from tetractl.lab.actuators.m3pi.actuator import drivetrains, radius_mm
+from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
+from tetractl.lab.actuators.wheel_commands import radii_mm
 from tetractl_emulator.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
 from tetractl_emulator.firmware import RobotCore
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
@@ -192,6 +193,6 @@ def _wheels(
         )
         for true in trues
     ]
-    radii = np.array([radius_mm(part, stage.setup) for part in parts])
+    radii = radii_mm(stage.setup, [part.radius_mm for part in parts])
     lags = np.array([true.lag for true in trues])
     return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)

@@ -1,6 +1,5 @@
 """The actuator of m3pi robots: turns the common direction into wheel counts, sent over an XBee."""
 
-import math
 from collections.abc import Sequence
 from typing import Self
 
@@ -9,13 +8,14 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Pose
-from tetractl.core.setup import MM, Setup
-from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, Reply, Status
+from tetractl.core.setup import Setup
+from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
+from tetractl.lab.actuators.wheel_commands import WheelCommands, robot_status
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
-from tetractl.model.wheels import STOP, Counts, Drivetrains, WheelHost
+from tetractl.model.wheels import STOP, Counts, Drivetrains
 
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
 
@@ -32,12 +32,10 @@ class M3piActuator:
         self.section, self.names = section, setup.names
         self.robots = [section.robot(name) for name in setup.names]
         self.link = Link(section, clock, ports)
-        self._clock = clock
         self._radio = Broadcaster(self.link, clock, [section.index(name) for name in setup.names])
-        self._mm = setup.metres / MM  # millimetres per length unit of the spec
-        radius = np.array([radius_mm(robot, setup) for robot in self.robots])
-        self.drivetrains = wheels = drivetrains(self.robots)
-        self._host = WheelHost(setup.a, setup.speed * self._mm, radius, setup.lag_s, wheels)
+        self.drivetrains = drivetrains(self.robots)
+        radii = [robot.radius_mm for robot in self.robots]
+        self._commands = WheelCommands(setup, clock, radii, self.drivetrains, RADIO_NS)
 
     def __enter__(self) -> Self:
         """Open the port and check the XBee module."""
@@ -85,49 +83,28 @@ class M3piActuator:
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state."""
-        replies = self._radio.poll(timeout_s)
-        return [self._status(*pair) for pair in zip(self.names, replies, strict=True)]
+        replies, warn_v = self._radio.poll(timeout_s), self.section.battery_warn
+        return [
+            robot_status(name, one.status, one.battery_mv, warn_v)
+            if one
+            else robot_status(name, None)
+            for name, one in zip(self.names, replies, strict=True)
+        ]
 
     def counts(
         self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
     ) -> list[Counts]:
-        """Return the wheel counts by `WheelHost`.
-
-        Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
-        command reaches the wheels, over at most 0.1 s. Robots without a pose get counts of 0.
-        """
-        arrives = self._clock.now() + RADIO_NS
-        since = max(exposed_ns, arrives - SECOND // 10)
-        heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
-        drives = isinstance(action, Steer)
-        u = action.direction if drives else action.facing
-        wished = self._host.wished(heading, u, since, arrives, drives)
-        wished[:, [pose is None for pose in poses]] = 0.0
-        return [(one, two) for one, two in self._host.counts(wished).T.tolist()]
+        """Return the wheel counts for the speeds of `WheelCommands.wished`."""
+        wished = self._commands.wished(action, poses, exposed_ns)
+        return [(one, two) for one, two in self._commands.host.counts(wished).T.tolist()]
 
     def _transmission(
         self, sent_ns: int, action: Action, counts: Sequence[Counts], moving: tuple[bool, ...]
     ) -> Transmission:
         speeds = self.drivetrains.speeds(np.array(counts).T)
-        speed, turning = self._host.sent(sent_ns + RADIO_NS, speeds)
-        left, right = speeds / self._mm
-        return Transmission(action, sent_ns, moving, speed / self._mm, turning, left, right)
-
-    def _status(self, name: str, reply: Reply | None) -> RobotStatus:
-        if reply is None:
-            line = f"{name} does not answer: is it on, and is its index right?"
-            return RobotStatus(False, problems=(line,))
-        volts = reply.battery_mv / 1000 or None
-        if reply.status & Status.EMERGENCY_STOPPED:
-            line = f"{name} is emergency-stopped: switch it off and on again"
-            return RobotStatus(True, volts, (line,))
-        # its motors would soon fail
-        if volts is not None and volts < 4.0:
-            line = f"{name}'s battery is at {volts:.2f} V: charge it"
-            return RobotStatus(True, volts, (line,))
-        if volts is not None and volts < self.section.battery_warn:
-            return RobotStatus(True, volts, (), (f"{name}'s battery is at {volts:.2f} V",))
-        return RobotStatus(True, volts)
+        speed, turning = self._commands.sent(sent_ns, speeds)
+        left, right = speeds / self._commands.mm
+        return Transmission(action, sent_ns, moving, speed, turning, left, right)
 
 
 def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:
@@ -139,11 +116,3 @@ def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:
         np.array([robot.limit for robot in robots]),
         np.array([robot.swap for robot in robots]),
     )
-
-
-def radius_mm(robot: M3piRobot, setup: Setup) -> float:
-    """Return the distance from a robot's wheels to its centre [mm], by default the spec's."""
-    radius = robot.radius_mm
-    if radius is None and setup.wheel_radius is not None:
-        radius = setup.wheel_radius * setup.metres / MM
-    return math.nan if radius is None else radius

@@ -10,12 +10,12 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import IntFlag
 
 from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
+from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
@@ -24,14 +24,6 @@ COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
 REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
-
-
-class Status(IntFlag):
-    """Status flags of a robot."""
-
-    RUNNING = 1  # the last frame set the run flag
-    EMERGENCY_STOPPED = 2
-    SILENT = 4  # stopped by the watchdog
 
 
 @dataclass(frozen=True, slots=True)

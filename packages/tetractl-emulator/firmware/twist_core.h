@@ -1,0 +1,85 @@
+/* What a robot on two wheels does with lines of text: commands in, wheel speeds and replies out.
+ *
+ * Portable C99 without I/O, clock, heap or floats: the same code runs on a robot, in host tests and
+ * inside the emulated robots. The caller passes the time in. micropython/twist.py does the same in
+ * MicroPython; both pass tests/twist_vectors.txt.
+ *
+ * A command, in ASCII, closed by LF (a CR before it is ignored):
+ *   T sequence flags {index v w} ... *CRC        v [mm/s], w [mrad/s], anticlockwise positive
+ *   W sequence flags {index left right} ... *CRC      speeds of the wheels [mm/s]
+ * Numbers are decimal with one space between them; CRC is CRC-16/CCITT-FALSE of everything before
+ * the *, as four hexadecimal digits. A robot obeys the first entry with its own index; a robot that
+ * no entry names stops. Reply to a poll, sent `index` slots after it:
+ *   S index sequence status battery_mv received rejected*CRC
+ *
+ * Flags, sequence, watchdog and emergency stop are those of m3pi_core.h.
+ */
+#ifndef TWIST_CORE_H
+#define TWIST_CORE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define TWIST_ROBOTS_MAX 32u
+#define TWIST_LINE_MAX 300u /* characters of a line without its end */
+#define TWIST_REPLY_MAX 48u
+#define TWIST_WATCHDOG_MS 250u
+#define TWIST_REPLY_SLOT_MS 20u
+#define TWIST_SPEED_MAX 5000  /* mm/s */
+#define TWIST_TURN_MAX 50000 /* mrad/s */
+
+enum { TWIST_FLAG_RUN = 1, TWIST_FLAG_EMERGENCY_STOP = 2, TWIST_FLAG_POLL = 4 };
+enum { TWIST_STATUS_RUNNING = 1, TWIST_STATUS_EMERGENCY_STOPPED = 2, TWIST_STATUS_SILENT = 4 };
+
+typedef enum {
+    TWIST_NOTHING,  /* in the middle of a line */
+    TWIST_ACCEPTED, /* a new command */
+    TWIST_STALE,    /* a good command, old or a duplicate; only a stop in it was obeyed */
+    TWIST_REJECTED, /* wrong CRC, form or numbers */
+    TWIST_FOREIGN   /* a good line that is no command, such as another robot's reply */
+} twist_event;
+
+/* Private: use the functions. */
+typedef struct {
+    uint32_t heard_ms, due_ms;
+    int32_t left, right;
+    uint16_t battery_mv, received, rejected, radius_mm;
+    uint8_t index, sequence, echo;
+    bool running, silent, emergency_stopped, reply_pending, overlong;
+    size_t length;
+    char line[TWIST_LINE_MAX];
+} twist_core;
+
+/* Power-up: stopped, silent, not latched. `index` is the robot's number in commands, `radius_mm`
+ * the distance from a wheel to the robot's centre. */
+void twist_init(twist_core *core, uint8_t index, uint16_t radius_mm);
+
+/* Take one byte from the radio. */
+twist_event twist_push(twist_core *core, uint8_t byte, uint32_t now_ms);
+
+/* Give the speeds [mm/s] to drive the wheels with now. Call it at least every few milliseconds: the
+ * watchdog is judged here. */
+void twist_wheels(twist_core *core, uint32_t now_ms, int32_t *left, int32_t *right);
+
+/* Write the reply that is due now, if any, and return its size, else 0. */
+size_t twist_take_reply(twist_core *core, uint32_t now_ms, char reply[TWIST_REPLY_MAX]);
+
+/* Tell the battery's voltage for the next replies; 0 for unknown. */
+void twist_set_battery(twist_core *core, uint16_t battery_mv);
+
+/* TWIST_STATUS_ bits as they stand now. */
+uint8_t twist_status(twist_core *core, uint32_t now_ms);
+
+/* Size of twist_core, for callers that cannot see the type. */
+size_t twist_size(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

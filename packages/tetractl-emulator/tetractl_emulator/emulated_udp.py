@@ -1,0 +1,67 @@
+"""The emulation's end of a UDP port, used like the end of a serial port."""
+
+import socket
+from contextlib import suppress
+from pathlib import Path
+
+from tetractl.core.errors import TetractlError
+from tetractl.lab.udp_port import DATAGRAM_MAX, SCHEME, address_of
+from tetractl_emulator.port import PseudoPort
+
+
+class UdpPlug(PseudoPort):
+    """Devices at `udp://HOST:PORT`, emulated at this port of this computer."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(Path(name))
+        address = address_of(name)
+        assert address is not None, "the section has checked the name"
+        self._number = address[1]
+        self._socket: socket.socket | None = None
+        self._sender: tuple[str, int] | None = None
+        self._stalled = False
+
+    def plug(self) -> None:
+        """Listen at the port; TetractlError if it is in use."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("127.0.0.1", self._number))
+        except OSError as error:
+            self._socket.close()
+            why = f"cannot open UDP 127.0.0.1:{self._number}: {error.strerror}"
+            raise TetractlError(why, hint="is another emulation running?") from None
+        self.fd = self._socket.fileno()
+
+    def unplug(self) -> None:
+        """Stop listening, which no program notices; may be called twice."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket, self.fd = None, -1
+
+    def stall(self, stalled: bool) -> None:
+        """If `stalled`, lose what is sent to the port, as datagrams are lost; otherwise go on."""
+        self._stalled = stalled
+
+    def baud(self) -> None:
+        """Return None: a network has no baud rate."""
+
+    def read(self) -> bytes:
+        """Return the bytes of the next datagram, b"" if there is none."""
+        if self._socket is None:
+            return b""
+        with suppress(BlockingIOError):
+            data, self._sender = self._socket.recvfrom(DATAGRAM_MAX)
+            return b"" if self._stalled else data
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Send a datagram to the program that sent the last one."""
+        if self._socket is not None and self._sender is not None:
+            with suppress(OSError):
+                self._socket.sendto(data, self._sender)
+
+
+def make_port(link: Path | str) -> PseudoPort:
+    """Return the emulation's end of a port, from the name that programs open."""
+    return UdpPlug(str(link)) if str(link).startswith(SCHEME) else PseudoPort(Path(link))

@@ -1,0 +1,1 @@
+"""Emulated robots that take lines of text."""

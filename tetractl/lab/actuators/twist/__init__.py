@@ -1,0 +1,1 @@
+"""Robots on two wheels that take lines of text, over a serial port or UDP."""

@@ -1,0 +1,123 @@
+"""The ports of robots that take lines: each port sends one line for all its robots."""
+
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+
+from tetractl.core.clock import MILLISECOND, SECOND, Clock, wait_for
+from tetractl.core.errors import AbortError, WireError
+from tetractl.core.worker import WAITING_MAX, drained
+from tetractl.lab.actuators.twist.lines import (
+    REPLY_SLOT_MS,
+    Entry,
+    Kind,
+    LineCommand,
+    LineReply,
+    decode_reply,
+    encode_command,
+)
+from tetractl.lab.cobs import Flag
+from tetractl.lab.serial_port import Heard, Ports
+from tetractl.lab.udp_port import open_port
+
+HINT = "the robots stop by their watchdog; connect them and start again"
+TRIES = 5  # number of polls: lines may be lost
+PENDING_MAX = 1000  # most bytes kept of a line that has not ended
+
+
+class TwistLink:
+    """Connections to robots with the numbers `indices`, each at a port of its own or not, `port_of`
+    each. Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any
+    more. `ports` makes a port, `open_port` by default.
+    """
+
+    def __init__(
+        self,
+        kind: Kind,
+        indices: Sequence[int],
+        port_of: Sequence[str],
+        baud: int,
+        clock: Clock,
+        ports: Ports | None = None,
+    ) -> None:
+        self._clock = clock
+        self._kind: Kind = kind
+        self._indices, self._port_of = tuple(indices), tuple(port_of)
+        self._replies: deque[LineReply] = deque(maxlen=WAITING_MAX)
+        self._rest: dict[str, bytes] = {}
+        self._sequence, make = 0, ports or open_port
+        self._ports = {
+            port: make(port, baud, "the radio", clock, self._taker(port), HINT)
+            for port in dict.fromkeys(port_of)
+        }
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        return next((port.failure for port in self._ports.values() if port.failure), None)
+
+    def open(self, alone: bool = True) -> None:
+        """Open all ports, exclusively if `alone`."""
+        for port in self._ports.values():
+            port.open(alone)
+
+    def close(self) -> None:
+        """Release all ports; may be called twice, never raises."""
+        for port in self._ports.values():
+            port.close()
+
+    def drive(self, pairs: Sequence[tuple[int, int]]) -> int:
+        """Send each robot its pair of numbers; return the time of the last sending [ns]."""
+        entries = [(i, *pair) for i, pair in zip(self._indices, pairs, strict=True)]
+        return self._send(Flag.RUN, entries)
+
+    def stop(self, emergency: bool = False) -> int:
+        """Stop every robot on every port, whether or not another port fails; return the time of the
+        last sending [ns]. AbortError if a port has failed."""
+        return self._send(Flag.EMERGENCY_STOP if emergency else Flag(0), [])
+
+    def poll(self, timeout_s: float) -> list[LineReply | None]:
+        """Poll all robots until each has replied, at most TRIES times; a robot without a reply
+        gives None."""
+        found, wanted = dict[int, LineReply](), set(self._indices)
+        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
+        deadline = self._clock.now() + round(timeout_s * SECOND)
+        for _ in range(TRIES):
+            until = min(deadline, self._send(Flag.POLL, []) + slots + SECOND // 10)
+            while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
+                wait_for(self._clock, self._heard, left / SECOND)
+                found |= {reply.index: reply for reply in drained(self._replies)}
+                if self.failure is not None:
+                    return [found.get(index) for index in self._indices]
+            if wanted <= found.keys() or self._clock.now() >= deadline:
+                break
+        return [found.get(index) for index in self._indices]
+
+    def _heard(self) -> bool:
+        return bool(self._replies) or self.failure is not None
+
+    def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
+        self._sequence = (self._sequence + 1) % 256
+        sent_ns, error = self._clock.now(), None
+        for name, port in self._ports.items():
+            own = tuple(
+                entry for entry, at in zip(entries, self._port_of, strict=False) if at == name
+            )
+            command = LineCommand(self._kind, self._sequence, flags, own)
+            try:
+                sent_ns = port.write(encode_command(command))
+            except AbortError as failed:
+                error = error or failed
+        if error is not None:
+            raise error
+        return sent_ns
+
+    def _taker(self, port: str) -> Heard:
+        def take(data: bytes, now: int) -> None:
+            *lines, rest = (self._rest.get(port, b"") + data).split(b"\n")
+            self._rest[port] = rest[-PENDING_MAX:]
+            for line in lines:
+                with suppress(WireError):
+                    self._replies.append(decode_reply(line))
+
+        return take

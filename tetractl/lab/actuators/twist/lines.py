@@ -1,0 +1,104 @@
+"""Lines of text to robots on two wheels, and their replies.
+
+A command is `T sequence flags {index v w} ...*CRC`, v in mm/s and w in mrad/s, or `W sequence flags
+{index left right} ...*CRC`, the speeds of the wheels in mm/s; a reply is `S index sequence status
+battery_mv received rejected*CRC`. Numbers are decimal, with one space between them; CRC is
+CRC-16/CCITT-FALSE of what is before the *, as four hexadecimal digits; LF ends a line.
+`firmware/twist_core.c` and `firmware/micropython/twist.py` are the robot's side.
+"""
+
+from dataclasses import astuple, dataclass
+from typing import Literal
+
+from tetractl.core.errors import WireError
+from tetractl.lab import cobs
+from tetractl.lab.actuators.wheel_commands import Status
+
+ROBOTS_MAX = 32
+LINE_MAX = 300  # characters without the line's end
+SPEED_MAX, TURN_MAX = 5000, 50_000  # greatest absolute speed [mm/s] and turning rate [mrad/s]
+DIGITS_MAX = 6
+REPLY_SLOT_MS = 20  # robot i replies i slots after a poll, so that replies do not collide
+Kind = Literal["T", "W"]
+Entry = tuple[int, int, int]
+"""A robot's index, and v and w or the speeds of its left and right wheel."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineCommand:
+    """One line for all robots that hear it: those named in `entries` drive so, the others stop."""
+
+    kind: Kind
+    sequence: int
+    flags: cobs.Flag
+    entries: tuple[Entry, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LineReply:
+    """A robot's reply to a poll, as `m3pi.broadcast.Reply`."""
+
+    index: int
+    sequence: int
+    status: Status
+    battery_mv: int
+    received: int
+    rejected: int
+
+
+def encode_command(command: LineCommand) -> bytes:
+    """Return the line of a command, with its end; WireError for numbers out of range."""
+    numbers = [command.sequence, int(command.flags), *(n for one in command.entries for n in one)]
+    line = _sealed(" ".join([command.kind, *map(str, numbers)]))
+    if decode_command(line[:-1]) != command:
+        raise WireError(f"cannot be sent: {command}")
+    return line
+
+
+def decode_command(line: bytes) -> LineCommand:
+    """Read a command, given without its end; WireError if it is none."""
+    kind, *numbers = _numbers(line)
+    if kind not in ("T", "W") or len(numbers) < 2 or len(numbers) % 3 != 2:
+        raise WireError("not a command")
+    second = SPEED_MAX if kind == "W" else TURN_MAX
+    sequence, flags, *rest = numbers
+    entries = tuple(zip(rest[::3], rest[1::3], rest[2::3], strict=True))
+    for index, one, two in entries:
+        if not (0 <= index < ROBOTS_MAX and abs(one) <= SPEED_MAX and abs(two) <= second):
+            raise WireError(f"robot {index} cannot drive by {one} {two}")
+    if not 0 <= sequence <= 255:
+        raise WireError(f"sequence {sequence} is not from 0 to 255")
+    return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)
+
+
+def encode_reply(reply: LineReply) -> bytes:
+    """Return the line of a reply, with its end."""
+    return _sealed(" ".join(["S", *(str(int(number)) for number in astuple(reply))]))
+
+
+def decode_reply(line: bytes) -> LineReply:
+    """Read a reply, given without its end; WireError if it is none."""
+    kind, *numbers = _numbers(line)
+    if kind != "S" or len(numbers) != 6 or min(numbers) < 0:
+        raise WireError("not a reply")
+    index, sequence, status, *counters = numbers
+    return LineReply(index, sequence, Status(status & 7), *counters)
+
+
+def _sealed(text: str) -> bytes:
+    data = text.encode("ascii")
+    return data + b"*%04X\n" % cobs.crc16(data)
+
+
+def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
+    """Return the letter and the numbers of a line; WireError if its CRC or form is wrong."""
+    line = line.removesuffix(b"\r")
+    head, seal = line[:-5], line[-5:]
+    if not head or len(line) > LINE_MAX or seal != b"*%04X" % cobs.crc16(head):
+        raise WireError("wrong CRC")
+    kind, *words = head.decode("ascii", "replace").split(" ")
+    for word in words:
+        digits = word.removeprefix("-")
+        if not (digits.isascii() and digits.isdecimal() and len(digits) <= DIGITS_MAX):
+            raise WireError(f"{word!r} is no number")
+    return kind, *map(int, words)

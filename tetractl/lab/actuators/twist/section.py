@@ -1,0 +1,137 @@
+"""The section of the spec for robots that take lines of text: `actuator: {type: twist, ...}`."""
+
+from collections.abc import Iterator, Sequence
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from tetractl.core.clock import Clock
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import NonNegative, Positive
+from tetractl.experiment.lab_section import (
+    STOP_GAP_NS,
+    STOPS,
+    ActuatorSection,
+    RobotPart,
+    mismatches,
+)
+from tetractl.experiment.yaml.problems import Loc
+
+
+class TwistRobot(RobotPart):
+    """A robot's entry in the actuator's section."""
+
+    index: int | None = Field(default=None, ge=0, le=31)
+    """Number of the robot in lines, as set in its program; by default the number of its entry in
+    `robots`, from 0.
+    """
+    port: str | None = Field(default=None, min_length=1, max_length=500)
+    """The robot's own port, if there is one for each; by default the actuator's."""
+    radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
+    """Distance r from a wheel to the robot's centre [mm]; `wheels.radius` by default."""
+    left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the left wheel over the speed that it was sent."""
+    right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the right wheel over the speed that it was sent."""
+
+
+class TwistSection(ActuatorSection):
+    """Robots with two wheels that take lines of text, over a serial port or UDP, and stop by
+    themselves after 250 ms without a line.
+    """
+
+    device: ClassVar[str] = "tetractl.lab.actuators.twist.actuator:TwistActuator"
+    type: Literal["twist"]
+    port: str = Field(min_length=1, max_length=500)
+    """The serial port of a radio, such as /dev/ttyUSB0, or udp://HOST:PORT; a broadcast address
+    reaches all robots at once.
+    """
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
+    """Bits per second on serial ports."""
+    sends: Literal["twist", "wheels"] = "twist"
+    """What a line has of each robot: `twist`, its speed and turning rate, or the speeds of its
+    `wheels`.
+    """
+    rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
+    """Lines per second [Hz]."""
+    delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
+    """Time from the sending of a line until the wheels follow it [s]."""
+    speed_max_mm_s: Positive = Field(default=500.0, le=5000)
+    """Largest wheel speed that is sent [mm/s]."""
+    robots: tuple[TwistRobot, ...] = Field(min_length=1, max_length=16)
+    """One entry for each robot of the spec."""
+    battery_warn: NonNegative = 4.4
+    """A warning is printed for a robot below this battery voltage [V]."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the place and text of each problem with robots, numbers, ports or wheels."""
+        from tetractl.lab.udp_port import SCHEME, address_of
+
+        indexed = [
+            robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
+        ]
+        yield from mismatches(indexed, setup.names, ("index",))
+        ports: list[tuple[Loc, str]] = [(("port",), self.port)]
+        for i, robot in enumerate(self.robots):
+            if setup.wheel_radius is None and robot.radius_mm is None:
+                message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
+                yield ("robots", i, "radius_mm"), message
+            if robot.port is not None:
+                ports.append((("robots", i, "port"), robot.port))
+        for loc, port in ports:
+            if port.startswith(SCHEME) and address_of(port) is None:
+                yield loc, f"must be {SCHEME}HOST:PORT"
+
+    def require_port(self) -> None:
+        """Raise AbortError if a serial port does not exist."""
+        from tetractl.lab.serial_port import require_port
+        from tetractl.lab.udp_port import SCHEME
+
+        for port in self.ports():
+            if not port.startswith(SCHEME):
+                require_port(port, "the radio")
+
+    def bounds(self) -> dict[str, str]:
+        """Return the ports, the rate and the largest wheel speed as {name: text}, for display."""
+        return {
+            "robots": f"{', '.join(self.ports())}, {self.rate:g} lines per second",
+            "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
+        }
+
+    def index(self, name: str) -> int:
+        """Return the number in lines of the robot with this name."""
+        at = next(i for i, robot in enumerate(self.robots) if robot.name == name)
+        own = self.robots[at].index
+        return at if own is None else own
+
+    def port_of(self, name: str) -> str:
+        """Return the port of the robot with this name."""
+        return next(robot.port for robot in self.robots if robot.name == name) or self.port
+
+    def ports(self) -> list[str]:
+        """Return the ports of all robots, each once."""
+        return list(dict.fromkeys(robot.port or self.port for robot in self.robots))
+
+    def wiring(self, names: Sequence[str]) -> tuple[Literal["T", "W"], list[int], list[str], int]:
+        """Return kind of lines, numbers and ports of these robots, and baud rate, for a
+        `TwistLink`."""
+        indices, ports = (
+            [self.index(name) for name in names],
+            [self.port_of(name) for name in names],
+        )
+        return "T" if self.sends == "twist" else "W", indices, ports, self.baud
+
+    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
+        """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;
+        return a summary."""
+        from tetractl.lab.actuators.twist.line_ports import TwistLink
+
+        link = TwistLink(*self.wiring(setup.names), clock)
+        try:
+            link.open(alone)
+            for _ in range(STOPS):
+                link.stop(emergency=True)
+                clock.sleep_until(clock.now() + STOP_GAP_NS)
+        finally:
+            link.close()
+        return f"sent {STOPS} stops; switch the robots off and on to drive them again"

@@ -2,6 +2,7 @@
 obstacles, to the arena's edge and between robots.
 """
 
+from dataclasses import astuple
 from typing import Self
 
 import numpy as np
@@ -12,6 +13,8 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.model.obstacles import Obstacles
 
 BLOCK = 10_000  # number of samples of a recorded path that are checked at a time
+FEW = 100  # number of samples of which all are compared with obstacles, which is then faster
+ROUNDING = 1e-9  # more than distances are rounded by, as a fraction of the arena's coordinates
 
 
 class PathCheck:
@@ -29,6 +32,7 @@ class PathCheck:
         self.clearance = np.full(count, np.inf)
         self.edge = np.full(count, np.inf)
         self.apart = np.full(count, np.inf)
+        self._slack = ROUNDING * max(map(abs, astuple(arena)))
         self._last: tuple[Floats, Floats] | None = None
 
     @classmethod
@@ -41,18 +45,35 @@ class PathCheck:
         `known` (M, N) is False, the position is the last known one, from which no distance to
         another robot follows.
         """
-        seen = x if known is None else np.where(known, x, np.nan)
-        self.apart = np.minimum(self.apart, separations(seen.T, y.T))
-        if self._last is not None:
-            x, y = np.vstack([self._last[0], x]), np.vstack([self._last[1], y])
-        self._last = (x[-1], y[-1])
         x, y = (np.ascontiguousarray(column.T) for column in (x, y))  # (N, M): reduced 10x faster
-        before, after = (x[:, :-1], y[:, :-1]), (x[:, 1:], y[:, 1:])
-        gaps = self.obstacles.distance(x, y)
-        self.entered |= (gaps <= 0).any(axis=1)
-        self.entered |= self.obstacles.cross(*before, *after).any(axis=1)
-        self.clearance = np.fmin(self.clearance, _least(gaps))
+        seen = x if known is None else np.where(known.T, x, np.nan)
+        self.apart = np.minimum(self.apart, separations(seen, y))
+        if self._last is not None:
+            x, y = np.hstack([self._last[0], x]), np.hstack([self._last[1], y])
+        self._last = (x[:, -1:], y[:, -1:])
         self.edge = np.fmin(self.edge, _least(self.arena.inside(x, y)))
+        if self.obstacles.count:
+            self._approach(x, y)
+
+    def _approach(self, x: Floats, y: Floats) -> None:
+        """Add samples (N, M) to what is known of obstacles."""
+        near = self._near(x, y) if x.shape[1] > FEW else np.ones(x.shape, dtype=np.bool_)
+        i, m = near.nonzero()
+        gaps = self.obstacles.distance(x[i, m], y[i, m])
+        np.fmin.at(self.clearance, i, gaps)
+        self.entered[i[gaps <= 0]] = True
+        i, m = near[:, :-1].nonzero()
+        crosses = self.obstacles.cross(x[i, m], y[i, m], x[i, m + 1], y[i, m + 1])
+        self.entered[i[crosses]] = True
+
+    def _near(self, x: Floats, y: Floats) -> Bools:
+        """Return which samples (N, M) may be the nearest to an obstacle so far, or the last one
+        before a step that touches one."""
+        at_least = self.obstacles.at_least(x, y)
+        robots, first = np.arange(len(x)), np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
+        least = np.fmin(self.clearance, self.obstacles.distance(x[robots, first], y[robots, first]))
+        steps = sum(np.fmax.reduce(np.abs(np.diff(z)), axis=1, initial=0.0) for z in (x, y))
+        return at_least <= (np.fmax(least, steps) + self._slack)[:, None]
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
         """Return the verdict on the path so far, with the final poses `final`."""

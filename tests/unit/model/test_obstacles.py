@@ -11,8 +11,9 @@ from support.shapes import circles, rectangles
 
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathCheck, check_path
+from tetractl.model.path_check import FEW, PathCheck, check_path
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.rectangle import Rectangle
 
@@ -98,6 +99,25 @@ def test_a_path_goes_on_from_the_last_sample_of_the_call_before():
     check.add(np.array([[1500.0], [1300.0]]), np.array([[1000.0], [1000.0]]))
     check.add(np.array([[1450.0]]), np.array([[1400.0]]))
     assert check.entered.tolist() == [True]
+
+
+@pytest.mark.parametrize("walls", [None, ARENA])
+def test_many_samples_at_once_are_checked_as_one_by_one(walls):
+    rng, disc = np.random.default_rng(1), Shape(np.array([[700.0, 900.0]]), 60.0)
+    obstacles, entered = Obstacles.of([BOX, disc], 5.0, walls), 0
+    for _ in range(20):
+        start, headings = rng.uniform(300, 1500, (2, 3)), rng.normal(0, 0.1, (FEW + 50, 3))
+        headings = rng.uniform(-np.pi, np.pi, 3) + headings.cumsum(axis=0)
+        x, y = (start[k] + 10 * f(headings).cumsum(axis=0) for k, f in enumerate((np.cos, np.sin)))
+        x[rng.uniform(size=x.shape) < 0.1] = np.nan
+        whole, single = (PathCheck(obstacles, ARENA, 3) for _ in range(2))
+        whole.add(x, y)
+        for m in range(len(x)):
+            single.add(x[m : m + 1], y[m : m + 1])
+        for name in ("entered", "clearance", "edge", "apart"):
+            assert getattr(whole, name).tolist() == getattr(single, name).tolist()
+        entered += whole.entered.sum()
+    assert 0 < entered < 60
 
 
 def test_a_path_check_keeps_the_deepest_visit():

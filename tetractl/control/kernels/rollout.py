@@ -5,6 +5,7 @@ All particles are simulated together, signal by signal.
 
 import math
 from functools import lru_cache
+from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ def aligned(shape: tuple[int, ...]) -> Floats:
 @lru_cache(maxsize=4)  # the rounds of one control step need the same arrays
 def lay_out(problem: Problem, particles: int) -> Rollout:
     """Prepare a problem for rollouts of a number of particles at once; every call returns the same
-    arrays."""
+    arrays. The scratch arrays are those of all problems of this shape in this thread."""
     of = flat(problem)
     return Rollout(
         start=of.turned,
@@ -64,9 +65,14 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
         swept=problem.swept,
         separation=float(problem.separation),
         drift=of.displaced,
-        lanes=aligned((5, problem.a.size, particles)),
-        scratch=aligned((8, particles)),
+        **_scratch(get_ident(), problem.a.size, particles),
     )
+
+
+@lru_cache(maxsize=64)
+def _scratch(thread: int, count: int, particles: int) -> dict[str, Floats]:
+    """Return the scratch arrays of one thread for robots and particles of these numbers."""
+    return {"lanes": aligned((5, count, particles)), "scratch": aligned((8, particles))}
 
 
 @compiled(**ENTRY_FAST, forceinline=True)

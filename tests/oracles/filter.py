@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.kernels import filter_state as kernel
+from tetractl.control.kernels.filter_motion import NOTHING
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     BIAS,
@@ -28,6 +29,7 @@ from tetractl.control.kernels.filter_state import (
     Y,
 )
 from tetractl.core.poses import Floats, wrap
+from tetractl.model.motion.exact import EXACT
 
 
 @dataclass
@@ -53,7 +55,7 @@ class RobotFilter:
         cov: Floats,
         follows: int = kernel.FOLLOWS,
     ) -> None:
-        self.a, self.v, self.helix, self.lag = model.a[i], model.speed[i], model.helix, model.lag
+        (self.a, self.v), self.helix, self.lag = model.parameters[i], model.helix, model.lag
         self.watchdog = model.watchdog
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)
@@ -69,10 +71,10 @@ class RobotFilter:
         return found
 
     def advance(self, one: Hypothesis, seconds: float) -> None:
-        """Predict: z' = f(z), P' = F P F' + Q, by the midpoint rule.
+        """Predict: z' = f(z), P' = F P F' + Q.
 
-        Turning rate and speed approach those of the direction with the lag. The rate is that of the
-        heading in which the robot would come to rest, which the robot's host computes too.
+        The heading in which lagging wheels come to rest follows (3), and turning rate and speed
+        approach its mean rate and that of the direction.
         """
         if one.left < seconds:
             driven, one.left = one.left, math.inf
@@ -84,26 +86,29 @@ class RobotFilter:
             one.z[[SWING, PACE]] = 0.0
         while seconds > 0 and (not stands or one.z[PACE] > 0):
             t, z = min(seconds, ASSUMED.substep_s), one.z
-            seconds -= ASSUMED.substep_s
+            seconds -= t
             a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
-            rest = z[HEADING] + self.lag * a * z[SWING]
-            wish = 0.0 if stands else math.sin(one.u + z[BIAS] - rest)
-            half = a * self.integral(wish, z[SWING], t / 2)
-            middle, phi = z[HEADING] + half, one.u + z[BIAS] - rest - t / 2 * a * wish
-            wish, pull = (0.0, 0.0) if stands else (math.sin(phi), math.cos(phi))
-            turn, keep = a * self.integral(wish, z[SWING], t), math.exp(-t * a * pull)
-            pace = 0.0 if stands else 1.0
-            length = v * self.integral(pace, z[PACE], t) * (1 - turn**2 / 24)
-            way = length * np.array([math.cos(middle), math.sin(middle)])
-            by_middle = np.zeros(SIZE)
-            by_middle[[HEADING, LN_A, BIAS]] = (1 + keep) / 2, half, (1 - keep) / 2
-            jacobian = np.eye(SIZE)
-            swing, pace = self.lagged(wish, z[SWING], t), self.lagged(pace, z[PACE], t)
-            jacobian[X] += -way[1] * by_middle
-            jacobian[Y] += way[0] * by_middle
-            jacobian[X, LN_V], jacobian[Y, LN_V] = way
+            rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[BIAS]
+            cos_sin = math.cos(rest), math.sin(rest), math.cos(towards), math.sin(towards)
+            step = NOTHING if stands else EXACT.lanes.differentiate(*cos_sin, (a, v), t)
+            (*way, turn), (*by_heading, keep), (*by_bias, _), ((*by_a, turn_a), _) = step
+            swing, pace = z[SWING], z[PACE]
+            if self.lag:
+                wish, goal = turn / (a * t), 0.0 if stands else 1.0
+                half = turn / 2 + a * (self.integral(wish, swing, t / 2) - t / 2 * wish)
+                turn = turn_a = a * self.integral(wish, swing, t)
+                length = v * self.integral(goal, pace, t) * np.sinc(turn / math.tau)
+                middle = z[HEADING] + half
+                way = length * np.array([math.cos(middle), math.sin(middle)])
+                left = np.array([-way[1], way[0]])  # by the heading in the middle
+                by_heading, by_bias = left * (1 + keep) / 2, left * (1 - keep) / 2
+                by_a = left * half
+                swing, pace = self.lagged(wish, swing, t), self.lagged(goal, pace, t)
+            jacobian, where = np.eye(SIZE), [X, Y]
+            jacobian[where, HEADING], jacobian[where, BIAS] = by_heading, by_bias
+            jacobian[where, LN_A], jacobian[where, LN_V] = by_a, way
             jacobian[X, FLOW_X] = jacobian[Y, FLOW_Y] = t
-            jacobian[HEADING, [HEADING, LN_A, BIAS]] = keep, turn, 1 - keep
+            jacobian[HEADING, [HEADING, LN_A, BIAS]] = keep, turn_a, 1 - keep
             angle = self.helix * math.exp(z[LN_W]) * t
             turned = np.array(
                 [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
@@ -112,7 +117,7 @@ class RobotFilter:
             jacobian[np.ix_([SINE, COSINE], [SINE, COSINE])] = turned
             jacobian[SINE, LN_W], jacobian[COSINE, LN_W] = angle * helix[1], -angle * helix[0]
             moved = z.copy()
-            moved[[X, Y]] += way + t * z[[FLOW_X, FLOW_Y]]
+            moved[[X, Y]] += np.array(way) + t * z[[FLOW_X, FLOW_Y]]
             moved[HEADING] += turn
             moved[SWING], moved[PACE] = swing, pace
             moved[[SINE, COSINE]] = helix

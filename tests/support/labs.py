@@ -14,7 +14,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import wheel_speeds
+from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.plant.lab_plant import LabPlant
 
 STEP_NS = SECOND // 500
@@ -182,7 +182,7 @@ class FakeActuator:
         turning = setup.a * np.sin(world.direction - heading) * let
         wheels = (None, None)
         if setup.wheel_radius is not None:
-            wheels = wheel_speeds(heading, world.direction, setup.a, speed, 0.0)
+            wheels = wheel_speeds(np.sin(world.direction - heading), setup.a, speed, 0.0)
             left, right = wheels
             wheels = left - turning * setup.wheel_radius, right + turning * setup.wheel_radius
         now = world.clock.now()

@@ -53,12 +53,12 @@ def compiled(**methods):
     return replace(EXACT, lanes=type("Other", (EXACT.lanes,), changed))
 
 
-def scaled(place, factor):
+def scaled(row, place, factor):
     def change(known):
         def differentiate(*args):
-            found = list(known.differentiate(*args))
-            found[place] *= factor
-            return tuple(found)
+            found = np.array([*known.differentiate(*args)[:3]])
+            found[row, place] *= factor
+            return *found, known.differentiate(*args)[3]
 
         return differentiate
 
@@ -85,10 +85,10 @@ def northward(x, y, heading, u, a, v, t):
             compiled(advance=lambda known: lambda x, y, c, s, cu, su, k: (x, y, c, s)),
             "advance: same x as step",
         ),
-        (compiled(differentiate=scaled(0, 1.01)), "differentiate: same dx as step"),
-        (compiled(differentiate=scaled(3, 1.01)), "differentiate: d(dx)/dheading"),
-        (compiled(differentiate=scaled(6, -1)), "differentiate: d(dy)/du"),
-        (compiled(differentiate=scaled(7, 1.01)), "differentiate: d(heading')/du"),
+        (compiled(differentiate=scaled(0, 0, 1.01)), "differentiate: same dx as step"),
+        (compiled(differentiate=scaled(1, 0, 1.01)), "differentiate: d(dx)/dheading"),
+        (compiled(differentiate=scaled(2, 1, -1)), "differentiate: d(dy)/du"),
+        (compiled(differentiate=scaled(2, 2, 1.01)), "differentiate: d(heading')/du"),
         (replace(EXACT, step=lambda *args: args[9]), "runs"),
     ],
 )
@@ -362,7 +362,7 @@ def test_the_command_says_what_was_checked(tmp_path):
     done = tetractl(tmp_path, "kinds", "--check", "tetractl.model.motion.arc:ARC")
     assert (done.returncode, done.stderr) == (0, "")
     assert "ok     advance: same x as step" in done.stdout.splitlines()
-    assert done.stdout.endswith("tetractl.model.motion.arc:ARC: 0 of 21 checks failed\n")
+    assert done.stdout.endswith("tetractl.model.motion.arc:ARC: 0 of 27 checks failed\n")
     (tmp_path / "mine.py").write_text(
         "from dataclasses import replace\nfrom tetractl.model.motion.exact import EXACT\n"
         "MINE = replace(EXACT, step=lambda x, y, h, u, a, v, t: (x + v * t, y, h + 0 * u))\n"

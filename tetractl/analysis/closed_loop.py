@@ -32,8 +32,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.section_abilities import Noisy
-
-NUDGE = 1e-5  # change for a central difference: of angles [rad], relative of a and speed
+from tetractl.model.motion.motion import in_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +92,16 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
 def _derivatives(
     problem: Problem, heading: Floats, signals: Floats, seconds: Floats
 ) -> tuple[Floats, ...]:
-    """Return the derivatives of each step's dx, dy and next heading, (L, N, 3) each, with respect
-    to the heading, the signal, ln a and ln speed, as central differences."""
-    step, zero = MOTIONS.load(problem.motion).step, np.zeros_like(heading)
-
-    def moved(turned: float, steered: float, a: float, speed: float) -> Floats:
-        u, t = signals[:, None] + steered, seconds[:, None]
-        rates = problem.a * (1 + a), problem.speed * (1 + speed)
-        return np.stack(step(zero, zero, heading + turned, u, *rates, t), axis=-1)
-
-    return tuple((moved(*by) - moved(*-by)) / (2 * NUDGE) for by in NUDGE * np.eye(4))
+    """Return the derivatives of each step's x, y and next heading, (L, N, 3) each, with respect to
+    the heading, the signal, ln a and ln speed."""
+    lanes, robots = MOTIONS.load(problem.motion).lanes, in_rows(problem)
+    steps = [
+        lanes.differentiate(np.cos(at), np.sin(at), np.cos(u), np.sin(u), own, t)
+        for u, t, row in zip(signals, seconds, heading, strict=True)
+        for at, own in zip(row, robots, strict=True)
+    ]
+    found = np.array([(by_heading, by_u, *more) for _, by_heading, by_u, more in steps])
+    return tuple(found.reshape(*heading.shape, -1, 3).transpose(2, 0, 1, 3))
 
 
 TURN = float(np.pi / np.sqrt(3))  # rad; standard deviation of a signal uniform in [-pi, pi]

@@ -45,8 +45,8 @@ def compiled_branches(
     bias = np.zeros(robots) if problem.bias is None else problem.bias
     each = (towards[:, None] + bias).ravel()
     drift[:2] = np.cos(each), np.sin(each)
-    a, speed = np.tile(problem.a, copies), np.tile(problem.speed, copies)
-    predict(turns, a, speed, drift, seconds, seconds, of.rest, path)
+    parameters = np.tile(of.parameters, (copies, 1))
+    predict(turns, parameters, drift, seconds, seconds, of.rest, path)
     return path.reshape(-1, *start.shape)
 
 
@@ -57,7 +57,7 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
 
     of, path = flat(problem), np.empty((signals.size + 1, problem.a.size, 3))
     path[0] = of.start
-    motion = problem.a, problem.speed, of.drift, problem.first_period, problem.period, of.rest
+    motion = of.parameters, of.drift, problem.first_period, problem.period, of.rest
     around = problem.obstacles.rows, problem.obstacles.walls, problem.swept
     asked = path, np.ascontiguousarray(problem.targets), *around, float(problem.separation)
     target, obstacle = foresee(np.ascontiguousarray(signals), *motion, *asked)
@@ -73,5 +73,5 @@ def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats
     from tetractl.control.kernels.prediction import drive
 
     of, path = flat(problem), np.empty((len(seconds), len(towards), 3))
-    drive(of.start, towards, problem.a, problem.speed, of.drift, of.rest, seconds, path)
+    drive(of.start, towards, of.parameters, of.drift, of.rest, seconds, path)
     return path

@@ -59,6 +59,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats, Observation, Poses
+from tetractl.model.motion.motion import PARAMETERS, in_rows
 
 PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
 """Frequencies of the helix to start from, over the usual one."""
@@ -75,8 +76,6 @@ class Usual(NamedTuple):
     heading_noise: float = 0.01  # deviation of a measured heading [rad]
     slip: float = 0.02  # of the position, over the speed [s]
     walk: float = 0.1  # of the heading at first [rad]
-    ln_a: float = 0.01
-    ln_speed: float = 0.005
     turn_bias: float = 0.005
     marker_bias: float = 0.002
     flow: float = 0.05  # over its prior deviation
@@ -115,9 +114,9 @@ class FilterBank:
         noise[2] = prior.heading_noise or USUAL.heading_noise
         self._std, walk = np.zeros((2, at.SIZE, count))
         walk[:2], walk[2] = USUAL.slip * prior.speed, USUAL.walk
+        parameters = enumerate(PARAMETERS)
         for k, std, drift in (
-            (at.LN_A, prior.a_std, USUAL.ln_a),
-            (at.LN_V, prior.speed_std, USUAL.ln_speed),
+            *((at.LN_A + k, getattr(prior, f"{p.name}_std"), p.drift) for k, p in parameters),
             (at.BIAS, prior.heading_bias_std, USUAL.turn_bias),
             (at.MARKER, prior.marker_bias_std, USUAL.marker_bias),
             (at.FLOW_X, prior.flow_std, USUAL.flow * prior.flow_std),
@@ -129,7 +128,7 @@ class FilterBank:
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
         times = turns, prior.lag, prior.watchdog
-        self._model = FilterModel(prior.a, prior.speed, noise, walk, *times)
+        self._model = FilterModel(in_rows(prior), noise, walk, *times)
         self._sent = np.empty((2, 3 * KEPT_COMMANDS))  # send times [s], and directions [rad]
         self._when, self._u = self._sent[:, :0]
         self._last: Observation | None = None  # the last frame used

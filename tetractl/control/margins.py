@@ -131,7 +131,7 @@ class Margins:
         """
         if self._asked is None or self._asked[0] is not problem:
             of, steps = flat(problem), max(1, math.ceil(seconds / SAMPLE_S))
-            motion = problem.a, problem.speed, of.drift, seconds / steps, steps, of.rest
+            motion = of.parameters, of.drift, seconds / steps, steps, of.rest
             grown = self.obstacles(problem.poses, margin)
             kept = grown.rows, grown.walls, min(apart, problem.separation)
             self._asked = problem, motion, kept

@@ -25,18 +25,6 @@ STOP: Counts = (0, 0)
 CountArray = NDArray[np.int64]
 
 
-def wheel_speeds(
-    heading: Floats, u: Floats | float, a: Floats, v: Floats, r: Floats | float
-) -> tuple[Floats, Floats]:
-    """Return left and right wheel speeds [length unit/s] by the paper's equations (24)-(25).
-
-    heading, a [rad/s] and v [length unit/s] have shape (N,); r is the distance from a wheel to the
-    centre [length unit].
-    """
-    difference = a * r * np.sin(u - heading)
-    return v - difference, v + difference
-
-
 def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Floats, Floats]:
     """Return (speed v [length unit/s], turning rate [rad/s]) of given wheel speeds.
 

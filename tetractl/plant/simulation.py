@@ -33,8 +33,8 @@ from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
+from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
-from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive, aim
 from tetractl.plant.sim_camera import Beats, MeasurementNoise, SimCamera
@@ -395,7 +395,7 @@ class SimPlant:
             (left, right), made = host.speeds(*map(np.array, given))[0]
         elif setup.wheel_radius is not None:
             speed, radius = setup.speed * drives, setup.wheel_radius
-            left, right = wheel_speeds(headings, towards, setup.a, speed, radius)
+            left, right = wheel_speeds(np.sin(towards - headings), setup.a, speed, radius)
         heard = self.losing.uniform(size=self.a.size) >= self.section.lost_commands
         due = self._due_ns(seen, now)
         command = DelayedCommand(now, due, held, heard, None, headings, made)

@@ -20,6 +20,7 @@ from tetractl.core.protocols import Actuator, Camera, Device
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.section_abilities import OnPort
+from tetractl.model.motion.exact import rates
 from tetractl.testing.finding import Finding, Findings, near, true
 
 EMULATED_S = 120.0  # in which an emulated device must do what it shall, on a host that is busy
@@ -210,7 +211,8 @@ class _Steered:
 
     def turning(self, what: str, turning: Floats, towards: float) -> Finding:
         """Check the turning rates [rad/s] towards a direction [rad] by the paper's equation (3)."""
-        wished = self.setup.a * np.sin(towards - self.setup.starts.heading)
+        setup = self.setup
+        wished = rates(setup.starts.heading, towards, setup.a, setup.speed)[2]
         return near(what, turning, wished, float(self.setup.a.max()), 0.2)
 
     def sent(self) -> Findings:

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
 from tetractl.experiment.shape_section import ShapeSection
-from tetractl.model.motion.motion import Held, Motion
+from tetractl.model.motion.exact import rates
+from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
 from tetractl.testing.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
 
 STEP = 1e-6  # step of a central difference [rad]
@@ -33,7 +35,7 @@ def check_motion(motion: Motion) -> Findings:
     turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
     angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
     yield near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
-    held = Held(u, a * np.sin(u - heading), heading, np.ones(COUNT))
+    held = Held(u, rates(heading, u, a, v)[2], heading, np.ones(COUNT))
     whole = np.full(COUNT, t)
     driven = motion.hold(x, y, heading, held, a, v, whole)
     for name, one, other in zip("xy", driven, moved, strict=False):
@@ -48,7 +50,7 @@ def check_motion(motion: Motion) -> Findings:
 
 def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:
     x, y, heading, u, a, v = case
-    constants = compiled.of(a, v, t)
+    constants = compiled.of(np.column_stack([a, v]), t)
     if constants.rows.shape != (COUNT, constants.size):
         yield Finding("advance: rows", f"have shape {constants.rows.shape}, not (N, size)")
         return
@@ -68,31 +70,29 @@ def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:
 def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: float) -> Findings:
     x, y, heading, u, a, v = case
     cos_sin = (np.cos(heading), np.sin(heading), np.cos(u), np.sin(u))
-    cases = np.column_stack([*cos_sin, a, v]).tolist()
-    found = np.array([compiled.differentiate(*one, t) for one in cases]).T
+    cases = zip(*cos_sin, np.column_stack([a, v]), strict=True)
+    answers = [compiled.differentiate(*one, t) for one in cases]
+    found = np.array([(step, heading, u, *more) for step, heading, u, more in answers]).T
     change = np.remainder(moved[2] - heading + math.pi, math.tau) - math.pi
-    turn = np.remainder(found[2] - change + math.pi, math.tau) - math.pi
-    yield near("differentiate: same dx as step", found[0], moved[0] - x, v * t)
-    yield near("differentiate: same dy as step", found[1], moved[1] - y, v * t)
+    (dx, *by_x), (dy, *by_y), (turned, *by_turn) = found
+    turn = np.remainder(turned - change + math.pi, math.tau) - math.pi
+    yield near("differentiate: same dx as step", dx, moved[0] - x, v * t)
+    yield near("differentiate: same dy as step", dy, moved[1] - y, v * t)
     yield near("differentiate: same dheading as step", turn, 0.0, 1.0)
+    names = [f"d(ln {each.name})" if each.positive else f"d{each.name}" for each in PARAMETERS]
 
-    def slope(by_heading: float, by_u: float) -> Any:
-        ends = [
-            motion.step(x, y, heading + sign * by_heading, u + sign * by_u, a, v, t)
-            for sign in (0.5, -0.5)
-        ]
-        return [(one - other) / STEP for one, other in zip(*ends, strict=True)]
+    def moves(shift: Floats) -> XYHeading:
+        pairs = zip(PARAMETERS, (a, v), shift[2:], strict=True)
+        own = [one * math.exp(by) if each.positive else one + by for each, one, by in pairs]
+        return motion.step(x, y, heading + shift[0], u + shift[1], own[0], own[1], t)
 
-    by_heading, by_u = slope(STEP, 0.0), slope(0.0, STEP)
-    for name, ours, theirs, scale in (
-        ("d(dx)/dheading", found[3], by_heading[0], v * t),
-        ("d(dy)/dheading", found[4], by_heading[1], v * t),
-        ("d(dx)/du", found[5], by_u[0], v * t),
-        ("d(dy)/du", found[6], by_u[1], v * t),
-        ("d(heading')/dheading", found[7], by_heading[2], 1.0),
-        ("d(heading')/du", 1.0 - found[7], by_u[2], 1.0),
-    ):
-        yield near(f"differentiate: {name}", ours, theirs, scale, 1e-4)
+    for k, by in enumerate(("dheading", "du", *names)):
+        shift = STEP / 2 * np.eye(2 + len(names))[k]
+        ends = zip(moves(shift), moves(-shift), (by_x, by_y, by_turn), strict=True)
+        scales = {"dx": v * t, "dy": v * t, "heading'": 1.0}
+        for (name, scale), (one, other, ours) in zip(scales.items(), ends, strict=True):
+            slope = (one - other) / STEP
+            yield near(f"differentiate: d({name})/{by}", ours[k], slope, scale, 1e-4)
 
 
 def check_shape(section: ShapeSection, setup: Setup) -> Findings:

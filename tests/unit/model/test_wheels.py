@@ -8,14 +8,13 @@ from hypothesis import strategies as st
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.motion.rolling import note, wish
+from tetractl.model.motion.rolling import note, wheel_speeds, wish
 from tetractl.model.wheels import (
     Drivetrains,
     WheeledRobots,
     WheelHost,
     body_velocity,
     nothing_sent,
-    wheel_speeds,
     with_room,
 )
 from tetractl.plant import wheel_kernel as kernels
@@ -24,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_papers_robot_by_hand():
-    left, right = wheel_speeds(np.array([0.0]), math.pi / 2, np.array([6.0]), np.array([180.0]), 40)
+    left, right = wheel_speeds(math.sin(math.pi / 2), np.array([6.0]), np.array([180.0]), 40)
     assert (left[0], right[0]) == (180 - 240, 180 + 240)  # (24), (25)
     assert body_velocity(left, right, 40) == (180, 6)  # (21)-(23)
 
@@ -37,7 +36,7 @@ def test_the_papers_robot_by_hand():
     r=st.floats(1, 100),
 )
 def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
-    left, right = wheel_speeds(np.array([heading]), u, np.array([a]), np.array([v]), r)
+    left, right = wheel_speeds(math.sin(u - heading), np.array([a]), np.array([v]), r)
     speed, turning = body_velocity(left, right, r)
     assert speed[0] == pytest.approx(v, abs=1e-9)
     assert turning[0] == pytest.approx(a * math.sin(u - heading), abs=1e-9)  # (3)
@@ -90,7 +89,7 @@ def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
         *(each[0] for each in nothing_sent(1, 2)),
     )
     _, _, ahead = exact(0.0, 0.0, heading, 1.2, known[0], known[1], 0.02)
-    assert found == pytest.approx(np.array(wheel_speeds(ahead, 1.2, *known)), abs=1e-9)
+    assert found == pytest.approx(np.array(wheel_speeds(np.sin(1.2 - ahead), *known)), abs=1e-9)
 
 
 def robots(rng, count):

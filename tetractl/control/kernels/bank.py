@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter import likeliest
-from tetractl.control.kernels.filter_motion import advance
+from tetractl.control.kernels.filter_motion import advance, parameters_of, rolled
 from tetractl.control.kernels.filter_state import ASSUMED, GRID, MISFIT, SLOTS, STUCK
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
@@ -24,7 +24,7 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
     commands u (C,) [rad], sent at times when (C,) [s]. Standard deviations grow by what the test of
     the innovations finds.
     """
-    count, z = model.a.size, np.empty(bank.state.shape[3])
+    count, z = len(model.parameters), np.empty(bank.state.shape[3])
     mean = doubt = 0.0
     for i in range(count):
         best = likeliest(shared.score[:, i], bank.tau.shape[0])
@@ -41,7 +41,7 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
         more = math.sqrt(more)
         tau, deviation = shared.dead_times[0, i], more * shared.dead_times[1, i]
         mean, doubt = mean + tau, doubt + deviation * deviation
-        a, speed = model.a[i] * math.exp(z[at.LN_A]), model.speed[i] * math.exp(z[at.LN_V])
+        a, speed = parameters_of(model, i, z)
         found[3, i], found[4, i] = a, more * a * math.sqrt(max(cov[at.LN_A, at.LN_A], 0.0))
         found[5, i], found[6, i] = speed, more * speed * math.sqrt(max(cov[at.LN_V, at.LN_V], 0.0))
         var = cov[at.BIAS, at.BIAS] + cov[at.MARKER, at.MARKER] + 2 * cov[at.BIAS, at.MARKER]
@@ -76,12 +76,10 @@ def _ahead(bank, model, b, i, s, when, u, tau, begin, sent, z):
             now, stops = u[c], acts + model.watchdog
             if acts <= until + 1e-9:
                 held = now if stops > until else math.nan
-    turn = model.lag * model.a[i] * math.exp(z[at.LN_A]) * z[at.SWING]
-    half = 0.5 * turn
-    chord = model.lag * model.speed[i] * math.exp(z[at.LN_V]) * z[at.PACE] * (1 - half * half / 6)
-    z[at.X] += chord * math.cos(z[at.HEADING] + half)
-    z[at.Y] += chord * math.sin(z[at.HEADING] + half)
-    z[at.HEADING] += turn
+    a, speed = parameters_of(model, i, z)
+    turn, way = model.lag * a * z[at.SWING], model.lag * speed * z[at.PACE]
+    east, north = rolled(z[at.HEADING], turn, way)
+    z[at.X], z[at.Y], z[at.HEADING] = z[at.X] + east, z[at.Y] + north, z[at.HEADING] + turn
     return held
 
 

@@ -6,13 +6,14 @@ import math
 import numpy as np
 
 from tetractl.control.kernels import filter_state as at
-from tetractl.control.kernels.filter_motion import advance
+from tetractl.control.kernels.filter_motion import advance, parameters_of
 from tetractl.control.kernels.filter_state import ASSUMED, MOVED, SIZE, SLOTS
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.model.motion import exact
 from tetractl.model.motion.polynomials import wrap
 
-_wrap = inlined(wrap)
+_wrap, _rates = inlined(wrap), inlined(exact.rates)
 
 # the states that each measured number depends on; the slopes by the last of x and y are 0
 BY = np.array(
@@ -28,7 +29,7 @@ BY = np.array(
 def _expected(model, i, z, slopes):
     """Return the pose that a camera would measure; its slopes by the states BY are filled."""
     c, s = math.cos(z[at.HEADING]), math.sin(z[at.HEADING])
-    rate = model.helix * math.exp(z[at.LN_W]) / (model.speed[i] * math.exp(z[at.LN_V]) + 1e-300)
+    rate = model.helix * math.exp(z[at.LN_W]) / (parameters_of(model, i, z)[1] + 1e-300)
     across = rate * z[at.COSINE]
     flat = 1 / (1 + across * across)
     slopes[0, 0] = slopes[1, 0] = slopes[2, 0] = slopes[2, 1] = 1.0
@@ -117,8 +118,8 @@ def _copy(bank, b, i, source, slot):
 @compiled(**INLINE_FAST)
 def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
-    rate = model.a[i] * math.exp(z[at.LN_A]) * math.sin(u + z[at.BIAS] - z[at.HEADING])
-    return 0.0 if math.isnan(u) else rate
+    a, speed = parameters_of(model, i, z)
+    return 0.0 if math.isnan(u) else _rates(z[at.HEADING], u + z[at.BIAS], a, speed)[2]
 
 
 @compiled(**INLINE_FAST)
@@ -137,7 +138,7 @@ def _blur(model, i, z, cov, before, u, step):
     changes = _rate(model, i, z, u) - _rate(model, i, z, before)
     cov[at.HEADING, at.HEADING] += (step * changes) ** 2 / 12
     if math.isnan(before) != math.isnan(u):
-        speed = model.speed[i] * math.exp(z[at.LN_V])
+        _, speed = parameters_of(model, i, z)
         cov[at.X, at.X] += (step * speed) ** 2 / 12
         cov[at.Y, at.Y] += (step * speed) ** 2 / 12
 
@@ -333,10 +334,10 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
         while acting >= 0 and when[acting] > since - latest:
             acting -= 1
         # without noise, robots that are commanded to stand are seen at the same poses
-        frozen = model.a.size > 1 and not (acting >= 0 and math.isnan(u[acting]))
-        for i in range(model.a.size):
+        frozen = len(model.parameters) > 1 and not (acting >= 0 and math.isnan(u[acting]))
+        for i in range(len(model.parameters)):
             frozen &= _equal(poses[f, i], poses[f - 1, i])
-        for i in range(model.a.size):
+        for i in range(len(model.parameters)):
             repeated = frozen or (noisy and _equal(poses[f, i], poses[f - 1, i]))
             used, most = seen[f, i] and not repeated, -math.inf
             for b in range(bank.tau.shape[0]):

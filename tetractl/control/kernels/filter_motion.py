@@ -22,46 +22,52 @@ from tetractl.control.kernels.filter_state import (
     Y,
 )
 from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST
+from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
+from tetractl.model.motion import exact, rolling
+from tetractl.model.motion.motion import PARAMETERS
+
+differentiate, rolled = inlined(exact.differentiate), inlined(rolling.rolled)
+
+NOTHING = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), ((0.0, 0.0, 0.0),) * len(PARAMETERS)
+"""The step of a robot at rest."""
+
+
+@compiled(**INLINE_FAST)
+def parameters_of(model, i, z):
+    """Return the PARAMETERS of robot i in a state."""
+    known = model.parameters[i]
+    return known[0] * math.exp(z[LN_A]), known[1] * math.exp(z[LN_V])
 
 
 @compiled(**INLINE_FAST)
 def advance(model, i, z, cov, u, scale, seconds, more):
-    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule;
-    without a covariance, None, the compiler leaves out what it needs. `more` (MOVED, SIZE) is room
-    for products.
+    """Predict state and covariance of one hypothesis of robot i; without a covariance, None, the
+    compiler leaves out what it needs. `more` (MOVED, SIZE) is room for products.
 
     Lagging wheels follow the turning rate that the host sends, computed for the heading in which
-    the robot would come to rest (`tetractl.model.motion.rolling.wish`).
+    the robot would come to rest (`tetractl.model.motion.rolling.wish`): that heading follows (3),
+    and the wheels its mean rate over a short step.
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
     goal = 1.0 if drives else 0.0
     if not drives and (lag == 0 or z[PACE] < ASSUMED.still):
         z[SWING] = z[PACE] = 0.0
-    a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
+    own = parameters_of(model, i, z)
     helix = model.helix * math.exp(z[LN_W]) if model.helix > 0 else 0.0
+    cu, su = (math.cos(u + z[BIAS]), math.sin(u + z[BIAS])) if drives else (1.0, 0.0)
     while left > 0 and (drives or z[PACE] > 0):
         t = min(left, ASSUMED.substep_s)
-        left -= ASSUMED.substep_s
-        early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
-        late = early * early
-        off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
-        wish = math.sin(off) if drives else 0.0
-        half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
-        middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
-        wish, pull = (math.sin(off), math.cos(off)) if drives else (0.0, 0.0)
-        turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
-        chord = 1 - turn * turn / 24
-        way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal)) * chord
-        z[SWING] = wish + late * (z[SWING] - wish)
-        z[PACE] = goal + late * (z[PACE] - goal)
-        keep = math.exp(-t * a * pull)
-        dx, dy = way * math.cos(middle), way * math.sin(middle)
+        left -= t
+        rest = z[HEADING] + lag * own[0] * z[SWING]
+        found = differentiate(math.cos(rest), math.sin(rest), cu, su, own, t)
+        if lag > 0:
+            found = _lagging(z, found if drives else NOTHING, goal, own, lag, t)
+        dx, dy, turn = found[0]
         z[X] += dx + t * z[FLOW_X]
         z[Y] += dy + t * z[FLOW_Y]
         z[HEADING] += turn
         if cov is not None:
-            _spread(cov, more, t, dx, dy, half, turn, keep)
+            _spread(cov, more, t, found)
         if helix > 0:
             angle = t * helix
             c, s = math.cos(angle), math.sin(angle)
@@ -75,28 +81,50 @@ def advance(model, i, z, cov, u, scale, seconds, more):
 
 
 @compiled(**INLINE_FAST)
-def _spread(cov, more, t, dx, dy, half, turn, keep):
-    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading.
-
-    With M = S P this is P + M + M' + M S'. Heading, ln a and turn bias alone change the heading,
-    and the headings in the middle, by which the way (dx, dy) turns.
-    """
+def _lagging(z, rest, goal, own, lag, t):
+    """Return a short step of lagging wheels and its derivatives, given that of the heading in which
+    they come to `rest`; swing and pace approach its mean turning rate over a, and the `goal`."""
+    (a, v), (_, _, around), keep = own, rest[0], rest[1][2]
+    wish, early = around / (a * t), math.exp(-0.5 * t / lag)
+    late = early * early
+    half = 0.5 * around + a * lag * (1 - early) * (z[SWING] - wish)
+    turn = around + a * lag * (1 - late) * (z[SWING] - wish)
+    way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
+    dx, dy = rolled(z[HEADING] + half - 0.5 * turn, turn, way)
+    z[SWING] = wish + late * (z[SWING] - wish)
+    z[PACE] = goal + late * (z[PACE] - goal)
     stays, goes = 0.5 * (1 + keep), 0.5 * (1 - keep)
+    by_heading, by_u = (-dy * stays, dx * stays, keep), (-dy * goes, dx * goes, 1 - keep)
+    by_parameters = (-dy * half, dx * half, turn), (dx, dy, 0.0)
+    return (dx, dy, turn), by_heading, by_u, by_parameters
+
+
+@compiled(**INLINE_FAST)
+def _spread(cov, more, t, found):
+    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading, those of
+    the `Derivatives` found. With M = S P this is P + M + M' + M S'."""
     for k in range(SIZE):
-        middle = stays * cov[HEADING, k] + goes * cov[BIAS, k] + half * cov[LN_A, k]
-        x = dx * cov[LN_V, k] + t * cov[FLOW_X, k] - dy * middle
-        y = dy * cov[LN_V, k] + t * cov[FLOW_Y, k] + dx * middle
-        heading = (1 - keep) * (cov[BIAS, k] - cov[HEADING, k]) + turn * cov[LN_A, k]
-        more[X, k], more[Y, k], more[HEADING, k] = x, y, heading
+        more[X, k], more[Y, k], more[HEADING, k] = _change(cov[:, k], t, found)
     for j in range(HEADING + 1):
-        middle = stays * more[j, HEADING] + goes * more[j, BIAS] + half * more[j, LN_A]
-        x = dx * more[j, LN_V] + t * more[j, FLOW_X] - dy * middle
-        y = dy * more[j, LN_V] + t * more[j, FLOW_Y] + dx * middle
-        heading = (1 - keep) * (more[j, BIAS] - more[j, HEADING]) + turn * more[j, LN_A]
+        x, y, heading = _change(more[j], t, found)
         cov[X, j] += x
         cov[Y, j] += y
         cov[HEADING, j] += heading
     _add(cov, more, X, HEADING + 1)
+
+
+@compiled(**INLINE_FAST)
+def _change(by, t, found):
+    """Return the changes of x, y and heading for small changes (SIZE,) of the state."""
+    _, (x_h, y_h, _), (x_u, y_u, turn_u), by_parameters = found
+    h, u = by[HEADING], by[BIAS]
+    x, y, heading = x_h * h + x_u * u, y_h * h + y_u * u, turn_u * (u - h)
+    for p in range(len(by_parameters)):
+        x_p, y_p, turn_p = by_parameters[p]
+        x += x_p * by[LN_A + p]
+        y += y_p * by[LN_A + p]
+        heading += turn_p * by[LN_A + p]
+    return x + t * by[FLOW_X], y + t * by[FLOW_Y], heading
 
 
 @compiled(**INLINE_FAST)

@@ -33,7 +33,7 @@ class Assumed(NamedTuple):
     """What the filter assumes of radio, robots and camera."""
 
     still: float = 1e-3  # pace below which a stopped robot counts as standing
-    substep_s: float = 0.025  # longest step of the prediction
+    substep_s: float = 0.025  # longest step between two additions of random walks
     lost: float = 0.05  # probability that a command does not arrive
     alike: float = 0.1  # squared difference of two hypotheses' headings, over the variance
     stuck_every_s: float = 30.0  # mean time until a robot gets stuck
@@ -81,8 +81,7 @@ class Shared(NamedTuple):
 class FilterModel(NamedTuple):
     """The prior on N robots; `noise` and `walk` are standard deviations."""
 
-    a: Floats  # (N,) rad/s
-    speed: Floats  # (N,) length unit/s
+    parameters: Floats  # (N, K) PARAMETERS of the motion
     noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
     walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
     helix: float  # its angular frequency [rad/s], 0 if there is none

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.motion import derivatives, turned
+from tetractl.control.kernels.motion import derivatives, parameters_of, turned
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
@@ -53,8 +53,8 @@ def workspace(count: int, length: int) -> Trace:
 
 
 @compiled(**INLINE_FAST)
-def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
-    """Predict under signals u (L,) from start, with a and v (N,) and drift (4, N).
+def trace(u, start, parameters, drift, first_period, period, first, rest, traced):
+    """Predict under signals u (L,) from start, with the motion's parameters (N, K), drift (4, N).
 
     start (4, N) are x, y, and cos and sin of the heading.
 
@@ -62,7 +62,7 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
     their class defines how robots move.
     """
     cos, sin, path, gradients = traced.cos, traced.sin, traced.path, traced.gradients
-    count, across = a.size, cos.shape[1]
+    count, across = len(parameters), cos.shape[1]
     for i in range(count):
         cos[i, 0], sin[i, 0] = start[2, i], start[3, i]
     for j in range(u.size):
@@ -83,29 +83,16 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
     east_h, north_h = gradients[EAST_H], gradients[NORTH_H]
     east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
     for i in range(count):
-        a_i, v_i, cb, sb = a[i], v[i], drift[0, i], drift[1, i]
+        own, cb, sb = parameters_of(parameters[i]), drift[0, i], drift[1, i]
         for again in range(1 if first_period == period else 2):  # then the first signal's period
             t = period if again == 0 else first_period
             for j in range(across if again == 0 else 1):
-                (
-                    x[i, j],
-                    y[i, j],
-                    _,
-                    east_h[i, j],
-                    north_h[i, j],
-                    east_u[i, j],
-                    north_u[i, j],
-                    keep[i, j],
-                ) = derivatives(
-                    rest,
-                    cos[i, j],
-                    sin[i, j],
-                    cu[j] * cb - su[j] * sb,
-                    su[j] * cb + cu[j] * sb,
-                    a_i,
-                    v_i,
-                    t,
-                )
+                c, s, c_u, s_u = cos[i, j], sin[i, j], cu[j], su[j]
+                towards = c_u * cb - s_u * sb, s_u * cb + c_u * sb
+                step, by_heading, by_u, _ = derivatives(rest, c, s, *towards, own, t)
+                x[i, j], y[i, j], _ = step
+                east_h[i, j], north_h[i, j], keep[i, j] = by_heading
+                east_u[i, j], north_u[i, j], _ = by_u
         fx, fy = drift[2, i], drift[3, i]
         x[i, 0] = start[0, i] + x[i, 0] + fx * first_period
         y[i, 0] = start[1, i] + y[i, 0] + fy * first_period

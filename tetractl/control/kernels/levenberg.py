@@ -29,11 +29,12 @@ from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
+from tetractl.model.motion.motion import DIRECTION
 
 Integers = NDArray[np.int64]
 _wrap = inlined(polynomials.wrap)
 
-LARGEST_STEP = 1.0  # largest change of any signal in one iteration [rad]
+LARGEST_STEP = DIRECTION.largest_step
 DEPTH_WEIGHT = 3.0  # weight W of a depth relative to a miss
 PROGRESS = 0.8  # the merit must fall by this factor in `patience` iterations
 
@@ -66,8 +67,7 @@ class Polish(NamedTuple):
     start: Floats  # (N, 3) x, y, heading
     turned: Floats  # (4, N) x, y, cos and sin of the heading
     target: Floats  # (N, 2)
-    a: Floats
-    v: Floats
+    parameters: Floats  # (N, K) of the motion
     drift: Floats  # (4, N) cos and sin of the bias, flow
     first_period: float
     period: float
@@ -91,8 +91,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         of.start,
         of.turned,
         np.ascontiguousarray(problem.targets),
-        problem.a,
-        problem.speed,
+        of.parameters,
         of.drift,
         problem.first_period,
         problem.period,
@@ -137,7 +136,7 @@ def _scratch(thread: int, count: int, obstacles: int, paired: bool, length: int)
 def _trace(work, u):
     """Predict the path under signals u, and its gradients."""
     motion = work.drift, work.first_period, work.period, work.first, work.rest
-    trace(u, work.turned, work.a, work.v, *motion, work.room.traced)
+    trace(u, work.turned, work.parameters, *motion, work.room.traced)
 
 
 @compiled(**INLINE_FAST)
@@ -151,12 +150,12 @@ def _merit(work, slack):
     find_deepest(shapes, walls, path, length, -slack, room.near, depths, room.where)
     merit = 0.0
     last = length - 1
-    for i in range(work.a.size):
+    for i in range(len(work.target)):
         dx = path[0, i, last] - work.target[i, 0]
         dy = path[1, i, last] - work.target[i, 1]
         merit += dx * dx + dy * dy
-    merit = math.sqrt(work.a.size * merit)
-    for i in range(work.a.size):
+    merit = math.sqrt(len(work.target) * merit)
+    for i in range(len(work.target)):
         for o in range(room.depths.shape[1]):
             merit += DEPTH_WEIGHT * max(0.0, room.depths[i, o])
     if room.meetings.size:
@@ -173,7 +172,7 @@ def _find_meetings(work):
     """
     room = work.room
     path, m = room.traced.path, 0
-    for i in range(work.a.size):
+    for i in range(len(work.target)):
         for k in range(i):
             least, at = math.inf, 0
             for j in range(room.rows.shape[1]):
@@ -201,17 +200,17 @@ def _linearise(work, floor, slack):
     room = work.room
     rows, residual, path, pulls = room.rows, room.residual, room.traced.path, room.pulls
     last, r, squares = rows.shape[1] - 1, 0, 0.0
-    for i in range(work.a.size):
+    for i in range(len(work.target)):
         dx, dy = path[0, i, last] - work.target[i, 0], path[1, i, last] - work.target[i, 1]
         squares += dx * dx + dy * dy
-    scale = 1 / math.sqrt(max(math.sqrt(squares / work.a.size), floor))
-    for i in range(work.a.size):
+    scale = 1 / math.sqrt(max(math.sqrt(squares / len(work.target)), floor))
+    for i in range(len(work.target)):
         residual[r] = scale * (path[0, i, last] - work.target[i, 0])
         residual[r + 1] = scale * (path[1, i, last] - work.target[i, 1])
         _pull(pulls, r, r, i, last, scale, 0.0)
         _pull(pulls, r + 1, r + 1, i, last, 0.0, scale)
         r += 2
-    for i in range(work.a.size):
+    for i in range(len(work.target)):
         for o in range(room.depths.shape[1]):
             deepest, at = room.depths[i, o] + slack, room.where[i, o]
             if deepest > 0:
@@ -222,7 +221,7 @@ def _linearise(work, floor, slack):
                 _pull(pulls, r, r, i, at, -scale * east, -scale * north)
                 r += 1
     e, m = r, 0
-    for i in range(work.a.size if room.meetings.size else 0):
+    for i in range(len(work.target) if room.meetings.size else 0):
         for k in range(i):
             depth, at = room.meetings[m] + slack, room.nearest[m]
             m += 1
@@ -365,7 +364,7 @@ def score(work, length):
     path, hits, before = room.traced.path, room.hits, room.before
     x, y, x0, y0, gap, last = path[0], path[1], before[0], before[1], before[2], length - 1
     target = obstacle = 0.0
-    for i in range(work.a.size):
+    for i in range(len(work.target)):
         x0[0], y0[0] = work.start[i, 0], work.start[i, 1]
         for j in range(last):
             x0[j + 1], y0[j + 1] = x[i, j], y[i, j]
@@ -377,7 +376,7 @@ def score(work, length):
         target += math.sqrt(dx * dx + dy * dy)
     if work.separation > 0:
         count_meetings(x, y, work.separation, hits)
-    for i in range(work.a.size):
+    for i in range(len(work.target)):
         for j in range(length):
             obstacle += hits[i, j]
     return target, obstacle

@@ -15,6 +15,9 @@ from tetractl.core.kernels.kernel_options import INLINE_FAST, entries, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
+from tetractl.model.motion.motion import PARAMETERS, in_rows
+
+parameters_of = entries(len(PARAMETERS))
 
 
 class Flat(NamedTuple):
@@ -22,6 +25,7 @@ class Flat(NamedTuple):
 
     start: Floats  # (N, 3) x, y, heading
     turned: Floats  # (4, N) x, y, cos and sin of the heading
+    parameters: Floats  # (N, K) of the motion
     first: Any  # `Lanes`, constants of the motion for the first signal
     rest: Any  # `Lanes`, the same for the other signals; both have the same class
     drift: Floats  # (4, N) cos and sin of the bias, flow
@@ -33,15 +37,16 @@ class Flat(NamedTuple):
 @lru_cache(maxsize=2)  # the searches of one control step need the same arrays
 def flat(problem: Problem) -> Flat:
     """Return a problem's arrays. Every call returns the same ones, which must not be changed."""
-    p, a, v, times = problem.poses, problem.a, problem.speed, (problem.first_period, problem.period)
+    p, parameters = problem.poses, in_rows(problem)
+    times = problem.first_period, problem.period
     kind: Any = MOTIONS.load(problem.motion).lanes
-    rest, drift = kind.of(a, v, times[1]), problem.drift
-    first = rest if times[0] == times[1] else kind.of(a, v, times[0])
+    rest, drift = kind.of(parameters, times[1]), problem.drift
+    first = rest if times[0] == times[1] else kind.of(parameters, times[0])
     displaced = np.empty((6, 0))
     if problem.bias is not None or problem.flow is not None:
         displaced = np.concatenate([drift[:2], drift[2:] * times[0], drift[2:] * times[1]])
     turned = np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)])
-    return Flat(p.array(), turned, first, rest, drift, displaced)
+    return Flat(p.array(), turned, parameters, first, rest, drift, displaced)
 
 
 def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int) -> None:
@@ -82,11 +87,11 @@ def _turned(lanes, c, s, cu, su, i):
     return turned
 
 
-def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, a: Any, v: Any, t: Any) -> Any:
+def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, own: Any, t: Any) -> Any:
     """Return one step of one robot and its derivatives, by the motion of `lanes`."""
 
 
 @overload(derivatives, jit_options=INLINE_FAST)
-def _derivatives(lanes, c, s, cu, su, a, v, t):
+def _derivatives(lanes, c, s, cu, su, own, t):
     step = inlined(lanes.instance_class.differentiate)
-    return lambda lanes, c, s, cu, su, a, v, t: step(c, s, cu, su, a, v, t)
+    return lambda lanes, c, s, cu, su, own, t: step(c, s, cu, su, own, t)

@@ -13,6 +13,7 @@ from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
+from tetractl.model.motion.motion import DIRECTION
 
 BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, below 1 ms
 WARM = 0.5  # largest distance of a scattered sequence from the warm start [rad]
@@ -25,6 +26,7 @@ iterations of the last start, and its evaluations while it is under way; entries
 other evaluations."""
 
 _wrap = inlined(polynomials.wrap)
+HIGH = DIRECTION.high
 S11 = np.uint64(11)
 
 
@@ -153,7 +155,7 @@ def _scatter(rollout, key, warm, of):
     """Scatter a round's sequences, of which the best become the starts; return whether all their J
     are finite.
 
-    Each sequence is linear between knots, directions drawn uniformly within pi of the bearing of
+    Each sequence is linear between knots, directions drawn uniformly within HIGH of the bearing of
     the targets. With a warm start (L,), every second sequence is the warm start plus such a curve
     within WARM of 0.
     """
@@ -176,7 +178,7 @@ def _scatter(rollout, key, warm, of):
         start = warm[j] if warmed else middle
         for n in range(particles):
             curve, near = draws[below, n] * (1 - share) + draws[after, n] * share, warmed & ~n
-            signals[j, n] = _wrap(start + WARM * curve if near else middle + math.pi * curve)
+            signals[j, n] = _wrap(start + WARM * curve if near else middle + HIGH * curve)
     if not costs(rollout, signals, found):
         return False
     count = 0

@@ -1,14 +1,14 @@
 """The compiled move of particles, (14)-(18), including the draws of its random numbers."""
 
-import math
-
 import numpy as np
 
 from tetractl.control.rng import FACTORS, GOLDEN
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
+from tetractl.model.motion.motion import DIRECTION
 
 STEP, MIX_1, MIX_2 = (np.uint64(number) for number in (GOLDEN, *FACTORS))
+LOW, HIGH, _ = DIRECTION
 S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))
 LOW_31 = np.uint64(0x7FFF_FFFF)
 
@@ -33,6 +33,6 @@ def move(u, v, best, u_gb, key, z, inertia, cognitive, social):
             r1, r2 = float(np.int32(draw >> S33)), float(np.int32(draw & LOW_31))
             at = u[j, n]
             velocity = inertia * v[j, n] + c1 * r1 * (best[j, n] - at) + c2 * r2 * (u_gb[j] - at)
-            velocity = max(-math.tau, min(velocity, math.tau))  # |ub - lb|, (15)
+            velocity = max(LOW - HIGH, min(velocity, HIGH - LOW))  # |ub - lb|, (15)
             v[j, n] = velocity
-            u[j, n] = max(-math.pi, min(at + velocity, math.pi))
+            u[j, n] = max(LOW, min(at + velocity, HIGH))

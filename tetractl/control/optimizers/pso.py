@@ -18,8 +18,9 @@ from tetractl.control.stop import PaperStop, StopCriterion, stopped
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import OptimizerSection
+from tetractl.model.motion.motion import DIRECTION
 
-LOWER, UPPER = -np.pi, np.pi  # lb and ub, (12)
+LOWER, UPPER, _ = DIRECTION  # lb and ub, (12)
 SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 
 

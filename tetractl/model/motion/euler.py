@@ -3,13 +3,13 @@
 The last direction of a sequence therefore cannot move the last position.
 """
 
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
-from tetractl.model.motion.polynomials import sincos, wrap
+from tetractl.model.motion.motion import Derivatives, Held, Motion, PlainLanes, Time, XYHeading
+from tetractl.model.motion.polynomials import onwards
 
 
 def step(
@@ -31,33 +31,24 @@ def hold(
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
 
 
-class EulerLanes(NamedTuple):
-    """Constants of (4)-(6): T v and T a."""
+def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
+    """Return a step of (4)-(6) and its derivatives."""
+    a, v = own[:2]
+    way, most = t * v, t * a
+    east, north, turn, pull = way * c, way * s, most * (su * c - cu * s), most * (cu * c + su * s)
+    by_parameters = (0.0, 0.0, turn), (east, north, 0.0)
+    return (east, north, turn), (-north, east, 1 - pull), (0.0, 0.0, pull), by_parameters
 
-    rows: Floats  # (N, size)
-    pieces: int = 1
-    size = 2
 
-    @classmethod
-    def of(cls, a: Floats, v: Floats, t: float) -> Self:
-        """Return the constants of robots with a, v (N,) for steps of t [s]."""
-        return cls(np.column_stack([v * t, a * t]))
+class EulerLanes(PlainLanes):
+    """The constants of (4)-(6)."""
+
+    differentiate = staticmethod(differentiate)
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, cos and sin of the heading after (4)-(6)."""
-        step, turn = k
-        sw, cw = sincos(wrap(turn * (su * c - cu * s)))
-        return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
-
-    @staticmethod
-    def differentiate(
-        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-    ) -> Derivatives:
-        """Return a step of (4)-(6) and its derivatives."""
-        way, most = t * v, t * a
-        keep = 1 - most * (cu * c + su * s)
-        return way * c, way * s, most * (su * c - cu * s), -way * s, way * c, 0.0, 0.0, keep
+        """Return x, y, cos and sin of the heading at the end of the step."""
+        return onwards(x, y, c, s, differentiate(c, s, cu, su, k[:-1], k[-1])[0])
 
 
 EULER = Motion("euler", step, hold, EulerLanes)

@@ -32,7 +32,7 @@ ODD = 2 * np.arange(TERMS) + 1
 """The powers of r in the series."""
 
 
-def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
+def rates(heading: Floats, u: Floats | float, a: Floats, v: Floats) -> XYHeading:
     """Return dx/dt, dy/dt [length unit/s] and dheading/dt [rad/s] of (1)-(3) as printed."""
     return (
         v * np.cos(heading),  # (1)
@@ -69,6 +69,40 @@ def hold(
     return step(x, y, heading, held.direction, a, v, t)
 
 
+def turn(phi: float, a: float, t: float) -> float:
+    """Return by how much a robot turns in a time t [s] under a direction at an angle phi."""
+    c, s = math.cos(phi / 2), math.sin(phi / 2)
+    return 2 * math.atan2(-math.expm1(-a * t) * s * c, c * c + s * s * math.exp(-a * t))
+
+
+def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
+    """Return a step and its derivatives, for any a t.
+
+    Near phi = pi, 1 + cos phi cancels, and the turn of fast robots depends on it. Turn and
+    way/(v t) depend on a and t by a t alone, so that their derivatives by ln a are those by ln t.
+    """
+    a, v = own[:2]
+    e = max(math.exp(-a * t), SMALLEST_DECAY)
+    c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
+    near, far = 1 + c if c > 0.0 else s * s / (1 - c), (1 - c) * e
+    d, across = near + far * e, near + far
+    m, exponent = mantissa(0.5 * d)
+    m1 = m + 1
+    inverse = 1 / (d * m1 * across)
+    log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
+    turn = 2 * arctan(s * (1 - e) * (inverse * d * m1))
+    radius, over_d = v / a, inverse * m1 * across
+    along, right = v * t + radius * log_half_d, radius * turn
+    keep = 2 * e * over_d
+    along_phi, right_phi = -radius * s * (1 - e * e) * over_d, radius * (1 - keep)
+    east, north = along * cu + right * su, along * su - right * cu
+    east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
+    c, s = (near - far * e) * over_d, s * keep  # cos and sin of phi'
+    by_a = v * t * (c * cu + s * su) - east, v * t * (c * su - s * cu) - north, a * t * s
+    by_u = east_phi - north, north_phi + east, 1 - keep
+    return (east, north, turn), (-east_phi, -north_phi, keep), by_u, (by_a, (east, north, 0.0))
+
+
 @cache
 def odd_multiples(count: int) -> tuple[Floats, Floats]:
     """Return sin(n t)/sin t and cos(n t)/cos t, n = 1, 3, 5, ..., as polynomials of cos^2 t.
@@ -93,8 +127,9 @@ class ExactLanes(NamedTuple):
     size = 4 + 2 * TERMS - 1
 
     @classmethod
-    def of(cls, a: Floats, v: Floats, t: float) -> Self:
-        """Return the constants of robots with a, v (N,) for steps of t [s]."""
+    def of(cls, parameters: Floats, t: float) -> Self:
+        """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
+        a, v = parameters.T[:2]
         pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
         turn = a * t / pieces
         middle, end = np.tanh(turn / 4), np.tanh(turn / 2)
@@ -131,30 +166,7 @@ class ExactLanes(NamedTuple):
         x, y = x + (through * c + along * cu), y + (through * s + along * su)
         return x, y, g * gx + wx, g * gy + wy
 
-    @staticmethod
-    def differentiate(
-        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-    ) -> Derivatives:
-        """Return a step and its derivatives, for any a t.
-
-        Near phi = pi, 1 + cos phi cancels, and the turn of fast robots depends on it.
-        """
-        e = max(math.exp(-a * t), SMALLEST_DECAY)
-        c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
-        near, far = 1 + c if c > 0.0 else s * s / (1 - c), (1 - c) * e
-        d, across = near + far * e, near + far
-        m, exponent = mantissa(0.5 * d)
-        m1 = m + 1
-        inverse = 1 / (d * m1 * across)
-        log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
-        turn = 2 * arctan(s * (1 - e) * (inverse * d * m1))
-        radius, over_d = v / a, inverse * m1 * across
-        along, right = v * t + radius * log_half_d, radius * turn
-        keep = 2 * e * over_d
-        along_phi, right_phi = -radius * s * (1 - e * e) * over_d, radius * (1 - keep)
-        east, north = along * cu + right * su, along * su - right * cu
-        east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
-        return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
+    differentiate = staticmethod(differentiate)
 
 
 EXACT = Motion("exact", step, hold, ExactLanes)

@@ -4,16 +4,56 @@ A motion is one file that defines a `Motion`, and one line in `tetractl.core.reg
 it. See docs/how-to/extend.md.
 """
 
+import math
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
+
+import numpy as np
 
 from tetractl.core.poses import Floats
 
 Time = float | Floats
 XYHeading = tuple[Floats, Floats, Floats]
-Derivatives = tuple[float, float, float, float, float, float, float, float]
-"""dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
-d(heading')/dheading = 1 - d(heading')/du."""
+XYTurn = tuple[float, float, float]
+Derivatives = tuple[XYTurn, XYTurn, XYTurn, tuple[XYTurn, ...]]
+"""dx, dy, dheading of one step; the derivatives of the new x, y, heading by the heading, by the
+direction u (that of the heading is 1 minus the one by the heading), and by each of PARAMETERS."""
+
+
+class Parameter(NamedTuple):
+    """A parameter of the motion of each robot: `name` is its field in `Problem`, `Prior` and
+    `Estimate`, and with "_std" that of its standard deviation in `Prior`.
+
+    Controllers that identify robots identify it, as the logarithm of its ratio to the spec's value
+    if it is `positive`, and take derivatives by that; `drift` is its random walk [1/sqrt(s)].
+    """
+
+    name: str
+    positive: bool
+    drift: float
+
+
+PARAMETERS = Parameter("a", True, 0.01), Parameter("speed", True, 0.005)
+"""The parameters of all motions, in the order in which functions take them: a [rad/s] and the speed
+v [length unit/s]."""
+
+
+def in_rows(of: Any) -> Floats:
+    """Return the PARAMETERS (N, K) in the fields of a problem or a prior."""
+    return np.column_stack([getattr(of, each.name) for each in PARAMETERS])
+
+
+class Component(NamedTuple):
+    """A component of the common signal: searches stay between `low` and `high`, from which they
+    draw; values beyond are wrapped. One iteration changes a value by at most `largest_step`."""
+
+    low: float
+    high: float
+    largest_step: float
+
+
+DIRECTION = Component(-math.pi, math.pi, 1.0)
+"""The direction u [rad], (12)."""
 
 
 @dataclass(slots=True)
@@ -78,8 +118,8 @@ class Lanes(Protocol):
         ...
 
     @classmethod
-    def of(cls, a: Floats, v: Floats, t: float) -> Self:
-        """Return the constants of robots with a, v (N,) for steps of t [s]."""
+    def of(cls, parameters: Floats, t: float) -> Self:
+        """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
         ...
 
     @staticmethod
@@ -88,11 +128,23 @@ class Lanes(Protocol):
         ...
 
     @staticmethod
-    def differentiate(
-        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-    ) -> Derivatives:
-        """Return the displacement of a whole step of t [s] and its derivatives."""
+    def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
+        """Return a whole step of t [s] and its derivatives; `own` are one robot's PARAMETERS."""
         ...
+
+
+class PlainLanes(NamedTuple):
+    """`Lanes` of a motion that computes nothing beforehand: PARAMETERS and t of each robot. Its
+    subclass has `differentiate`, and `advance` by that and `onwards`."""
+
+    rows: Floats  # (N, K + 1)
+    pieces: int = 1
+    size = len(PARAMETERS) + 1
+
+    @classmethod
+    def of(cls, parameters: Floats, t: float) -> Self:
+        """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
+        return cls(np.column_stack([parameters, np.full(len(parameters), t)]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,6 +76,13 @@ def wrap(x):
     return x - math.tau * np.rint(x / math.tau)
 
 
+def onwards(x, y, c, s, step):
+    """Return x, y, cos and sin of the heading after a step dx, dy, dheading."""
+    dx, dy, turn = step
+    sw, cw = sincos(wrap(turn))
+    return x + dx, y + dy, c * cw - s * sw, s * cw + c * sw
+
+
 def mantissa(y):
     """Return (m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
     bits = np.float64(y).view(np.int64)

@@ -10,6 +10,7 @@ import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.poses import Bools, Floats, Times
+from tetractl.model.motion.exact import turn
 
 
 def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any) -> Floats:
@@ -27,6 +28,21 @@ def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any
             steps[side, i] = round(max(min(total, span), -span))
             owed[side, i] = max(min(total - steps[side, i], 0.5), -0.5) * drives
     return steps
+
+
+def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
+    """Return left and right wheel speeds [length unit/s] by the paper's (24)-(25), for the `sine`
+    of u - heading, a [rad/s], v [length unit/s], and the distance from a wheel to the centre."""
+    difference = a * radius * sine
+    return v - difference, v + difference
+
+
+def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
+    """Return the displacement x, y on an arc by (21)-(23), of a robot that turns by `angle`."""
+    half, square = angle / 2, angle * angle / 4
+    sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))  # to 1e-9 below 0.3
+    chord = way * (sinc if abs(half) <= 0.3 else math.sin(half) / half)
+    return chord * math.cos(heading + half), chord * math.sin(heading + half)
 
 
 def wish(
@@ -76,11 +92,8 @@ def wish(
                 at += sent[k + 1, i] * (max(end - begin, 0) / SECOND)
                 k += 1
         elif acts_ns > since_ns:
-            turned, half = -a * ((acts_ns - since_ns) / SECOND), (u[i] - at) / 2
-            c, s = math.cos(half), math.sin(half)
-            at += 2 * math.atan2(-math.expm1(turned) * s * c, c * c + s * s * math.exp(turned))
-        difference = a * radius * math.sin(u[i] - at)
-        wished[0, i], wished[1, i] = speed - difference, speed + difference
+            at += turn(u[i] - at, a, (acts_ns - since_ns) / SECOND)
+        wished[0, i], wished[1, i] = wheel_speeds(math.sin(u[i] - at), a, speed, radius)
     return wished
 
 
@@ -152,10 +165,8 @@ def _step(body: Floats, seconds: float) -> None:
         if one == two == 0 and max(abs(body[3, i]), abs(body[4, i])) < body[STILL, i]:
             body[3, i] = body[4, i] = 0.0
         left, right = one * seconds + lag * left * share, two * seconds + lag * right * share
-        turn, way = body[7, i] * (right - left), body[8, i] * (right + left)
-        half, square = turn / 2, turn * turn / 4
-        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))  # to 1e-9 below 0.3
-        chord = way * (sinc if abs(half) <= 0.3 else math.sin(half) / half)
-        body[0, i] += chord * math.cos(heading + half)
-        body[1, i] += chord * math.sin(heading + half)
-        body[2, i] = heading + turn
+        around = body[7, i] * (right - left)
+        east, north = rolled(heading, around, body[8, i] * (right + left))
+        body[0, i] += east
+        body[1, i] += north
+        body[2, i] = heading + around

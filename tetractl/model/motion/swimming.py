@@ -42,6 +42,13 @@ def steps_until(since_ns: int, times: Sequence[int]) -> int:
     return steps
 
 
+def torque(dipole: float, across: float, up: float) -> tuple[float, float]:
+    """Return the turning rate for a = 1 by equation (3), for a dipole's direction [rad] in the
+    field (across, up), and its derivative by the direction."""
+    cos, sin = math.cos(dipole), math.sin(dipole)
+    return up * cos - across * sin, -(up * sin + across * cos)
+
+
 def step(body: Any, seconds: float, noise: Any) -> None:
     """Advance N cells `body` (ROWS, N) by a time [s], by the midpoint rule in equal steps of at
     most STEP_S; `noise` (at least steps_in(seconds), 2, N) is standard normal. Arrays or lists."""
@@ -56,11 +63,11 @@ def step(body: Any, seconds: float, noise: Any) -> None:
         for i in range(len(x)):
             at, bias, a = heading[i], body[BIAS][i], body[A][i] * body[GOING][i]
             across, up, speed = body[FIELD][i], body[FIELD + 1][i], body[SPEED][i] * body[GOING][i]
-            sine = up * math.cos(at + bias) - across * math.sin(at + bias)
+            sine, _ = torque(at + bias, across, up)
             half = at + a * sine * dt / 2
             x[i] += (speed * math.cos(half) + body[FLOW][i]) * dt
             y[i] += (speed * math.sin(half) + body[FLOW + 1][i]) * dt
-            sine = up * math.cos(half + bias) - across * math.sin(half + bias)
+            sine, _ = torque(half + bias, across, up)
             at += a * sine * dt  # (3)
             at += body[WALK][i] * body[GOING][i] * root * swerves[i]
             phase[i] += body[TURN][i] * body[GOING][i] * dt

@@ -25,6 +25,7 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, wrap
+from tetractl.model.motion.motion import PARAMETERS
 from tetractl.replay.identification.tracks import Track
 
 SHORTEST_S = 0.035  # shortest interval: a frame that follows sooner is left out
@@ -204,11 +205,11 @@ def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
     count = len(belief.mean)
     noise, walk = np.repeat(belief.noise, (2, 1), axis=1).T, np.zeros((SIZE, count))
     walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
-    mean, std, one = np.zeros((len(tau), count, STATE)), np.zeros((count, SIZE)), np.ones(count)
+    mean, std = np.zeros((len(tau), count, STATE)), np.zeros((count, SIZE))
     mean[..., STATES], std[:, STATES] = belief.mean, belief.std
     bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64), LOG_FOLLOWS)
-    noise = np.ascontiguousarray(noise)
-    return FilterModel(one, one, noise, walk, 0.0, 0.0, np.inf), bank
+    noise, ones = np.ascontiguousarray(noise), np.ones((count, len(PARAMETERS)))
+    return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf), bank
 
 
 def _residual(pose: Floats, z: Floats) -> Floats:

@@ -19,6 +19,7 @@ from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
+from tetractl.model.motion.exact import rates
 from tetractl_microscope.coils.driver import (
     HINT,
     UNKNOWN_TEMPERATURE,
@@ -152,7 +153,8 @@ class FieldActuator:
     def _transmission(self, action: Action, currents: Pair, headings: Floats) -> Transmission:
         x_mt, y_mt = self.coils.field(currents)
         strength, towards = float(np.hypot(x_mt, y_mt)), float(np.arctan2(y_mt, x_mt))
-        turning = self._a * (strength / self.section.strength_mt) * np.sin(towards - headings)
+        a = self._a * (strength / self.section.strength_mt)
+        turning = rates(headings, towards, a, self._speed)[2]
         return Transmission(
             action,
             self._sent_ns,

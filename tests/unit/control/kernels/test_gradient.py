@@ -33,8 +33,7 @@ def traced(problem, signals):
     trace(
         signals,
         work.turned,
-        work.a,
-        work.v,
+        work.parameters,
         work.drift,
         work.first_period,
         work.period,

@@ -122,7 +122,7 @@ def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
     meets = (np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other]) < apart).any()
 
     def clear(obstacles):
-        motion = problem.a, problem.speed, of.drift, seconds / steps, steps, of.rest
+        motion = of.parameters, of.drift, seconds / steps, steps, of.rest
         return unheard(signals, *motion, path, obstacles.rows, obstacles.walls, apart)
 
     ends = x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]

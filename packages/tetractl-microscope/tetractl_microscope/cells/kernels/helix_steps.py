@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
+from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT, exact
+from tetractl.model.motion import swimming
 
 X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY, LEAD = range(16)
 STATES = 16
@@ -31,13 +32,7 @@ ODD = 9.0  # squared distance, in standard deviations, above which a measurement
 ODD_DISTANCE, ODD_RUN = 30.0, 3
 
 
-@compiled(**INLINE_EXACT)
-def torque(dipole, ux, uy):
-    """Return the turning rate for a = 1 by equation (3), for a dipole's direction [rad] in the
-    field (ux, uy), and its derivative with respect to the direction.
-    """
-    cos, sin = math.cos(dipole), math.sin(dipole)
-    return uy * cos - ux * sin, -(uy * sin + ux * cos)
+torque = exact(swimming.torque)
 
 
 @compiled(**ENTRY)

@@ -1,0 +1,41 @@
+"""Each of the paper's equations has one function, and the motion (1)-(6) stands nowhere else."""
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import tetractl
+from tetractl.control import cost, stop
+from tetractl.control.kernels import update
+from tetractl.model import wheels
+from tetractl.model.motion import euler, exact, rolling
+
+EQUATIONS = {
+    "(1)": exact.rates,
+    "(3)": exact.rates,
+    "(4)": euler.step,
+    "(6)": euler.step,
+    "(7)": cost.costs_along,
+    "(8)": cost.costs_along,
+    "(9)": cost.costs_along,
+    "(14)-(17)": update.move.py_func,
+    "(20)": stop,
+    "(21)": wheels.body_velocity,
+    "(21)-(23)": rolling.rolled,
+    "(24)-(25)": rolling.wheel_speeds,
+}
+MOTIONS = {"euler.py", "arc.py", "exact.py"}
+TURN = re.compile(r"\ba \* (np|math)\.sin\(|su \* c - cu \* s")
+
+
+@pytest.mark.parametrize("equation", EQUATIONS)
+def test_the_function_of_an_equation_names_it(equation):
+    assert equation in inspect.getsource(EQUATIONS[equation])
+
+
+def test_how_a_robot_turns_towards_u_stands_in_the_files_of_motions_alone():
+    root = Path(tetractl.__file__).parent
+    files = [*root.rglob("*.py"), *(root.parent / "packages").rglob("tetractl_*/**/*.py")]
+    assert {file.name for file in files if TURN.search(file.read_text())} == MOTIONS

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from tetractl.control.filter import FilterBank
-from tetractl.control.kernels.filter_state import ASSUMED, BIAS, GRID, LN_A, LN_V, MARKER
+from tetractl.control.kernels.filter_state import ASSUMED, BIAS, GRID, LN_A, LN_V, MARKER, SIDE
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
 
@@ -53,6 +53,9 @@ def estimate(filters: FilterBank) -> Estimate:
         speed_std=speed * std[:, LN_V],
         heading_bias=z[:, BIAS] + z[:, MARKER],
         heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more,
+        side=z[:, SIDE],
+        side_std=std[:, SIDE],
+        saturation=np.ones(len(a)),
         dead_time=float(tau.mean()),
         dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
         misfit=squares / (blocks * (1 - part + ASSUMED.sure * np.sqrt(part)) ** 3),

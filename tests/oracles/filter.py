@@ -22,6 +22,7 @@ from tetractl.control.kernels.filter_state import (
     LN_W,
     MARKER,
     PACE,
+    SIDE,
     SINE,
     SIZE,
     SWING,
@@ -30,6 +31,7 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.core.poses import Floats, wrap
 from tetractl.model.motion.exact import EXACT
+from tetractl.model.motion.turning import by_turning, turning
 
 
 @dataclass
@@ -90,8 +92,10 @@ class RobotFilter:
             a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
             rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[BIAS]
             cos_sin = math.cos(rest), math.sin(rest), math.cos(towards), math.sin(towards)
-            step = NOTHING if stands else EXACT.lanes.differentiate(*cos_sin, (a, v), t)
-            (*way, turn), (*by_heading, keep), (*by_bias, _), ((*by_a, turn_a), _) = step
+            rate, slopes = turning(*cos_sin, (a, v, z[SIDE], self.saturation(z)), t)
+            step = EXACT.lanes.differentiate(*cos_sin, (rate, v), t)
+            step = NOTHING if stands else by_turning(step, slopes)
+            (*way, turn), (*by_heading, keep), (*by_bias, _), ((*by_a, turn_a), *_) = step
             swing, pace = z[SWING], z[PACE]
             if self.lag:
                 wish, goal = turn / (a * t), 0.0 if stands else 1.0
@@ -109,6 +113,9 @@ class RobotFilter:
             jacobian[where, LN_A], jacobian[where, LN_V] = by_a, way
             jacobian[X, FLOW_X] = jacobian[Y, FLOW_Y] = t
             jacobian[HEADING, [HEADING, LN_A, BIAS]] = keep, turn_a, 1 - keep
+            if not stands:
+                a_by, (_, *by_turns) = [X, Y, HEADING], slopes
+                jacobian[np.ix_(a_by, [SIDE, LN_W])] = np.outer(jacobian[a_by, LN_A], by_turns)
             angle = self.helix * math.exp(z[LN_W]) * t
             turned = np.array(
                 [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
@@ -124,6 +131,10 @@ class RobotFilter:
             walk = self.walk**2 * t
             walk[[X, Y, HEADING]] *= self.scale[[0, 0, 1]]
             one.z, one.cov = moved, jacobian @ one.cov @ jacobian.T + np.diag(walk)
+
+    def saturation(self, z: Floats) -> float:
+        """Return the saturation of wheels; cells do not saturate."""
+        return 1.0 if self.helix else math.exp(min(z[LN_W], 0.0))
 
     def lagged(self, wish: float, value: float, t: float) -> float:
         """Return a value that approaches `wish` for a time t."""
@@ -216,8 +227,10 @@ class RobotFilter:
         def rate(direction: float) -> float:
             if math.isnan(direction):
                 return 0.0
-            a = self.a * math.exp(new.z[LN_A])
-            return a * math.sin(direction + new.z[BIAS] - new.z[HEADING])
+            a, at, to = self.a * math.exp(new.z[LN_A]), new.z[HEADING], direction + new.z[BIAS]
+            own = a, self.v, new.z[SIDE], self.saturation(new.z)
+            cos_sin = math.cos(at), math.sin(at), math.cos(to), math.sin(to)
+            return turning(*cos_sin, own, 0.0)[0] * math.sin(to - at)
 
         new.cov[HEADING, HEADING] += (step * (rate(u) - rate(before))) ** 2 / 12
         if math.isnan(before) != math.isnan(u):

@@ -28,6 +28,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
+from tetractl.model.motion.turning import all_in_rows, turning
 
 STRAY = 0.3
 """Slope of h(d) beyond d = 1, where d is a robot's distance to its target in units of R."""
@@ -69,16 +70,25 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same signals for every robot
     if problem.bias is not None:
         every = every + problem.bias
+    own, turns = all_in_rows(problem), problem.side is not None or problem.saturation is not None
     for j, u in enumerate(every):
         held = problem.first_period if j == 0 else problem.period
         start = x[j], y[j], path[j, ..., 2]
-        path[j + 1] = np.stack(motion.step(*start, u, problem.a, problem.speed, held), axis=-1)
+        rate = _rates(start[2], u, own, held) if turns else problem.a
+        path[j + 1] = np.stack(motion.step(*start, u, rate, problem.speed, held), axis=-1)
     if problem.flow is not None:
         periods = np.arange(len(every)).reshape(-1, *(1 for _ in shape))
         times = problem.first_period + problem.period * periods
         x[1:] += times * problem.flow[:, 0]
         y[1:] += times * problem.flow[:, 1]
     return path
+
+
+def _rates(heading: Floats, u: Floats, own: Floats, seconds: float) -> Floats:
+    """Return the rates a (..., N) of a step, by `turning`."""
+    c, s, cu, su = np.cos(heading), np.sin(heading), np.cos(u), np.sin(u)
+    found = np.vectorize(lambda c, s, cu, su, *each: turning(c, s, cu, su, each, seconds)[0])
+    return found(c, s, cu, su, *own.T)
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

@@ -81,10 +81,8 @@ class StateEstimator:
         if self.estimate is None:
             return replace(self.problem, poses=poses).only(self.left)
         self.estimate = known
-        of_all = replace(
-            self.problem, poses=poses, a=known.a, speed=known.speed, bias=bias, flow=flow
-        )
-        return of_all.only(self.left)
+        motion = {name: getattr(known, name) for name in ("a", "speed", "side", "saturation")}
+        return replace(self.problem, poses=poses, bias=bias, flow=flow, **motion).only(self.left)
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""

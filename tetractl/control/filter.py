@@ -14,7 +14,8 @@ and a camera measures, each with its noise,
     x - p sin theta,  y + p cos theta,  theta + m + atan(w q / v).
 
 The state has the logarithms of a, v and w, and all parameters drift as random walks, so that old
-measurements lose their weight.
+measurements lose their weight. Robots on wheels have no helix, but a `side` and a `saturation`, by
+which they turn with another a than (3) says (`tetractl.model.motion.turning`).
 
 A robot may not follow the latest direction. Its hypotheses, each with a filter and a weight, are
 that it follows the latest direction, that it follows one of the two directions before, because
@@ -33,6 +34,8 @@ theta + T dtheta/dt, in which the robot would come to rest.
 
 If the model is right, what a frame shows beyond the prediction is independent of the frames before.
 Sums over blocks of frames test this, and standard deviations grow by what they are found to be.
+While the model does not fit robots on wheels, what it may be is laid out again: another dead time,
+and, if the heading does not fit, motors that saturate.
 
 A prior without uncertainty identifies nothing: each frame's poses are taken as they are, and only
 the prediction over the dead time remains.
@@ -50,6 +53,7 @@ from tetractl.control.kernels.filter_state import (
     FOUND,
     GRID,
     MISFIT,
+    TURNS,
     Bank,
     FilterModel,
     Shared,
@@ -57,14 +61,19 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.plan import Estimate
+from tetractl.core.plan import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.model.motion.motion import PARAMETERS, in_rows
+from tetractl.model.motion.turning import TURNING
 
 PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
 """Frequencies of the helix to start from, over the usual one."""
 KEPT_COMMANDS = 32  # least number of commands kept after they acted: filters may restart
 SPACING_S = 0.03  # least time between two frames used [s]
+SATURATIONS = 0.8, 0.4
+"""Saturations of motors to try where the heading does not fit."""
+SATURATION_STD = 0.3  # prior standard deviation of ln of each of them
+SATURATED = -3.0  # ln of the probability of motors that saturate, at first
 REOPEN_STD_S = 0.05  # standard deviation of a dead time's change [s]
 REOPEN_S = 4.0  # least time from laying out dead times to laying them out again [s]
 
@@ -114,7 +123,7 @@ class FilterBank:
         noise[2] = prior.heading_noise or USUAL.heading_noise
         self._std, walk = np.zeros((2, at.SIZE, count))
         walk[:2], walk[2] = USUAL.slip * prior.speed, USUAL.walk
-        parameters = enumerate(PARAMETERS)
+        parameters, (side, saturation) = enumerate(PARAMETERS), TURNING
         for k, std, drift in (
             *((at.LN_A + k, getattr(prior, f"{p.name}_std"), p.drift) for k, p in parameters),
             (at.BIAS, prior.heading_bias_std, USUAL.turn_bias),
@@ -123,7 +132,8 @@ class FilterBank:
             (at.FLOW_Y, prior.flow_std, USUAL.flow * prior.flow_std),
             (at.SINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
             (at.COSINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
-            (at.LN_W, USUAL.pitch_std * helix, USUAL.pitch),
+            (at.SIDE, prior.side_std, side.drift),
+            (at.LN_W, USUAL.pitch_std * helix, USUAL.pitch if helix else saturation.drift),
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
@@ -143,7 +153,7 @@ class FilterBank:
         low, high = max(0.0, prior.dead_time - reach), prior.dead_time + reach
         self._tau = np.arange(low, high + 1e-9, GRID.step_s)  # dead times to start from [s]
         self._steps = np.full(count, GRID.step_s)  # spacing of each robot's dead times [s]
-        self._misfit, self._laid_out_ns = 0.0, 0
+        self._misfit, self._laid_out_ns = np.zeros((3, count)), 0
         self._lay_out(self._first_bank())
 
     def _first_bank(self) -> Bank:
@@ -157,7 +167,7 @@ class FilterBank:
     def _lay_out(self, bank: Bank) -> None:
         """Go on with other filters, and lay out what robots tell each other of these."""
         self._bank, prior, finest = bank, self.prior, GRID.finest_s
-        size = max(len(bank.tau), 3 * len(PITCHES)), len(prior.a)
+        size = max(len(bank.tau), 3 * max(len(PITCHES), 1 + len(SATURATIONS))), len(prior.a)
         self._chosen = np.empty(size, np.int64), np.empty(size), np.empty(size)
         times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
         gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, finest) / 2
@@ -213,7 +223,8 @@ class FilterBank:
         self._last = last
         self._select()
         due = observation.sampled_ns >= self._laid_out_ns + REOPEN_S * SECOND
-        if due and self._misfit > 1 and not self._model.helix:  # cells pause and turn by themselves
+        unfit = (self._misfit > 1).any() and not self._model.helix  # cells turn by themselves
+        if due and unfit:
             self._reopen(observation)
 
     def restart(self, robots: Iterable[int]) -> None:
@@ -233,7 +244,8 @@ class FilterBank:
             self._lay_out(self._bank)
 
     def _reopen(self, frame: Observation) -> None:
-        """Lay out the first dead times again, each in the state of the robot's likeliest filter.
+        """Lay out the first dead times again, each in the state of the robot's likeliest filter,
+        and, for robots whose heading does not fit, SATURATIONS of their motors.
 
         The dead time may have changed, and the others are gone by then. The likeliest one stays so
         until frames tell otherwise; how well the model fits is tested again.
@@ -241,11 +253,21 @@ class FilterBank:
         old, robots = self._bank, np.arange(len(self.prior.a))
         best = self._shared.score.argmax(axis=0)
         chosen = best, robots, old.weight[best, robots].argmax(axis=1)
-        mean = np.repeat(old.state[chosen][None], len(self._tau), axis=0)
-        bank = Bank.start(self._tau, mean, self._std.T, np.zeros(len(self._tau), dtype=np.int64))
+        tried, times = [None, *np.log(SATURATIONS)], len(self._tau)
+        group = np.repeat(np.arange(len(tried)), times)
+        mean = np.repeat(old.state[chosen][None], len(group), axis=0)
+        bank = Bank.start(np.tile(self._tau, len(tried)), mean, self._std.T, group)
         bank.cov[:, :, 0], bank.scale[:] = old.cov[chosen], old.scale[best, robots]
         bank.score[:] = -(((bank.tau - old.tau[best, robots]) / REOPEN_STD_S) ** 2) / 2
-        self._bank, self._steps[:], self._misfit = bank, GRID.step_s, 0.0
+        turns = self._misfit[INNOVATIONS.index("heading")] > 1
+        for k, of in enumerate(tried[1:], 1):
+            cov, rows = bank.cov[group == k], group == k
+            cov[..., at.LN_W, :] = cov[..., at.LN_W] = 0.0
+            cov[..., at.LN_W, at.LN_W] = SATURATION_STD**2
+            bank.cov[rows], bank.state[rows, :, :, at.LN_W] = cov, of
+            bank.score[rows] += np.where(turns, SATURATED, -np.inf)
+        self._model.walk[at.LN_W] = TURNING[1].drift
+        self._bank, self._steps[:], self._misfit = bank, GRID.step_s, 0 * self._misfit
         self._laid_out_ns = frame.sampled_ns
         self._place(frame, self._all)
         self._lay_out(bank)
@@ -303,8 +325,10 @@ class FilterBank:
         given = self._when, self._u, self._last.sampled_ns / SECOND, sent / SECOND
         dead_time, std = forecast(self._bank, self._model, self._shared, *given, found)
         x, y, heading, *motion, turn, held = found[: DRIFT.start]
-        self._misfit = float(found[MISFIT].max())
+        self._misfit = found[MISFIT]
+        side, side_std, saturation = found[TURNS]
         more = {"dead_time": dead_time, "dead_time_std": std, "misfit": found[MISFIT].T}
+        more |= {"side": side, "side_std": side_std, "saturation": saturation}
         known = Estimate(*motion, **more)
         return Ahead(Poses(x, y, heading), turn, found[DRIFT].T, held, known)
 

@@ -51,6 +51,9 @@ class PriorSection(Model):
 
     marker_bias: ClassVar[float] = 0.05
     """Standard deviation of the angle between the measured heading and the course [rad]."""
+    side: ClassVar[float] = 0.1
+    """Standard deviation of k of robots that turn by a exp(k) to the left, a exp(-k) to the
+    right."""
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
@@ -70,6 +73,7 @@ class PriorSection(Model):
             helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if setup.wheel_radius is None else 0.0,
             lag=setup.lag_s,
             watchdog=setup.watchdog_s,
+            side_std=self.side if setup.wheel_radius is not None else 0.0,
         )
 
 

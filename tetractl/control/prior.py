@@ -17,7 +17,8 @@ class Prior(NamedTuple):
     0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
     measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
     radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
-    robots without wheels. A robot that receives nothing for `watchdog` [s] stops.
+    robots without wheels. A robot that receives nothing for `watchdog` [s] stops. The mean `side`
+    (`tetractl.model.motion.turning`) is 0.
     """
 
     a: Floats
@@ -35,6 +36,7 @@ class Prior(NamedTuple):
     helix_radius: float = 0.0
     lag: float = 0.0
     watchdog: float = math.inf
+    side_std: float = 0.0
 
     @property
     def certain(self) -> bool:

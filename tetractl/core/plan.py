@@ -4,7 +4,7 @@ searches it was chosen from, or the end of the trial.
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Protocol
 
@@ -163,7 +163,9 @@ class Estimate:
     `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
     robots. `heading_bias` and `dead_time` are None if they are not estimated. `misfit` (N, 3) is
     how far from independent the errors of the predictions are, in the order of INNOVATIONS: above
-    1, the model does not fit at the level 0.001. None if it is not tested.
+    1, the model does not fit at the level 0.001. None if it is not tested. `side` (N,) is the k of
+    a robot that turns by a exp(k) to the left and a exp(-k) to the right, and `saturation`
+    (N,) its greatest turning rate over the greater of these; None if they are not estimated.
     """
 
     a: Floats
@@ -175,6 +177,9 @@ class Estimate:
     dead_time: float | None = None
     dead_time_std: float | None = None
     misfit: Floats | None = None
+    side: Floats | None = None
+    side_std: Floats | None = None
+    saturation: Floats | None = None
 
     def unfit(self, names: Sequence[str]) -> set[str]:
         """Return what the model does not fit, such as "heading of red"."""
@@ -187,17 +192,9 @@ class Estimate:
         """Return the estimates of the robots for which `some` (N,) is true."""
         if some.all():
             return self
-        bias, bias_std, misfit = self.heading_bias, self.heading_bias_std, self.misfit
-        return replace(
-            self,
-            a=self.a[some],
-            a_std=self.a_std[some],
-            speed=self.speed[some],
-            speed_std=self.speed_std[some],
-            heading_bias=None if bias is None else bias[some],
-            heading_bias_std=None if bias_std is None else bias_std[some],
-            misfit=None if misfit is None else misfit[some],
-        )
+        every = {one.name: getattr(self, one.name) for one in fields(self)}
+        kept = {name: v[some] for name, v in every.items() if isinstance(v, np.ndarray)}
+        return replace(self, **kept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,8 +310,9 @@ class Problem:
     their centres at the predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added
     to the direction that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift
     that carries it; None for no bias or flow. If `within` [length unit] is given, the robots are to
-    stay within that distance of their targets. Problems are compared by identity, so that a problem
-    can be the key of a cache.
+    stay within that distance of their targets. `side` and `saturation` (N,) are how robots turn
+    (`tetractl.model.motion.turning`), None for robots that turn by (3). Problems are compared by
+    identity, so that a problem can be the key of a cache.
     """
 
     poses: Poses
@@ -331,20 +329,17 @@ class Problem:
     bias: Floats | None = None
     flow: Floats | None = None
     within: float | None = None
+    side: Floats | None = None
+    saturation: Floats | None = None
 
     def only(self, some: Bools) -> "Problem":
         """Return the problem of the robots for which `some` (N,) is true."""
         if some.all():
             return self
-        return replace(
-            self,
-            poses=Poses.of(self.poses.array()[some]),
-            targets=self.targets[some],
-            a=self.a[some],
-            speed=self.speed[some],
-            bias=None if self.bias is None else self.bias[some],
-            flow=None if self.flow is None else self.flow[some],
-        )
+        names = "targets", "a", "speed", "bias", "flow", "side", "saturation"
+        of = {name: getattr(self, name) for name in names}
+        kept = {name: value[some] for name, value in of.items() if value is not None}
+        return replace(self, poses=Poses.of(self.poses.array()[some]), **kept)
 
     @property
     def drift(self) -> Floats:

@@ -19,6 +19,7 @@ from tetractl.control.kernels.filter_state import (
     FLOW_Y,
     FOLLOWS,
     HEADING,
+    LN_W,
     LOG_FOLLOWS,
     MARKER,
     STUCK,
@@ -28,7 +29,7 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.poses import Poses
+from tetractl.core.poses import Poses, wrap
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -49,6 +50,20 @@ class Late(Disturbance):
 
     def sent(self, command):
         return replace(command, late_ns=self.late_ns * (command.sent_ns >= self.since_ns))
+
+
+class Turns(Disturbance):
+    """Robots turn by `more` (N,) of it farther to the left, and not faster than `most` [rad/s]."""
+
+    def __init__(self, more=0.0, most=100.0):
+        self.more, self.most, self.before = more, most, None
+
+    def moved(self, poses, moving, seconds, time_s):
+        before = poses.heading if self.before is None else self.before
+        by = wrap(poses.heading - before)
+        by, most = by + self.more * np.abs(by), self.most * seconds
+        self.before = before + np.maximum(np.minimum(by, most), -most)
+        return replace(poses, heading=self.before)
 
 
 def know(
@@ -73,6 +88,8 @@ def know(
     plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(seed))
     if late:
         plant.motion.transit.disturbances.append(late)
+        plant.motion._moving.append(late)
+        plant.motion._disturbs |= isinstance(late, Turns)
     plant.open()
     problem = section.problem(experiment.setup)
     estimator = StateEstimator(problem, 1 / rate, section.prior.of(problem, 0.0, experiment.setup))
@@ -125,6 +142,25 @@ def test_a_dead_time_that_changes_is_found_again():
     assert found.dead_time == pytest.approx(0.26, abs=0.004)
     assert found.misfit.max() < 1
     assert estimator.filter._laid_out_ns > 12 * SECOND
+
+
+def test_the_side_to_which_a_robot_turns_faster_is_found():
+    more = np.array([0.2, -0.2, 0.1])
+    settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
+    found, plant, _ = know(settings, 15, 20, late=Turns(more))
+    assert found.side == pytest.approx(np.arctanh(more), abs=0.03)
+    assert found.a == pytest.approx(plant.a * np.sqrt(1 - more**2), rel=0.04)
+    assert found.misfit.max() < 1
+
+
+def test_motors_that_saturate_are_found_by_the_misfit():
+    settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
+    found, *_ = know(settings, 24, 20, late=Turns(most=1.5))
+    most = found.a * np.exp(np.abs(found.side)) * found.saturation
+    assert most == pytest.approx(1.5, rel=0.1)
+    assert found.dead_time == pytest.approx(0.11, abs=0.02)
+    free, *_ = know(settings, 12, 20)
+    assert (free.saturation == 1).all()
 
 
 def test_dead_times_are_not_laid_out_again_while_the_model_fits():
@@ -294,17 +330,39 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
 
 
 @pytest.mark.parametrize(
-    ("lag", "watchdog", "follows"),
-    [(0.0, math.inf, 3), (0.04, math.inf, 3), (0.04, 0.15, 3), (0.0, math.inf, LOG_FOLLOWS)],
+    ("lag", "watchdog", "follows", "helix"),
+    [
+        (0.0, math.inf, 3, 8),
+        (0.04, math.inf, 3, 8),
+        (0.04, 0.15, 3, 8),
+        (0.0, math.inf, LOG_FOLLOWS, 8),
+        (0.0, math.inf, 3, 0),
+        (0.04, math.inf, 3, 0),
+    ],
 )
-def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows):
+def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, helix):
     """Random commands and poses near the path, until weights, states and covariances agree."""
     rng = np.random.default_rng(5)
     prior = Prior(
-        np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 1e-9, 0.05, 0.05, 10, 5, 0.05, 1.5, 8
+        np.array([4.0]),
+        np.array([300.0]),
+        0.1,
+        0.2,
+        0.15,
+        1e-9,
+        0.05,
+        0.05,
+        10,
+        5,
+        0.05,
+        1.5,
+        helix,
     )
-    bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog))
+    bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1))
     model, made = bank._model, bank._bank
+    if not helix:  # wheels that saturate
+        made.state[..., LN_W], made.cov[..., LN_W, LN_W] = math.log(0.6), 0.3**2
+        made = made._make(np.concatenate([column, column]) for column in made)
     made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
     if follows > FOLLOWS:
         mean, std = made.state[:, :, 0], np.sqrt(made.cov[0, :, 0].diagonal(axis1=1, axis2=2))

@@ -41,7 +41,7 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
         more = math.sqrt(more)
         tau, deviation = shared.dead_times[0, i], more * shared.dead_times[1, i]
         mean, doubt = mean + tau, doubt + deviation * deviation
-        a, speed = parameters_of(model, i, z)
+        a, speed, side, saturation = parameters_of(model, i, z)
         found[3, i], found[4, i] = a, more * a * math.sqrt(max(cov[at.LN_A, at.LN_A], 0.0))
         found[5, i], found[6, i] = speed, more * speed * math.sqrt(max(cov[at.LN_V, at.LN_V], 0.0))
         var = cov[at.BIAS, at.BIAS] + cov[at.MARKER, at.MARKER] + 2 * cov[at.BIAS, at.MARKER]
@@ -49,6 +49,8 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
         found[9, i] = z[at.BIAS]
         found[10, i] = _ahead(bank, model, best, i, slot, when, u, tau, begin, sent, z)
         found[11, i], found[12, i] = z[at.FLOW_X], z[at.FLOW_Y]
+        found[16, i], found[18, i] = side, saturation
+        found[17, i] = more * math.sqrt(max(cov[at.SIDE, at.SIDE], 0.0))
         for k in range(3):
             found[k, i] = z[k]
     mean /= count
@@ -76,7 +78,7 @@ def _ahead(bank, model, b, i, s, when, u, tau, begin, sent, z):
             now, stops = u[c], acts + model.watchdog
             if acts <= until + 1e-9:
                 held = now if stops > until else math.nan
-    a, speed = parameters_of(model, i, z)
+    a, speed, _, _ = parameters_of(model, i, z)
     turn, way = model.lag * a * z[at.SWING], model.lag * speed * z[at.PACE]
     east, north = rolled(z[at.HEADING], turn, way)
     z[at.X], z[at.Y], z[at.HEADING] = z[at.X] + east, z[at.Y] + north, z[at.HEADING] + turn

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels import filter_state as at
-from tetractl.control.kernels.filter_motion import advance, parameters_of
+from tetractl.control.kernels.filter_motion import advance, parameters_of, rate
 from tetractl.control.kernels.filter_state import ASSUMED, MOVED, SIZE, SLOTS
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
@@ -29,12 +29,12 @@ BY = np.array(
 def _expected(model, i, z, slopes):
     """Return the pose that a camera would measure; its slopes by the states BY are filled."""
     c, s = math.cos(z[at.HEADING]), math.sin(z[at.HEADING])
-    rate = model.helix * math.exp(z[at.LN_W]) / (parameters_of(model, i, z)[1] + 1e-300)
-    across = rate * z[at.COSINE]
+    spin = model.helix * math.exp(z[at.LN_W]) / (parameters_of(model, i, z)[1] + 1e-300)
+    across = spin * z[at.COSINE]
     flat = 1 / (1 + across * across)
     slopes[0, 0] = slopes[1, 0] = slopes[2, 0] = slopes[2, 1] = 1.0
     slopes[0, 1], slopes[1, 1] = -c * z[at.SINE], -s * z[at.SINE]
-    slopes[0, 2], slopes[1, 2], slopes[2, 2] = -s, c, rate * flat
+    slopes[0, 2], slopes[1, 2], slopes[2, 2] = -s, c, spin * flat
     slopes[2, 3], slopes[2, 4] = -across * flat, across * flat
     tilt = math.atan(across)
     return z[at.X] - s * z[at.SINE], z[at.Y] + c * z[at.SINE], z[at.HEADING] + z[at.MARKER] + tilt
@@ -118,8 +118,10 @@ def _copy(bank, b, i, source, slot):
 @compiled(**INLINE_FAST)
 def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
-    a, speed = parameters_of(model, i, z)
-    return 0.0 if math.isnan(u) else _rates(z[at.HEADING], u + z[at.BIAS], a, speed)[2]
+    own, towards = parameters_of(model, i, z), u + z[at.BIAS]
+    c, s = math.cos(z[at.HEADING]), math.sin(z[at.HEADING])
+    a = rate(c, s, math.cos(towards), math.sin(towards), own, 0.0)[0]
+    return 0.0 if math.isnan(u) else _rates(z[at.HEADING], towards, a, own[1])[2]
 
 
 @compiled(**INLINE_FAST)
@@ -138,7 +140,7 @@ def _blur(model, i, z, cov, before, u, step):
     changes = _rate(model, i, z, u) - _rate(model, i, z, before)
     cov[at.HEADING, at.HEADING] += (step * changes) ** 2 / 12
     if math.isnan(before) != math.isnan(u):
-        _, speed = parameters_of(model, i, z)
+        speed = parameters_of(model, i, z)[1]
         cov[at.X, at.X] += (step * speed) ** 2 / 12
         cov[at.Y, at.Y] += (step * speed) ** 2 / 12
 

@@ -15,6 +15,7 @@ from tetractl.control.kernels.filter_state import (
     LN_W,
     MOVED,
     PACE,
+    SIDE,
     SINE,
     SIZE,
     SWING,
@@ -25,18 +26,21 @@ from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.model.motion import exact, rolling
 from tetractl.model.motion.motion import PARAMETERS
+from tetractl.model.motion.turning import TURNING, by_turning, times, turning
 
 differentiate, rolled = inlined(exact.differentiate), inlined(rolling.rolled)
+rate, complete, scaled = inlined(turning), inlined(by_turning), inlined(times)
 
-NOTHING = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), ((0.0, 0.0, 0.0),) * len(PARAMETERS)
+NONE = (0.0, 0.0, 0.0)
+NOTHING = NONE, (0.0, 0.0, 1.0), NONE, (NONE,) * len(PARAMETERS + TURNING)
 """The step of a robot at rest."""
 
 
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
-    """Return the PARAMETERS of robot i in a state."""
-    known = model.parameters[i]
-    return known[0] * math.exp(z[LN_A]), known[1] * math.exp(z[LN_V])
+    """Return PARAMETERS and TURNING of robot i in a state."""
+    known, saturation = model.parameters[i], 1.0 if model.helix > 0 else math.exp(min(z[LN_W], 0.0))
+    return known[0] * math.exp(z[LN_A]), known[1] * math.exp(z[LN_V]), z[SIDE], saturation
 
 
 @compiled(**INLINE_FAST)
@@ -58,10 +62,13 @@ def advance(model, i, z, cov, u, scale, seconds, more):
     while left > 0 and (drives or z[PACE] > 0):
         t = min(left, ASSUMED.substep_s)
         left -= t
-        rest = z[HEADING] + lag * own[0] * z[SWING]
-        found = differentiate(math.cos(rest), math.sin(rest), cu, su, own, t)
+        ends = z[HEADING] + lag * own[0] * z[SWING]
+        c, s = math.cos(ends), math.sin(ends)
+        a, slopes = rate(c, s, cu, su, own, t)
+        found = complete(differentiate(c, s, cu, su, (a, own[1]), t), slopes)
         if lag > 0:
-            found = _lagging(z, found if drives else NOTHING, goal, own, lag, t)
+            rest, slopes = (found, slopes) if drives else (NOTHING, NONE)
+            found = _lagging(z, rest, goal, own, lag, t, slopes)
         dx, dy, turn = found[0]
         z[X] += dx + t * z[FLOW_X]
         z[Y] += dy + t * z[FLOW_Y]
@@ -81,10 +88,10 @@ def advance(model, i, z, cov, u, scale, seconds, more):
 
 
 @compiled(**INLINE_FAST)
-def _lagging(z, rest, goal, own, lag, t):
+def _lagging(z, rest, goal, own, lag, t, slopes):
     """Return a short step of lagging wheels and its derivatives, given that of the heading in which
     they come to `rest`; swing and pace approach its mean turning rate over a, and the `goal`."""
-    (a, v), (_, _, around), keep = own, rest[0], rest[1][2]
+    (a, v, _, _), (_, _, around), keep = own, rest[0], rest[1][2]
     wish, early = around / (a * t), math.exp(-0.5 * t / lag)
     late = early * early
     half = 0.5 * around + a * lag * (1 - early) * (z[SWING] - wish)
@@ -95,7 +102,8 @@ def _lagging(z, rest, goal, own, lag, t):
     z[PACE] = goal + late * (z[PACE] - goal)
     stays, goes = 0.5 * (1 + keep), 0.5 * (1 - keep)
     by_heading, by_u = (-dy * stays, dx * stays, keep), (-dy * goes, dx * goes, 1 - keep)
-    by_parameters = (-dy * half, dx * half, turn), (dx, dy, 0.0)
+    by_a = -dy * half, dx * half, turn
+    by_parameters = by_a, (dx, dy, 0.0), scaled(by_a, slopes[1]), scaled(by_a, slopes[2])
     return (dx, dy, turn), by_heading, by_u, by_parameters
 
 

@@ -1,9 +1,10 @@
 """The state of `tetractl.control.filter`, and what its filters assume; without the compiler.
 
 The state of a robot is, in the order of the indices below: x, y, heading of its course, helix as
-sine and cosine; ln of a and of the speed over the spec's, turn bias, marker bias, flow along x and
-y, and ln of the helix's frequency over the usual one. The first MOVED change with time, the others
-only by their random walk. Swing and pace have no variance.
+sine and cosine; ln of a and of the speed over the spec's, `side`, LN_W, turn bias, marker bias, and
+flow along x and y. LN_W is ln of a rate: of a cell, of its helix's frequency over the usual one;
+of wheels, of the `saturation` of their motors, which do not saturate from 0 on. The first MOVED
+change with time, the others only by their random walk. Swing and pace have no variance.
 """
 
 from typing import NamedTuple, Self
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats
 
-X, Y, HEADING, SINE, COSINE, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, LN_W = range(12)
-MOVED, SIZE = LN_A, LN_W + 1  # number of state variables that move, and of all with a covariance
+X, Y, HEADING, SINE, COSINE, LN_A, LN_V, SIDE, LN_W, BIAS, MARKER, FLOW_X, FLOW_Y = range(13)
+MOVED, SIZE = LN_A, FLOW_Y + 1  # number of state variables that move, and of all with a covariance
 SWING, PACE = range(SIZE, SIZE + 2)  # turning rate / a and speed / v of lagging wheels
 STATE = PACE + 1  # number of state variables
-FOUND, DRIFT, MISFIT = 16, slice(11, 13), slice(13, 16)
+FOUND, DRIFT, MISFIT, TURNS = 19, slice(11, 13), slice(13, 16), slice(16, 19)
 """The numbers found of a robot: its pose, a, speed, turn bias, heading bias, the deviations of all
-but the turn bias, the direction followed, flow and the misfit of the model."""
+but the turn bias, the direction followed, flow and the misfit of the model; `side`, its deviation,
+and `saturation`."""
 FOLLOWS = STUCK = 3
 """Number of latest commands that a robot may follow; then comes the slot of the hypothesis that a
 robot stands although it was sent a direction."""

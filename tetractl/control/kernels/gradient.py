@@ -61,7 +61,7 @@ def trace(u, start, parameters, drift, first_period, period, first, rest, traced
     `first` and `rest` are the motion's constants for the first signal's period and the others';
     their class defines how robots move.
     """
-    cos, sin, path, gradients = traced.cos, traced.sin, traced.path, traced.gradients
+    cos, sin, path = traced.cos, traced.sin, traced.path
     count, across = len(parameters), cos.shape[1]
     for i in range(count):
         cos[i, 0], sin[i, 0] = start[2, i], start[3, i]
@@ -78,27 +78,40 @@ def trace(u, start, parameters, drift, first_period, period, first, rest, traced
                 cu * drift[0, i] - su * drift[1, i],
                 su * drift[0, i] + cu * drift[1, i],
                 i,
+                parameters_of(parameters[i]),
+                first_period if j == 0 else period,
             )
-    x, y, cu, su = path[0], path[1], cos[count], sin[count]
-    east_h, north_h = gradients[EAST_H], gradients[NORTH_H]
-    east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
+    x, y = path[0], path[1]
     for i in range(count):
-        own, cb, sb = parameters_of(parameters[i]), drift[0, i], drift[1, i]
+        own = parameters_of(parameters[i])
         for again in range(1 if first_period == period else 2):  # then the first signal's period
-            t = period if again == 0 else first_period
-            for j in range(across if again == 0 else 1):
-                c, s, c_u, s_u = cos[i, j], sin[i, j], cu[j], su[j]
-                towards = c_u * cb - s_u * sb, s_u * cb + c_u * sb
-                step, by_heading, by_u, _ = derivatives(rest, c, s, *towards, own, t)
-                x[i, j], y[i, j], _ = step
-                east_h[i, j], north_h[i, j], keep[i, j] = by_heading
-                east_u[i, j], north_u[i, j], _ = by_u
+            t, upto = (period, across) if again == 0 else (first_period, 1)
+            if own[3] < 1:
+                _steps(i, own, t, upto, drift, rest, traced)
+            else:  # by a constant, so that the compiler leaves out what it does not need
+                _steps(i, (own[0], own[1], own[2], 1.0), t, upto, drift, rest, traced)
         fx, fy = drift[2, i], drift[3, i]
         x[i, 0] = start[0, i] + x[i, 0] + fx * first_period
         y[i, 0] = start[1, i] + y[i, 0] + fy * first_period
         for j in range(1, u.size):
             x[i, j] = x[i, j - 1] + x[i, j] + fx * period
             y[i, j] = y[i, j - 1] + y[i, j] + fy * period
+
+
+@compiled(**INLINE_FAST)
+def _steps(i, own, t, upto, drift, motion, traced):
+    """Write the displacement of robot i by each of the signals `upto` one, and its derivatives."""
+    count, (cos, sin, path, gradients) = len(traced.cos) - 1, traced
+    x, y, cu, su, cb, sb = path[0], path[1], cos[count], sin[count], drift[0, i], drift[1, i]
+    east_h, north_h = gradients[EAST_H], gradients[NORTH_H]
+    east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
+    for j in range(upto):
+        c, s, c_u, s_u = cos[i, j], sin[i, j], cu[j], su[j]
+        towards = c_u * cb - s_u * sb, s_u * cb + c_u * sb
+        step, by_heading, by_u, _ = derivatives(motion, c, s, *towards, own, t)
+        x[i, j], y[i, j], _ = step
+        east_h[i, j], north_h[i, j], keep[i, j] = by_heading
+        east_u[i, j], north_u[i, j], _ = by_u
 
 
 @compiled(**INLINE_FAST)

@@ -11,13 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from tetractl.core.kernels.kernel_options import INLINE_FAST, entries, inlined
+from tetractl.core.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
-from tetractl.model.motion.motion import PARAMETERS, in_rows
+from tetractl.model.motion.motion import PARAMETERS
+from tetractl.model.motion.polynomials import onwards
+from tetractl.model.motion.turning import TURNING, all_in_rows, by_turning, is_left, turning
 
-parameters_of = entries(len(PARAMETERS))
+parameters_of = entries(len(PARAMETERS) + len(TURNING))
+rate, complete, left = inlined(turning), inlined(by_turning), inlined(is_left)
 
 
 class Flat(NamedTuple):
@@ -25,8 +28,8 @@ class Flat(NamedTuple):
 
     start: Floats  # (N, 3) x, y, heading
     turned: Floats  # (4, N) x, y, cos and sin of the heading
-    parameters: Floats  # (N, K) of the motion
-    first: Any  # `Lanes`, constants of the motion for the first signal
+    parameters: Floats  # (N, 4) PARAMETERS and TURNING
+    first: Any  # `Lanes` for the first signal, of robots that turn left, then of those right
     rest: Any  # `Lanes`, the same for the other signals; both have the same class
     drift: Floats  # (4, N) cos and sin of the bias, flow
     # (6, N): cos and sin of the bias, then x and y of the displacement by the flow in the first
@@ -37,11 +40,14 @@ class Flat(NamedTuple):
 @lru_cache(maxsize=2)  # the searches of one control step need the same arrays
 def flat(problem: Problem) -> Flat:
     """Return a problem's arrays. Every call returns the same ones, which must not be changed."""
-    p, parameters = problem.poses, in_rows(problem)
+    p, parameters = problem.poses, all_in_rows(problem)
     times = problem.first_period, problem.period
     kind: Any = MOTIONS.load(problem.motion).lanes
-    rest, drift = kind.of(parameters, times[1]), problem.drift
-    first = rest if times[0] == times[1] else kind.of(parameters, times[0])
+    a, speed, side, _ = parameters.T
+    sides = np.concatenate([a * np.exp(side), a / np.exp(side)])
+    both, drift = np.column_stack([sides, np.tile(speed, 2)]), problem.drift
+    rest = kind.of(both, times[1])
+    first = rest if times[0] == times[1] else kind.of(both, times[0])
     displaced = np.empty((6, 0))
     if problem.bias is not None or problem.flow is not None:
         displaced = np.concatenate([drift[:2], drift[2:] * times[0], drift[2:] * times[1]])
@@ -49,37 +55,55 @@ def flat(problem: Problem) -> Flat:
     return Flat(p.array(), turned, parameters, first, rest, drift, displaced)
 
 
-def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int) -> None:
-    """Advance robot i of every particle by one signal."""
+def advance(
+    lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int, own: Any, t: Any
+) -> None:
+    """Advance robot i of every particle by one signal, given its parameters and the time."""
 
 
 @overload(advance, jit_options=INLINE_FAST)
-def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
+def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i, own, t):
     kind = lanes.instance_class
-    step, constants_of = inlined(kind.advance), entries(kind.size)
+    step, constants_of, either = inlined(kind.advance), entries(kind.size), one_of(kind.size)
+    whole, on = inlined(kind.differentiate), inlined(onwards)
 
-    def advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
-        k = constants_of(lanes.rows[i])
-        for _ in range(lanes.pieces):
+    def advance(lanes, x, y, cos, sin, cos_u, sin_u, i, own, t):
+        k, right = constants_of(lanes.rows[i]), constants_of(lanes.rows[i + x.shape[0]])
+        if own[3] < 1:
             for n in range(cos_u.size):
-                x[i, n], y[i, n], cos[i, n], sin[i, n] = step(
-                    x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
-                )
+                c, s, cu, su = cos[i, n], sin[i, n], cos_u[n], sin_u[n]
+                a = rate(c, s, cu, su, own, t)[0]
+                found = whole(c, s, cu, su, (a, own[1]), t)[0]
+                x[i, n], y[i, n], cos[i, n], sin[i, n] = on(x[i, n], y[i, n], c, s, found)
+        else:
+            for _ in range(lanes.pieces):
+                for n in range(cos_u.size):
+                    c, s, cu, su = cos[i, n], sin[i, n], cos_u[n], sin_u[n]
+                    side = either(left(c, s, cu, su), k, right)
+                    x[i, n], y[i, n], cos[i, n], sin[i, n] = step(
+                        x[i, n], y[i, n], c, s, cu, su, side
+                    )
 
     return advance
 
 
-def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int) -> Any:
+def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int, own: Any, t: Any) -> Any:
     """Return cos and sin of the heading of robot i after one signal."""
 
 
 @overload(turned, jit_options=INLINE_FAST)
-def _turned(lanes, c, s, cu, su, i):
+def _turned(lanes, c, s, cu, su, i, own, t):
     kind = lanes.instance_class
     step, constants_of = inlined(kind.advance), entries(kind.size)
+    whole, on = inlined(kind.differentiate), inlined(onwards)
 
-    def turned(lanes, c, s, cu, su, i):
-        k, x, y = constants_of(lanes.rows[i]), 0.0, 0.0
+    def turned(lanes, c, s, cu, su, i, own, t):
+        x, y = 0.0, 0.0
+        if own[3] < 1:
+            a = rate(c, s, cu, su, own, t)[0]
+            x, y, c, s = on(x, y, c, s, whole(c, s, cu, su, (a, own[1]), t)[0])
+            return c, s
+        k = constants_of(lanes.rows[i if left(c, s, cu, su) else i + len(lanes.rows) // 2])
         for _ in range(lanes.pieces):
             x, y, c, s = step(x, y, c, s, cu, su, k)
         return c, s
@@ -88,10 +112,16 @@ def _turned(lanes, c, s, cu, su, i):
 
 
 def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, own: Any, t: Any) -> Any:
-    """Return one step of one robot and its derivatives, by the motion of `lanes`."""
+    """Return one step of one robot with its own parameters and its derivatives, by the motion of
+    `lanes`."""
 
 
 @overload(derivatives, jit_options=INLINE_FAST)
 def _derivatives(lanes, c, s, cu, su, own, t):
     step = inlined(lanes.instance_class.differentiate)
-    return lambda lanes, c, s, cu, su, own, t: step(c, s, cu, su, own, t)
+
+    def derivatives(lanes, c, s, cu, su, own, t):
+        a, slopes = rate(c, s, cu, su, own, t)
+        return complete(step(c, s, cu, su, (a, own[1]), t), slopes)
+
+    return derivatives

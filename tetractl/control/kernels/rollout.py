@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tetractl.control.kernels.gradient import VECTOR
-from tetractl.control.kernels.motion import advance, flat
+from tetractl.control.kernels.motion import advance, flat, parameters_of
 from tetractl.control.kernels.obstacles import count_hits
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
@@ -29,6 +29,8 @@ class Rollout(NamedTuple):
     target: Floats  # (2, N)
     first: Any  # `Lanes`, constants of the motion for the first signal
     rest: Any  # `Lanes`, the same for the other signals
+    parameters: Floats  # (N, 4) PARAMETERS and TURNING
+    periods: Floats  # (2,) of the first signal and of the others [s]
     rows: Floats  # `Obstacles.rows`
     walls: Floats  # `Obstacles.walls`
     weight: float
@@ -59,6 +61,8 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
         target=np.ascontiguousarray(problem.targets.T),
         first=of.first,
         rest=of.rest,
+        parameters=of.parameters,
+        periods=np.array([problem.first_period, problem.period]),
         rows=problem.obstacles.rows,
         walls=problem.obstacles.walls,
         weight=float(problem.obstacle_weight),
@@ -101,7 +105,8 @@ def costs(rollout, signals, total):
                 for n in range(total.size):
                     own_cos[n] = cos_u[n] * c - sin_u[n] * s
                     own_sin[n] = sin_u[n] * c + cos_u[n] * s
-            advance(constants, x, y, cos, sin, towards[0], towards[1], i)
+            own, t = parameters_of(rollout.parameters[i]), rollout.periods[min(j, 1)]
+            advance(constants, x, y, cos, sin, towards[0], towards[1], i, own, t)
             if drifts:
                 for n in range(total.size):
                     x[i, n], y[i, n] = x[i, n] + drift[east, i], y[i, n] + drift[east + 1, i]

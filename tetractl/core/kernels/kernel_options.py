@@ -59,6 +59,13 @@ def exact(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @cache
+def one_of(size: int) -> Callable[..., Any]:
+    """Return a compiled function of a condition and two tuples that returns one of these, as vector
+    code needs it."""
+    items = "".join(f"one[{k}] if first else other[{k}], " for k in range(size))
+    return njit(**INLINE)(eval(f"lambda first, one, other: ({items})"))
+
+
 def entries(size: int) -> Callable[..., Any]:
     """Return a compiled function that returns the first `size` entries of a row as a tuple."""
     items = "".join(f"row[{k}], " for k in range(size))

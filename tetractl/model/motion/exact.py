@@ -20,12 +20,10 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
-from tetractl.model.motion.polynomials import alternating, arctan, log_from_ratio, mantissa
+from tetractl.model.motion.polynomials import alternating, arctan, decay, log_from_ratio, mantissa
 
 LARGEST_TURN = 1.25
 """Largest a t of one piece of a step, for which r^2 is at most 0.092."""
-SMALLEST_DECAY = 1e-100
-"""Least E whose cube is used as a divisor."""
 TERMS = 10
 """Number of terms of the series in r: the rest is at most 2.2e-12 of a piece's path."""
 ODD = 2 * np.arange(TERMS) + 1
@@ -82,7 +80,7 @@ def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) 
     way/(v t) depend on a and t by a t alone, so that their derivatives by ln a are those by ln t.
     """
     a, v = own[:2]
-    e = max(math.exp(-a * t), SMALLEST_DECAY)
+    e = decay(a * t)
     c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
     near, far = 1 + c if c > 0.0 else s * s / (1 - c), (1 - c) * e
     d, across = near + far * e, near + far

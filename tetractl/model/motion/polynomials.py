@@ -40,6 +40,11 @@ COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
 ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
 
+_HALF_STEP = (LOG_2 / 2) ** 2
+COSH = fit(lambda q: np.cosh(np.sqrt(q)), _HALF_STEP, 5)  # cosh t of q = t^2
+SINH = fit(lambda q: np.sinh(np.sqrt(q)) / np.sqrt(q), _HALF_STEP, 5)  # sinh(t)/t
+SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers
+
 
 def horner(coefficients, q):
     """Return the value of a polynomial, given the lowest coefficient first."""
@@ -93,6 +98,15 @@ def mantissa(y):
 def log_from_ratio(f, k):
     """Return ln(m 2^k) from f = (m - 1)/(m + 1): ln m = 2 atanh f."""
     return k * LOG_2 + 2 * f * horner(ATANH, f * f)
+
+
+def decay(x):
+    """Return exp(-x) for x >= 0, or exp(-230) if that is more."""
+    x = min(x, 230.0)
+    k = np.rint(x / LOG_2)
+    r = k * LOG_2 - x
+    power = np.int64((np.float64(SHIFT - k).view(np.int64) + np.int64(1023)) << 52).view(np.float64)
+    return power * (horner(COSH, r * r) + r * horner(SINH, r * r))
 
 
 def arctan(z):

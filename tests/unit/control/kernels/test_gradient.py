@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
 
-from tetractl.control.cost import predict
+from tetractl.control.cost import evaluate, predict
+from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels import gradient
 from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.core.kernels.kernel_cache import compiled
@@ -44,6 +45,13 @@ def traced(problem, signals):
     return work.room.traced
 
 
+def turning(problem, seed):
+    """Return a problem of robots that turn faster to one side, and some of which saturate."""
+    count, rng = len(problem.a), np.random.default_rng([seed, 1])
+    saturation = np.where(rng.random(count) < 0.5, 1.0, rng.uniform(0.2, 1, count))
+    return replace(problem, side=rng.uniform(-0.3, 0.3, count), saturation=saturation)
+
+
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 4),
@@ -51,10 +59,11 @@ def traced(problem, signals):
     model=MODELS,
     first=st.floats(0.01, 0.3),
     drifts=st.booleans(),
+    turns=st.booleans(),
 )
-def test_the_path_is_the_predicted_one(seed, robots, length, model, first, drifts):
+def test_the_path_is_the_predicted_one(seed, robots, length, model, first, drifts, turns):
     problem = problems.problem(problems.world(seed, robots, model=model), drifts=drifts)
-    problem = replace(problem, first_period=first)
+    problem = turning(replace(problem, first_period=first), seed) if turns else problem
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
     path = traced(problem, signals).path[:, :, :length]
     expected = predict(problem, signals)[1:, :, :2].transpose(2, 1, 0)
@@ -93,3 +102,13 @@ def test_a_robot_along_or_against_the_direction_has_a_finite_gradient(model, hea
     poses = replace(problem.poses, heading=np.array([heading]))
     gradients = traced(replace(problem, poses=poses), np.zeros(10)).gradients
     assert np.isfinite(gradients).all()
+
+
+def test_costs_of_many_sequences_know_how_robots_turn():
+    problem, rng = (
+        turning(problems.problem(problems.world(7, 4), drifts=True), 7),
+        np.random.default_rng(7),
+    )
+    signals = rng.uniform(-math.pi, math.pi, (12, 16))
+    found = compiled_costs(problem, 16)(signals)
+    assert found == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)

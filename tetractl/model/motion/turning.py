@@ -1,0 +1,68 @@
+"""How robots turn other than by (3): faster to one side, and not faster than their motors allow.
+
+A robot turns with the rate a exp(k) to the left and a exp(-k) to the right, where k is its `side`,
+and never faster than `saturation` times the greater of these; 1 for motors that never saturate.
+
+Under a held direction the side does not change, so that a step of any motion is one with a exp(+-k)
+in place of a. While motors saturate, the a is taken with which the robot turns at its greatest rate
+in the middle of the step: the turn differs by the order of its third power.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.model.motion.motion import Derivatives, Parameter, in_rows
+from tetractl.model.motion.polynomials import sincos
+
+TURNING = Parameter("side", False, 0.005), Parameter("saturation", True, 0.02)
+"""The parameters of how robots turn, behind the PARAMETERS of all motions."""
+
+
+def all_in_rows(of: Any) -> Floats:
+    """Return PARAMETERS and TURNING (N, 4) in the fields of a problem."""
+    count = len(of.a)
+    side = np.zeros(count) if of.side is None else of.side
+    saturation = np.ones(count) if of.saturation is None else of.saturation
+    return np.column_stack([in_rows(of), side, saturation])
+
+
+def is_left(c: float, s: float, cu: float, su: float) -> bool:
+    """Return whether a robot turns to the left, or not at all."""
+    return su * c - cu * s >= 0
+
+
+def turning(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Any:
+    """Return the a [rad/s] of a step of t [s] under a direction, and the derivatives of its
+    logarithm by phi = u - heading, by `side` and by ln `saturation`; c, s and cu, su are cos and
+    sin of heading and u, and `own` are PARAMETERS and TURNING."""
+    a, _, side, saturation = own
+    sine, more = su * c - cu * s, math.exp(side)
+    left = 1.0 if sine >= 0 else -1.0
+    rate = a * more if sine >= 0 else a / more
+    if saturation >= 1:
+        return rate, (0.0, left, 0.0)
+    most = a * max(more, 1 / more) * saturation
+    cosine, across = cu * c + su * s, abs(sine)
+    sh, ch = sincos(min(0.5 * t * min(rate * across, most), math.pi))
+    middle = across * ch - cosine * sh
+    if rate * middle <= most:
+        return rate, (0.0, left, 0.0)
+    slope = -left * (cosine * ch + across * sh) / middle
+    return most / middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
+
+
+def times(by: Any, factor: float) -> Any:
+    """Return derivatives of x, y and heading times a factor."""
+    return by[0] * factor, by[1] * factor, by[2] * factor
+
+
+def by_turning(found: Derivatives, slopes: Any) -> Derivatives:
+    """Return a step found with the a of `turning` with its derivatives by all parameters, given the
+    `slopes` of that a."""
+    step, (x_h, y_h, keep), (x_u, y_u, turn_u), (by_a, by_speed) = found
+    x, y, turn = times(by_a, slopes[0])
+    by_heading, by_u = (x_h - x, y_h - y, keep - turn), (x_u + x, y_u + y, turn_u + turn)
+    return step, by_heading, by_u, (by_a, by_speed, times(by_a, slopes[1]), times(by_a, slopes[2]))

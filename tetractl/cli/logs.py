@@ -106,6 +106,8 @@ def _result(found: "Overview") -> dict[str, str]:
 
 def _estimate(found: "Overview") -> dict[str, str]:
     """Return the last estimate, one line per robot, each value with its standard deviation."""
+    from tetractl.run.model_news import turning
+
     estimate, unit = found.estimate, found.run.get("unit", "")
     if estimate is None:
         return {}
@@ -119,6 +121,8 @@ def _estimate(found: "Overview") -> dict[str, str]:
         ]
         if bias is not None and bias_std is not None:
             parts.append(f"heading bias {_deviating(bias[i], bias_std[i])} rad")
+        if turns := turning(estimate, i):
+            parts.append(turns)
         lines[name] = ", ".join(parts)
     if estimate.dead_time is not None and estimate.dead_time_std is not None:
         lines["dead time"] = f"{_deviating(estimate.dead_time, estimate.dead_time_std)} s"

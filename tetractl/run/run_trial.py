@@ -28,6 +28,7 @@ from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.model_news import ModelNews
 from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
@@ -60,7 +61,7 @@ class Trial:
     _tour: TourMeasure = field(init=False)
     # frames newer than the frame of the last step
     _between: list[Observation] = field(default_factory=list)
-    _unfit: set[str] = field(default_factory=set)  # what the controller's model does not fit
+    _model: ModelNews = field(default_factory=ModelNews)
 
     def __post_init__(self) -> None:
         setup = self.start.setup
@@ -131,7 +132,9 @@ class Trial:
             step = Step(k, observation, decision, command, solve_ns, missed)
             for observer in self.observers:
                 observer.on_step(step)
-            self._tell_misfit(decision, command)
+            if known := decision.estimate:
+                for level, text in self._model.of(known, self.start.setup, command.sent_ns):
+                    self._say(command, text, level)
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
             late = self.clock.now() - (began + round(k * period_s * SECOND))
@@ -222,14 +225,6 @@ class Trial:
     def _say(self, command: Command, text: str, level: str = "info") -> None:
         for observer in self.observers:
             observer.on_note(Note(command.sent_ns, level, text))
-
-    def _tell_misfit(self, plan: Plan, command: Command) -> None:
-        """Warn, once for each part, if a robot does not move as the controller's model does."""
-        known = plan.estimate
-        new = set() if known is None else known.unfit(self.start.setup.names) - self._unfit
-        if new:
-            self._say(command, f"the model does not fit: {', '.join(sorted(new))}", "warning")
-            self._unfit |= new
 
     def _send(self, action: Action) -> Command:
         command = self.plant.send(action)

@@ -1,0 +1,46 @@
+"""What is said when a controller's model does not fit, and what was learnt once it fits again."""
+
+from dataclasses import replace
+
+import numpy as np
+from support.trials import experiment
+
+from tetractl.core.plan import Estimate
+from tetractl.run.model_news import FITS_S, ModelNews
+
+SETUP = experiment().setup
+ROBOTS, NAME = len(SETUP.names), SETUP.names[0]
+EACH = np.ones(ROBOTS)
+FITS = Estimate(4 * EACH, 0.1 * EACH, 200 * EACH, EACH, dead_time=0.11, dead_time_std=0.002)
+FITS = replace(FITS, misfit=np.zeros((ROBOTS, 3)), side=0 * EACH, side_std=0.02 * EACH)
+UNFIT = replace(FITS, misfit=np.eye(ROBOTS, 3, 2) * 2)
+
+
+def said(*estimates):
+    """Return what is said of (time [s], estimate)."""
+    news = ModelNews()
+    return [text for s, known in estimates for _, text in news.of(known, SETUP, round(1e9 * s))]
+
+
+def test_a_misfit_is_said_once_until_the_model_fits_again():
+    warned = f"the model does not fit: heading of {NAME}"
+    assert said((0, FITS), (1, UNFIT), (2, UNFIT), (3, FITS), (4, UNFIT)) == [warned]
+    fits = "the model fits again: with the same values"
+    then = 1 + FITS_S
+    both = (1, UNFIT), (then - 0.1, FITS), (then, FITS), (then + 1, FITS), (then + 2, UNFIT)
+    assert said(*both) == [warned, fits, warned]
+
+
+def test_what_was_learnt_is_said_with_numbers():
+    first = np.arange(ROBOTS) == 0
+    cases = {
+        "commands act 0.210 s after they are sent, not 0.110 s": {"dead_time": 0.21},
+        f"a of {NAME} is 3 rad/s, not 4": {"a": FITS.a - first},
+        f"speed of {NAME} is 190 {SETUP.unit}/s, not 200": {"speed": FITS.speed - 10 * first},
+        f"{NAME} turns 22 % faster to the left": {"side": 0.1 * first},
+        f"{NAME} turns 22 % faster to the right": {"side": -0.1 * first},
+        f"{NAME} turns at 2 rad/s at most": {"saturation": np.where(first, 0.5, 1.0)},
+    }
+    for text, changed in cases.items():
+        found = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
+        assert found == [f"the model fits again: {text}"]

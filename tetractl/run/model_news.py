@@ -1,0 +1,66 @@
+"""What a trial says of the controller's model: that it does not fit, and what was learnt since."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.plan import Estimate
+from tetractl.core.setup import Setup
+
+FITS_S = 5.0  # time without a misfit after which the model fits again [s]
+SURE = 3.0  # least change of an estimate that is news, in standard deviations
+
+
+def turning(known: Estimate, i: int) -> str:
+    """Return what is known of how robot i turns beyond its rate a, "" for nothing."""
+    found = list[str]()
+    side, std, most = known.side, known.side_std, known.saturation
+    if side is not None and std is not None and abs(side[i]) > SURE * std[i]:
+        way = "left" if side[i] > 0 else "right"
+        found.append(f"turns {100 * math.expm1(2 * abs(side[i])):.0f} % faster to the {way}")
+    if most is not None and side is not None and most[i] < 1:
+        fastest = known.a[i] * math.exp(abs(side[i])) * most[i]
+        found.append(f"turns at {fastest:.2g} rad/s at most")
+    return ", ".join(found)
+
+
+def learnt(known: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
+    """Yield in words what is estimated otherwise than `before`, by more than standard deviations
+    explain."""
+    now, was = known.dead_time, before.dead_time
+    if now is not None and was is not None:
+        std = math.hypot(known.dead_time_std or 0.0, before.dead_time_std or 0.0)
+        if abs(now - was) > SURE * std:
+            yield f"commands act {now:.3f} s after they are sent, not {was:.3f} s"
+    for i, name in enumerate(setup.names):
+        for what, unit in ("a", "rad/s"), ("speed", f"{setup.unit}/s"):
+            (new, std), (old, old_std) = (
+                (getattr(one, what)[i], getattr(one, f"{what}_std")[i]) for one in (known, before)
+            )
+            if abs(new - old) > SURE * math.hypot(std, old_std):
+                yield f"{what} of {name} is {new:.3g} {unit}, not {old:.3g}"
+        if (turns := turning(known, i)) and turns != turning(before, i):
+            yield f"{name} {turns}"
+
+
+@dataclass(slots=True)
+class ModelNews:
+    """Tells changes of how a controller's model fits: each part that does not fit once, until all
+    have fitted for FITS_S."""
+
+    _said: set[str] = field(default_factory=set)  # what does not fit
+    _before: Estimate | None = None  # the estimate when it was said
+    _unfit_ns: int = 0  # time at which something last did not fit
+
+    def of(self, known: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
+        """Yield level and text of what is news in an estimate."""
+        if unfit := known.unfit(setup.names):
+            self._before, self._unfit_ns = self._before or known, now_ns
+            if new := unfit - self._said:
+                self._said |= new
+                yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
+        elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:
+            found = "; ".join(learnt(known, self._before, setup)) or "with the same values"
+            self._said, self._before = set(), None
+            yield "info", f"the model fits again: {found}"

@@ -18,6 +18,7 @@ WORDS = {
     "integer": "whole number",
     "string": "text",
     "boolean": "true or false",
+    "object": "mapping",
 }
 
 

@@ -40,11 +40,12 @@ def check(
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.plants import on_plant, settings_on
     from tetractl.lab.preflight import inspect
     from tetractl.view.terminal import findings
 
-    experiment = on_plant(ui.load(spec, sets), plant).experiment
+    loaded = ui.load(spec, settings_on(spec, sets or [], plant))
+    experiment = on_plant(loaded, plant).experiment
     rig = ui.rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()

@@ -51,13 +51,14 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.plants import on_plant, settings_on
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
     settings = list(sets or [])
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]
+    settings = settings_on(spec, settings, plant)
     loaded = ui.load(spec, settings)
     ui.warn(loaded, settings, strict)
     if serve and jobs > 1:

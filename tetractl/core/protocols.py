@@ -243,9 +243,12 @@ class LabSupervision:
 
     Setting `emergency` triggers the emergency stop. If `prompt` is None, no person is asked, and
     the run ends if robots are not on their starts within the spec's `placing` time. `cancelled`
-    returns whether the operator has cancelled the wait.
+    returns whether the operator has cancelled the wait. An emulated lab calls `signalled` to ask
+    the trial to end, as a signal does, and `fail_log` to fail the disk of its log.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)
     prompt: PlacementPrompt | None = None
     cancelled: Callable[[], bool] = lambda: False
+    signalled: Callable[[], None] = lambda: None
+    fail_log: Callable[[OSError], None] = lambda error: None

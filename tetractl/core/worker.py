@@ -80,13 +80,17 @@ class Worker:
     def drain(self) -> None:
         """Wait until every call so far is done."""
         self.check()
+        self.wait()
+        self.check()
+
+    def wait(self) -> None:
+        """As `drain`, but leave an error to the next call."""
         if self.failure is None:
             done = threading.Event()
             self._calls.put(done.set)
             self._awaited.set()
             if not done.wait(self._patience_s):
                 self._fail(self._too_slow)
-        self.check()
 
     def check(self) -> None:
         """Raise `failure` if there is one and it was not raised before."""

@@ -8,6 +8,7 @@ the spec's length unit; times are in seconds.
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
@@ -202,6 +203,10 @@ class LabSection(PlantSection):
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values replace values
     in `camera` and `actuator`."""
+
+    def with_files(self, folder: Path) -> Self:
+        """Return the section with the contents of files that it names relative to `folder`."""
+        return self
 
     @property
     def microscope(self) -> Microscope | None:

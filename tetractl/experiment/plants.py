@@ -1,6 +1,7 @@
 """Selects the plant of an experiment, and applies a calibration file to its lab."""
 
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,13 +46,14 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
         lab = experiment.lab if experiment.plant.simulated else experiment.plant
         updated = {"plant": _with_defaults(kind), "lab": lab}
         return replace(loaded, experiment=experiment.model_copy(update=updated))
-    lab = lab_as(kind, lab_of(experiment, loaded.name))
+    folder = loaded.path.parent if loaded.path else Path()
+    lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
     loaded = replace(loaded, experiment=experiment.model_copy(update={"plant": lab, "lab": None}))
     for loc, message in section_contradictions(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(loc)} {message}")
     if lab.calibration is None:
         return loaded
-    path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
+    path = folder / lab.calibration
     text = read_text(path)
     experiment = calibrated(loaded.experiment, text, str(path))
     attached = attach(loaded.attached, path, text)
@@ -64,6 +66,19 @@ def _with_defaults(kind: str) -> PlantSection:
     except ValidationError as error:
         fields = ", ".join(str(one["loc"][0]) for one in error.errors() if one["loc"])
         raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
+
+
+def settings_on(path: Path, sets: Sequence[str], kind: str | None) -> list[str]:
+    """Return the settings of a spec that will run on the plant of a kind: those of `plant` are of
+    the spec's `lab`, if that will be the plant.
+    """
+    named = any(setting.startswith("plant.") for setting in sets)
+    if kind is None or not named or not of_lab(kind):
+        return list(sets)
+    if "lab" not in parse_document(read_text(path), str(path)).data:
+        return list(sets)
+    moved = [re.sub(r"^plant\.", "lab.", setting) for setting in sets]
+    return [f"lab.type={kind}", *moved]
 
 
 def of_lab(kind: str) -> bool:
@@ -79,7 +94,9 @@ def lab_as(kind: str | None, lab: LabSection) -> LabSection:
     """Return a lab as a plant of a kind; None, and "lab" for one that is real, change nothing."""
     if kind is None or kind == lab.type or (kind == "lab" and lab.real_time):
         return lab
-    return PLANTS.load(kind).model_validate(dict(lab) | {"type": kind})
+    section: type[PlantSection] = PLANTS.load(kind)
+    shared = {name: value for name, value in lab if name in section.model_fields}
+    return section.model_validate(shared | {"type": kind})  # type: ignore[return-value]
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:

@@ -261,6 +261,15 @@ class Guard:
             return text
         return f"{text}: {self._outdated_in_a_row} outdated frames came, the last {self._behind()}"
 
+    def awake(self, now_ns: int) -> None:
+        """Abort if nothing was decided for `stream_lost` before the time of a tick; to be called
+        before frames are seen that waited meanwhile.
+        """
+        asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
+        if self._active and asleep_ns >= self.rules.limits.stream_lost * SECOND:
+            self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
+        self._last_tick_ns = now_ns
+
     def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now.
 
@@ -268,8 +277,7 @@ class Guard:
         `failure` is why the actuator cannot send any more, None if it can.
         """
         limits = self.rules.limits
-        asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
-        self._last_tick_ns = now_ns
+        self.awake(now_ns)
         if failure:
             self.abort(failure)
         self._count_damaged(now_ns, damaged)
@@ -278,8 +286,6 @@ class Guard:
         accepted = tuple(track.pose if ok else None for track, ok in pairs)
         warnings: tuple[str, ...] = ()
         if self._active:
-            if asleep_ns >= limits.stream_lost * SECOND:
-                self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
             silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
             if self._ahead and silent_ns >= self.rules.silence_ns:
                 silent = f"the controller gave no direction for {silent_ns / SECOND:.1f} s"

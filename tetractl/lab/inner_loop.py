@@ -177,6 +177,7 @@ class InnerLoop:
 
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()
+        guard.awake(now)
         for frame in self._camera.frames():
             if not _holdable(frame, len(guard.rules.names)):
                 text = "a frame that no log can hold"

@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Self
 
@@ -68,6 +68,10 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def after_close(self, act: Callable[[], object]) -> None:
+        """Call `act` once the devices are released."""
+        self._opened.callback(act)
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Continue with a new setup, whose robots are the cells with these numbers; their present

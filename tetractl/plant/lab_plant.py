@@ -1,7 +1,6 @@
 """The plant of the lab: real robots with a camera and an actuator."""
 
 import math
-import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -57,21 +56,24 @@ class RigSection(LabSection):
         setup: Setup,
         clock: Clock,
         seed: np.random.SeedSequence,
-        emergency: threading.Event | None = None,
+        supervision: LabSupervision | None = None,
         chosen: bool = False,
     ) -> Rig:
         """Return the rig of one trial or command; no device is opened yet.
 
         An emulated lab needs `seed`, and `chosen`: whether the robots are still to be found.
         """
-        return build_rig(self, setup, clock, emergency)
+        return build_rig(self, setup, clock, supervision.emergency if supervision else None)
+
+    def plant(self, rig: Rig, supervision: LabSupervision) -> "LabPlant":
+        """Return the plant of a rig."""
+        return LabPlant(rig, supervision, self.type)
 
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "LabPlant":
         """Return the plant of one trial; nothing is opened yet."""
-        rig = self.rig(setup, clock, seed, supervision.emergency)
-        return LabPlant(rig, supervision, self.type)
+        return self.plant(self.rig(setup, clock, seed, supervision), supervision)
 
     def find(
         self,
@@ -84,11 +86,11 @@ class RigSection(LabSection):
         """Open the lab, rotate the field, and return the cells that the camera has found; the field
         goes on rotating until the first direction is sent.
         """
-        rig = self.rig(setup, clock, seed, supervision.emergency, chosen=True)
+        rig = self.rig(setup, clock, seed, supervision, chosen=True)
 
         def build(numbers: Sequence[int], chosen: Setup) -> LabPlant:
             rig.settle(chosen, numbers)
-            return LabPlant(rig, supervision, self.type)
+            return self.plant(rig, supervision)
 
         try:
             rig.__enter__()

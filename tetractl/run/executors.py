@@ -196,7 +196,7 @@ class _SharedInterrupt(Interrupt):
     def requested(self) -> bool:
         return self.count > 0 or self.ending.is_set()
 
-    def request(self) -> None:
+    def end_at_once(self) -> None:
         """Count SIGTERM as the second request."""
         self.count = 2
         self._break()
@@ -215,7 +215,7 @@ def _start_worker(ending: Event, environment: dict[str, str]) -> None:
     _interrupt = interrupt = _SharedInterrupt(ending)
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
+    signal.signal(signal.SIGTERM, lambda number, frame: interrupt.end_at_once())
     sys.unraisablehook = interrupt.on_unraisable
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)  # delivers the blocked signals
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()

@@ -206,7 +206,15 @@ def run_with(
     with plugins_blamed(packages(spec.experiment)), ExitStack() as stack:
         if real_time:
             observers = [stack.enter_context(closing(ObserverRelay(one))) for one in observers]
-        unsupervised = LabSupervision(cancelled=lambda: interrupt.requested)
+
+        def fail_log(error: OSError) -> None:
+            for writer in writers:
+                if isinstance(writer, LogWriter):
+                    writer.fail(error)
+
+        unsupervised = LabSupervision(
+            cancelled=lambda: interrupt.requested, signalled=interrupt.request, fail_log=fail_log
+        )
         spec, plant = _built(spec, clock, seed, supervision or unsupervised)
         return Trial(
             start=start_of(spec, trial, PlantInfo("", section.simulated, 0.0, {}), start_unix_ns),

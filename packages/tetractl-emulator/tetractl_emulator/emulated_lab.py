@@ -11,6 +11,8 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl_emulator.faults import Fault, Injector
 from tetractl_emulator.loop import Loop, Timeline
+from tetractl_emulator.port import PluggedDevice
+from tetractl_emulator.process import PROCESS_FAULTS, PortHolder, Process
 from tetractl_emulator.script import Script, Sides
 from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl_emulator.wires import Wires
@@ -63,6 +65,7 @@ class EmulatedLab:
         report: Report = lambda event, facts: None,
         make_loop: type[Loop] = Loop,
         wires: Wires | None = None,
+        process: Process | None = None,
     ) -> None:
         _check_names(script, setup)
         self._setup, self._script, self._options = setup, script, options
@@ -73,6 +76,8 @@ class EmulatedLab:
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
         reports = self._note, self._exposed, self.injector.sent, self._client
         self.wires = wires or Wires()
+        self._process = process or PortHolder(lambda: self.port, self.wires.clock())
+        self._process.note, self._ruling = self._note, ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
         sides = Sides.of(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
@@ -121,7 +126,20 @@ class EmulatedLab:
         self._note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
         self._record.close()
 
-    def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator:
+    @property
+    def port(self) -> Path:
+        """The name of the actuator's port; "" if it has none."""
+        return self.actuator.port.link if isinstance(self.actuator, PluggedDevice) else Path()
+
+    def ruled(self, state: str, reason: str) -> None:
+        """Record the state of our side's guard, and its reason, if it changes."""
+        if (state, reason) != self._ruling:
+            self._ruling = (state, reason)
+            self._note("guard", state=str(state), reason=reason)
+
+    def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator | Process:
+        if type(fault) in PROCESS_FAULTS:
+            return self._process
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
     def _note(self, event: str, **facts: Any) -> None:

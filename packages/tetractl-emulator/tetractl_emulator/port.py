@@ -2,6 +2,7 @@
 
 import errno
 import os
+import random
 import termios
 import tty
 from abc import ABC, abstractmethod
@@ -32,7 +33,9 @@ class SerialDevice(ABC):
     ) -> None:
         self.port, self.note = port, note
         self.garbled = 0  # number of chunks sent at another baud rate than the device's
-        self._timeline, self._baud = timeline, baud
+        self.speed, self.noise = baud, 0.0  # baud rate; the share of bytes that are changed
+        self._down, self._timeline, self._baud = False, timeline, baud
+        self._noisy = random.Random(baud)
         self._in_ns = self._out_ns = 0  # when the line is free again, in and out
         self._splitter = Splitter()  # of frames closed by 00
 
@@ -52,11 +55,23 @@ class SerialDevice(ABC):
         if not data:
             return
         self._witness(data)
-        if self.port.baud() not in (self._baud, None):
+        if self.port.baud() not in (self.speed, None):
             self.garbled += 1
             return
+        data = self._disturbed(data)
         self._in_ns = max(self._timeline.now_ns, self._in_ns) + uart_ns(len(data), self._baud)
-        self._timeline.at(self._in_ns, lambda: self.hear(data))
+        self._timeline.at(self._in_ns, lambda: None if self._down else self.hear(data))
+
+    def restart(self, down: bool) -> None:
+        """Take and give no bytes while it is `down`."""
+        self._down = down
+
+    def _disturbed(self, data: bytes) -> bytes:
+        """Return bytes as the wire passes them on."""
+        if not self.noise:
+            return data
+        chance = self._noisy
+        return bytes(chance.randrange(256) if chance.random() < self.noise else one for one in data)
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""
@@ -72,7 +87,9 @@ class SerialDevice(ABC):
 
     def _answer(self, data: bytes) -> None:
         self._out_ns = max(self._timeline.now_ns, self._out_ns) + uart_ns(len(data), self._baud)
-        self._timeline.at(self._out_ns, lambda: self.port.write(data))
+        if not self._down and self.speed == self._baud:
+            wired = self._disturbed(data)
+            self._timeline.at(self._out_ns, lambda: self.port.write(wired))
 
 
 class PluggedDevice:

@@ -1,5 +1,6 @@
 """A script for the emulated lab: differences from the spec, and faults with their times."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
@@ -10,9 +11,11 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.experiment.base import Finite, Model, Name, Point
 from tetractl.experiment.explain import words
+from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
+from tetractl_emulator.process import PROCESS_FAULTS
 from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 
 
@@ -110,7 +113,7 @@ class Sides:
     @property
     def faults(self) -> dict[str, type[Fault]]:
         """Every kind of fault that the lab can have, by its name."""
-        kinds = (*self.camera.faults, *self.actuator.faults, MARK)
+        kinds = (*self.camera.faults, *self.actuator.faults, *PROCESS_FAULTS, MARK)
         return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 
 
@@ -135,6 +138,11 @@ def parse_script(
     if document.found:
         raise InvalidSpecError(document.found)
     return script
+
+
+def script_of(data: Mapping[str, Any], camera: str, actuator: str) -> Script:
+    """Return the script that a spec holds, for a lab of these types."""
+    return parse_script(dump(dict(data)), "plant.faults", camera, actuator)
 
 
 def _sides(info: ValidationInfo) -> Sides:

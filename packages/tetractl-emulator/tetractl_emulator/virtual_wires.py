@@ -11,12 +11,14 @@ from typing import Any
 
 from tetractl.core.clock import MILLISECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PseudoPort
+from tetractl_emulator.process import AFTER_NS, ThisProcess
 from tetractl_emulator.script import NOTHING, Script
 from tetractl_emulator.sides import Options
 from tetractl_emulator.wires import Wires
@@ -32,14 +34,23 @@ class LabClock(VirtualClock):
         self._step_ns = step_ns
         self.timeline: Timeline | None = None
         self.steps: list[Callable[[], None]] = []
+        self.ahead_ns = 0  # of true time, which is the timeline's
+        self.stopped = self.asleep = False  # the process stands still; its clock, too
+        self.plan_s = 0.0  # time that a plan takes [s]
+
+    def now(self) -> int:
+        """Return the time on the host's clock [ns]."""
+        return self._now + self.ahead_ns
 
     def sleep_until(self, when: int) -> None:
-        """Let time pass until `when` [ns]."""
-        while self._now < when:
-            self._now = min(when, self._now + self._step_ns)
+        """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
+        while self.stopped or self.now() < when:
+            passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
+            self._now += passed
+            self.ahead_ns -= passed * self.asleep
             if self.timeline is not None:
                 self.timeline.run_to(self._now)
-            for step in tuple(self.steps):
+            for step in () if self.stopped else tuple(self.steps):
                 step()
 
 
@@ -58,15 +69,36 @@ class VirtualLoop(Loop):
 
 
 def started(
-    lab: LabSection, setup: Setup, clock: LabClock, options: Options, script: Script = NOTHING
+    lab: LabSection,
+    setup: Setup,
+    clock: LabClock,
+    options: Options,
+    script: Script = NOTHING,
+    supervision: LabSupervision | None = None,
 ) -> EmulatedLab:
-    """Return an emulated lab that runs on a clock; nothing in it has to be released."""
+    """Return an emulated lab that runs on a clock, with the faults of this process, of the trial
+    under `supervision`; only a record has to be released.
+    """
     loop, wires = VirtualLoop, memory_wires(clock)
-    emulation = EmulatedLab(lab, setup, script, options, make_loop=loop, wires=wires).__enter__()
+    assert wires.ports is not None, "wires in memory have ports"
+    watched = supervision or LabSupervision()
+    process = ThisProcess(clock, watched, wires.ports, lambda: emulation.port)
+    emulation = EmulatedLab(
+        lab, setup, script, options, make_loop=loop, wires=wires, process=process
+    ).__enter__()
+    process.end = lambda: outlive(emulation)
     assert isinstance(emulation.loop, VirtualLoop)
     clock.timeline = emulation.timeline
     clock.steps.insert(0, emulation.loop.poll)
     return emulation
+
+
+def outlive(emulation: EmulatedLab) -> None:
+    """Let an emulated lab go on for a moment after our side has ended, and close it."""
+    assert isinstance(emulation.loop, VirtualLoop)
+    emulation.loop.poll()
+    emulation.timeline.run_to(emulation.timeline.now_ns + AFTER_NS)
+    emulation.close()
 
 
 def memory_wires(clock: LabClock) -> Wires:
@@ -138,7 +170,7 @@ class MemoryPort(PseudoPort):
 
     def unplug(self) -> None:
         """Remove the port; our end fails. May be called twice."""
-        self.fd = -1
+        self.fd, self.taken = -1, b""
         self._plugged.pop(self._name, None)
         if self.near is not None:
             self.near.hear(b"")

@@ -49,7 +49,7 @@ def _while_open(method: Method[P]) -> Method[P]:
         try:
             method(self, *args, **kwargs)
         except OSError as error:
-            self._fail(error)
+            self.fail(error)
 
     return guarded
 
@@ -82,7 +82,7 @@ class Sink:
             _sync_folder(path.parent)
             self._mcap, self._channels = new_writer(self._file)
         except OSError as error:
-            self._fail(error)
+            self.fail(error)
 
     def channel(self, channel: Channel, schema: Schema | None) -> None:
         """Add a channel of another log, unless its topic exists already."""
@@ -184,7 +184,8 @@ class Sink:
             raise OSError(errno.ENOENT, "the file or its folder was removed during the trial")
         raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
 
-    def _fail(self, error: OSError) -> NoReturn:
+    def fail(self, error: OSError) -> NoReturn:
+        """Close the file, as after a write that failed; raise LogError."""
         with suppress(OSError):  # closing writes the buffer, which fails again
             self._release()
         why = error.strerror or str(error)

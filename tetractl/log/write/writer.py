@@ -70,6 +70,12 @@ class LogWriter(Relay):
             self._close(complete=True)
             self.worker.check()
 
+    def fail(self, error: OSError) -> None:
+        """Let the disk fail now, as an emulated lab does: the next call raises LogError."""
+        if self.worker and self.worker.failure is None:
+            self.worker.put(self._sink.fail, error)
+            self.worker.wait()
+
     def close(self) -> None:
         """Close the log; if the trial has not ended, the file keeps the suffix .part."""
         self._close(complete=False)

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from support.lab_processes import camera_of
 from support.paths import ROOT
 from support.paths import SCRIPTS as FOLDER
-from support.scripts import load_script
 
 from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
@@ -21,29 +19,20 @@ from tetractl.replay.verify import differences
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
 
 
-def _in_process(path):
-    if camera_of(path) != "optitrack":
-        return False
-    runner = load_script(path).runner
-    return not (runner.on_mark or runner.second or runner.file_limit)
-
-
-IN_PROCESS = [path for path in SCRIPTS if _in_process(path)]
-"""The scripts that need no process of their own, and no pictures."""
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
 ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
 
 
 def check(script, played):
     expect = script.expect
-    said = "\n".join([*played.said, *messages(played.logs)])
+    second = [event["says"] for event in played.of("second")]
+    said = "\n".join([*played.said, *messages(played.logs), *second])
     note = f"\nsaid: {said}"
     assert played.exits[0] == expect.exit, note
-    assert played.exits[1:] == [1] * script.runner.second, note
     assert re.search(expect.says, said, re.IGNORECASE), note
     assert "Traceback" not in said
     assert played.emulator_exit == 0
-    assert not played.link.is_symlink()
+    assert played.link is None or not played.link.is_symlink()
     if expect.outcome == "refused":
         assert not played.of("run"), "no wheel may turn"
         return
@@ -63,8 +52,10 @@ def check_log(expect, played):
     """The log is readable and its result, if there could be one, names the fault."""
     (log,) = played.logs
     trial = read_trial(log)
-    assert len(trial.mocap_ns) > 0
-    if expect.outcome == "killed" or trial.result is None:
+    broke_off = expect.outcome == "killed" or trial.result is None
+    # in virtual time a process ends before its first chunk is full
+    assert len(trial.mocap_ns) > 0 or (broke_off and played.link is None)
+    if broke_off:
         assert trial.damage is not None
         return
     assert [*differences(scan(log), trial)] == []

@@ -7,7 +7,6 @@ Nothing sleeps: the emulator says when things happen, and the stage waits for it
 import json
 import math
 import queue
-import resource
 import signal
 import subprocess
 import sys
@@ -239,7 +238,7 @@ def play(path, script, folder, *options, sets=()):
             ports = ("command_port", "data_port")
             settings += tuple(f"lab.camera.{port}={ready[port]}" for port in ports)
         runners.append(Runner(folder, "first", settings))
-        _attend(emulator, runners, script, folder, settings)
+        _attend(emulator, runners[0].process)
         for runner in runners:
             runner.process.wait(PATIENCE_S)
         while not emulator.resting:
@@ -260,31 +259,13 @@ def play(path, script, folder, *options, sets=()):
             runner.close()
 
 
-def _attend(emulator, runners, script, folder, settings):
-    """Do what the script's marks say until the first runner ends, which it has to after
-    the second."""
-    ended = False
-    first = runners[0].process
+def _attend(emulator, first):
+    """Hear what the emulator says until the run ends."""
     hung = time.monotonic() + 2 * PATIENCE_S
     while first.poll() is None:
         assert time.monotonic() < hung, "the run does not end"
-        if len(runners) == 2 and runners[1].process.poll() is not None and not ended:
-            ended = True
-            first.send_signal(signal.SIGINT)
-        try:
-            event = emulator.next(timeout=0.05)
-        except queue.Empty:
-            continue
-        if event["event"] != "fault" or event["name"] != "mark":
-            continue
-        mark = event["mark"]
-        if mark in script.runner.on_mark:
-            first.send_signal(getattr(signal, "SIG" + script.runner.on_mark[mark]))
-        elif mark == "full" and script.runner.file_limit is not None:
-            limit = script.runner.file_limit
-            resource.prlimit(first.pid, resource.RLIMIT_FSIZE, (limit, limit))
-        elif mark == "second" and script.runner.second:
-            runners.append(Runner(folder, "second", settings))
+        with suppress(queue.Empty):
+            emulator.next(timeout=0.05)
 
 
 def emulated(folder, *sets, script=NOTHING, tell=None, spec=TWO, **options):

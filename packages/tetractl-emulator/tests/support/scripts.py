@@ -13,14 +13,6 @@ class Runner(Model):
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings for both the run and the emulator."""
-    on_mark: dict[str, Literal["KILL", "STOP", "CONT", "INT", "TERM", "HUP", "QUIT"]] = Field(
-        default={}
-    )
-    """Signals to send to the run, by the name of the `mark` at which they are sent."""
-    second: bool = False
-    """Whether a second run is started on the same port at the mark `second`."""
-    file_limit: int | None = Field(default=None, ge=1)
-    """Largest size of a file that the run may write [bytes], as if the disk were full."""
     trials: int = Field(default=1, ge=1, le=20)
     """Number of trials."""
 

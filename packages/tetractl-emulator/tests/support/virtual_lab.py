@@ -16,7 +16,9 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from support.lab_processes import Played, flags
+from support.cli import process, tetractl
+from support.lab_processes import APRILTAG, SMALL, Played, camera_of, flags
+from support.lab_processes import SPEC as THREE
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES
 from tetractl_emulator.emulated_lab import EmulatedLab
@@ -32,7 +34,6 @@ from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.inner_loop import InnerLoop
 from tetractl.plant.lab_plant import RigSection
-from tetractl.run.checked_controller import build_controller
 
 DISH = EXAMPLES / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0
@@ -184,28 +185,27 @@ class Busy:
         return decided
 
 
-def play(path, script, folder, *, replace_after=None, plan_s=0.0, sets=()):
-    """Play a script; return what became of it, as `support.lab_processes.play` does.
-
-    Each plan after the first takes `plan_s` of virtual time.
-    """
-    from support.cli import tetractl
-    from support.lab_processes import SMALL
-    from support.lab_processes import SPEC as THREE
-
-    def controller(experiment, key):
-        rng = np.random.default_rng(1)
-        return Busy(build_controller(experiment, key), lab.clock, rng, plan_s, 0.0)
-
+def play(path, script, folder, *, replace_after=None, sets=()):
+    """Play a script on the lab's plant; return what became of it, as `lab_processes.play` does."""
     sets, logs = (*SMALL, *script.runner.sets, *sets), folder / "first"
     how = {"spec": THREE, "script": script, "replace_after": replace_after, "ahead_s": 0.5}
-    with (
-        virtual_lab(folder, *sets, **how) as lab,
-        mock.patch("tetractl.run.task.build_controller", controller),
-    ):
+    with virtual_lab(folder, *sets, **how) as lab:
         words = ["run", THREE, "--plant", "lab", "--yes", "--quiet", "--out", logs]
         done = tetractl(folder, *words, *flags(lab.settings))
         lab.clock.sleep_until(lab.clock.now() + AFTER_NS)
         said, events = done.stdout + done.stderr, lab.events()
     link = folder / "radio"
     return Played([done.returncode], [said], 0, events, sorted(logs.glob("*.mcap*")), link)
+
+
+def play_faults(path, script, folder):
+    """Play a script as a user does, by plant `emulated`, in this process unless that is killed."""
+    sets = APRILTAG if camera_of(path) == "apriltag" else SMALL
+    sets = (*sets, *script.runner.sets, f"plant.faults={path}", f"plant.record={folder}")
+    words = ["run", THREE, "--plant", "emulated", "--quiet", "--out", folder / "first"]
+    killed = script.expect.outcome == "killed"
+    done = (process if killed else tetractl)(folder, *words, *flags(sets))
+    lines = (folder / "truth-000.jsonl").read_text().splitlines()
+    logs = sorted((folder / "first").glob("*.mcap*"))
+    said = [done.stdout + done.stderr]
+    return Played([done.returncode], said, 0, [*map(json.loads, lines)], logs, None)

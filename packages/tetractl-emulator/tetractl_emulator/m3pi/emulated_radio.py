@@ -34,7 +34,8 @@ class EmulatedRadio(SerialDevice):
     """The PC's module on its port, and one module per robot.
 
     `versions` are the hardware version (HV) and firmware version (VR) of the PC's module.
-    `loss` is the probability that a robot does not receive a transmission. `note(event, **facts)`
+    `loss` is the probability that a robot does not receive a transmission; faults also set
+    `late_ns`, by which they are late, and whether they are `doubled`. `note(event, **facts)`
     records each command when it is read from the port, with `sequence`, `flags` and the `wheels` of
     all robots, and what each robot hears.
     """
@@ -52,6 +53,7 @@ class EmulatedRadio(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note)
         self.loss, self.robots = loss, robots
+        self.late_ns, self.doubled = 0, False
         self._random = random.Random(seed)
         self._decoder, self._witnessed = Decoder(), Decoder()
         self._air_ns = 0  # when the air is free again
@@ -100,10 +102,11 @@ class EmulatedRadio(SerialDevice):
         return self._air_ns
 
     def _transmit(self, payload: bytes) -> None:
-        arrives = self._take_air(len(payload)) + uart_ns(len(payload), ROBOT_BAUD)
+        arrives = self._take_air(len(payload)) + uart_ns(len(payload), ROBOT_BAUD) + self.late_ns
         for robot in self.robots:
-            if self._random.random() >= self.loss:
-                self._timeline.at(arrives, lambda robot=robot: self._deliver(robot, payload))
+            if self._random.random() >= max(self.loss, robot.deaf):
+                for _ in range(1 + self.doubled):
+                    self._timeline.at(arrives, lambda robot=robot: self._deliver(robot, payload))
 
     def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
         if robot.powered:

@@ -41,7 +41,8 @@ class EmulatedRobot:
     """One robot, in a row of `EmulatedRobots`, which moves it.
 
     `index` is the number in broadcasts that was built into its firmware. Faults set `powered`,
-    `stuck` (left and right wheel) and `veer`, counts that replace any counts other than 0.
+    `stuck` (left and right wheel), `weak`, the wheels' shares of their speed, `deaf`, the share of
+    transmissions that it does not receive, and `veer`, counts that replace any counts other than 0.
     """
 
     robots: "EmulatedRobots"
@@ -58,6 +59,7 @@ class EmulatedRobot:
         self.index, self._make_core = index, make_core
         self.battery = battery or EmulatedBattery()
         self.powered, self.stuck = True, (False, False)
+        self.weak, self.deaf = (1.0, 1.0), 0.0
         self.veer: Counts | None = None
 
     @property
@@ -147,7 +149,7 @@ class EmulatedRobots:
         self._now_ns = self._settled_ns = start_ns
         self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
         self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
-        self._held: list[tuple[Counts, tuple[bool, bool]]] = []
+        self._held: list[tuple[Counts, tuple[bool, bool], tuple[float, float]]] = []
         for row, robot in enumerate(robots):
             robot.robots, robot.row = self, row
 
@@ -178,13 +180,14 @@ class EmulatedRobots:
     def advance(self, until_ns: int) -> None:
         """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
         while self._now_ns < until_ns:
-            held = [(robot.counts(), robot.stuck) for robot in self.robots]
+            held = [(robot.counts(), robot.stuck, robot.weak) for robot in self.robots]
             if len(self._passed_ns) == STEPS_MAX:
                 self._settled()
             if held != self._held:
                 wheeled, self._held = self._settled(), held
-                counts, stuck = (np.array(each).T for each in zip(*held, strict=True))
-                wheeled.targets[:] = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
+                counts, stuck, weak = (np.array(each).T for each in zip(*held, strict=True))
+                speeds = weak * self._drivetrains.speeds(counts)
+                wheeled.targets[:] = np.where(stuck, 0.0, speeds)
                 wheeled.wheels[stuck] = 0.0
             self._now_ns = min(self._now_ns + MILLISECOND, until_ns)
             self._passed_ns.append(self._now_ns)
@@ -195,6 +198,10 @@ class EmulatedRobots:
         wheeled.pose[:, row] = x, y, heading
         wheeled.wheels[:, row] = 0.0
         self._stood = -1, []
+
+    def shift(self, row: int, x: float, y: float, turn: float) -> None:
+        """Move a robot [mm, rad] without stopping its wheels."""
+        self._settled().pose[:, row] += x, y, turn
 
     def _settled(self) -> WheeledRobots:
         """Return the robots as they are now."""

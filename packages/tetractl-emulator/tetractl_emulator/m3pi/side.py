@@ -8,11 +8,21 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.experiment.base import Model, Name, Positive
+from tetractl.core.clock import SECOND
+from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
-from tetractl_emulator.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
+from tetractl_emulator.faults import (
+    STUCK_PORT,
+    UNPLUG,
+    Fault,
+    Share,
+    Undo,
+    fault,
+    settings,
+    switching,
+)
 from tetractl_emulator.firmware import RobotCore
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
@@ -20,6 +30,7 @@ from tetractl_emulator.port import PluggedDevice
 from tetractl_emulator.sides import Stage
 
 Count = Annotated[int, Field(ge=-127, le=127)]
+PUSH_NS, PUSH_PARTS = SECOND // 5, 40  # how long a push takes, and in how many steps
 SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zigbee
 
 
@@ -62,6 +73,13 @@ def _robot_of(device: Any, fault: Any) -> EmulatedRobot:
 
 
 Wheel = Literal["left", "right", "both"]
+
+
+def _weak(fault: Any) -> tuple[float, float]:
+    left, right = (fault.wheel in (side, "both") for side in ("left", "right"))
+    return fault.share if left else 1.0, fault.share if right else 1.0
+
+
 STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
 FAULTS = (
     fault(
@@ -85,6 +103,59 @@ FAULTS = (
         "Robots do not receive this fraction of the transmissions.",
         settings(lambda d, f: d.radio, loss=attrgetter("share")),
         share=Share,
+    ),
+    fault(
+        "deaf",
+        "A robot does not receive this fraction of the transmissions.",
+        settings(_robot_of, deaf=attrgetter("share")),
+        robot=Name,
+        share=Share,
+    ),
+    fault(
+        "late_radio",
+        "Transmissions arrive late [s].",
+        settings(lambda d, f: d.radio, late_ns=lambda f: round(f.by * SECOND)),
+        by=Positive,
+    ),
+    fault(
+        "doubled_packets",
+        "Robots receive each transmission twice.",
+        settings(lambda d, f: d.radio, doubled=True),
+    ),
+    fault(
+        "radio_resets",
+        "The radio's module restarts: it takes and gives no bytes until it is up again.",
+        switching(lambda d, f: d.radio.restart),
+    ),
+    fault(
+        "baud",
+        "The radio's module has another baud rate.",
+        settings(lambda d, f: d.radio, speed=attrgetter("baud")),
+        baud=Literal[9600, 19200, 38400, 115200],
+    ),
+    fault(
+        "bad_bytes",
+        "This fraction of the bytes on the wire to the radio is changed, both ways.",
+        settings(lambda d, f: d.radio, noise=attrgetter("share")),
+        share=Share,
+    ),
+    fault(
+        "weak_wheel",
+        "A wheel turns at this share of its speed.",
+        settings(_robot_of, weak=_weak),
+        robot=Name,
+        wheel=Wheel,
+        share=Share,
+    ),
+    fault(
+        "pushed",
+        "Somebody moves a robot on the floor: by this distance [mm] and angle [rad], within 0.2 s, "
+        "or at once if it is put elsewhere.",
+        lambda f, d: d.push(f),
+        robot=Name,
+        by=Point,
+        turn=(Finite, 0.0),
+        at_once=(bool, False),
     ),
     fault(
         "off",
@@ -130,6 +201,7 @@ class EmulatedM3pi(PluggedDevice):
             for true in trues
         ]
         self._wheels = _wheels(stage, section, trues, self.robots)
+        self._timeline = stage.timeline
         self.port = stage.wires.port(stage.options.link or Path(section.port))
         hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
         self.radio = self.wired = EmulatedRadio(
@@ -170,6 +242,15 @@ class EmulatedM3pi(PluggedDevice):
     def tick(self) -> None:
         """Send the robots' pending answers."""
         self.radio.poll_answers()
+
+    def push(self, fault: Any) -> Undo:
+        """Move a robot as a fault says."""
+        row, parts = self.robot(fault.robot).row, 1 if fault.at_once else PUSH_PARTS
+        way = *(value / parts for value in fault.by), fault.turn / parts
+        for part in range(parts):
+            at = self._timeline.now_ns + part * PUSH_NS // PUSH_PARTS
+            self._timeline.at(at, lambda: self._wheels.shift(row, *way))
+        return lambda: None
 
     def robot(self, name: str) -> EmulatedRobot:
         """Return the robot with this name."""

@@ -1,5 +1,6 @@
 """What a script may change of the emulated cameras of type `optitrack`: settings and faults."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
@@ -68,7 +69,8 @@ class Trouble:
     """The present faults: the server is silent (no answers, no frames), sends no frames, repeats
     the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
     the fraction `damaged` of its frames, packs frames in another `version`, or sends `outdated`
-    frames whose exposure times are `outdated_s` [s] too early.
+    frames whose exposure times are `outdated_s` [s] too early. It sends frames `late_s` late, up to
+    `jitter_s` later still at random, each once more if `doubled`, at most `hz` of them a second.
     """
 
     silent: bool = False
@@ -80,6 +82,10 @@ class Trouble:
     version: Version | None = None
     outdated: int = 0
     outdated_s: float = 0.0
+    late_s: float = 0.0
+    jitter_s: float = 0.0
+    doubled: bool = False
+    hz: float = math.inf
 
 
 @dataclass(slots=True)
@@ -141,6 +147,14 @@ def _run_clock(fault: Any, device: Any) -> Undo:
     return setting(device.clock, rate=fault.rate, since_ns=device.timeline.now_ns)
 
 
+def _picture(fault: Any, device: Any) -> Undo:
+    way, view = complex(*fault.by), device.view
+    if fault.creeps:
+        return setting(view, creeps=(way, fault.scale, fault.turn))
+    shift, grown, turned = view.shift + way, view.grown * fault.scale, view.turned + fault.turn
+    return setting(view, shift=shift, grown=grown, turned=turned)
+
+
 def _twin(fault: Any, device: Any) -> Undo:
     return setting(_body(device, fault), id=device.tracked_body(fault.other).id)
 
@@ -182,6 +196,35 @@ FAULTS = (
         outdated=attrgetter("frames"),
         outdated_s=attrgetter("by"),
     ),
+    _trouble(
+        "late_frames", "Frames are late [s].", SENT, {"by": Positive}, late_s=attrgetter("by")
+    ),
+    _trouble(
+        "reordered",
+        "Frames are late by a random time up to this one [s], so that some overtake others.",
+        SENT,
+        {"by": Positive},
+        jitter_s=attrgetter("by"),
+    ),
+    _trouble("doubled_frames", "Each frame is sent twice.", SENT, doubled=True),
+    _trouble(
+        "slow_frames",
+        "At most this number of frames is sent each second.",
+        SENT,
+        {"rate": Positive},
+        hz=attrgetter("rate"),
+    ),
+    fault(
+        "picture",
+        "The whole picture is displaced [mm], grown by a factor and turned [rad], by so much in "
+        "each frame if it creeps.",
+        _picture,
+        EXPOSED,
+        by=(Point, (0.0, 0.0)),
+        scale=(Positive, 1.0),
+        turn=(Finite, 0.0),
+        creeps=(bool, False),
+    ),
     _of_body("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
     _of_body(
         "jump",
@@ -199,6 +242,14 @@ FAULTS = (
         turn=attrgetter("turn"),
         shift=0j,
         turned=0.0,
+    ),
+    _of_body(
+        "slip",
+        "A robot's marker plate slips by this distance along and left of its heading [mm], and "
+        "turns by an angle [rad].",
+        {"by": Point, "turn": (Finite, 0.0)},
+        plate=lambda f: complex(*f.by),
+        plate_turned=attrgetter("turn"),
     ),
     _of_body(
         "lifted",

@@ -53,7 +53,8 @@ class EmulatedOptitrack:
     Exposures are numbered from 1, without gaps. `data_port` is the UDP port from which frames are
     sent or, in multicast, to which they are sent; `command_port` is that of messages. `frames`,
     `refused`, `models_asked` and `timed_out` are numbers of frames sent, of requests that could not
-    be read, of requests for MODELDEF, and of clients dropped because they were silent.
+    be read, of requests for MODELDEF, and of clients dropped because they were silent; `shown_ns`
+    is when each robot was exposed in the newest frame sent in which it is tracked.
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -80,6 +81,8 @@ class EmulatedOptitrack:
         self.own_version = natnet.Version.of(settings.version)
         self.trouble, self.clock = Trouble(), ServerClock()
         self.clients: dict[Address, Client] = {}
+        self.shown_ns = [0] * len(self.tracked)
+        self._left_ns = 0  # exposure of the last frame sent [ns]
         self.frames = self.refused = self.models_asked = self.timed_out = 0
         self._greeted: set[Address] = set()
         self._stage, self.timeline = stage, stage.timeline
@@ -222,22 +225,38 @@ class EmulatedOptitrack:
         delay = s.latency + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < 1 / 250:
             delay += jitter.uniform(0, 0.45 / s.rate)
+        delay += self.trouble.late_s
+        if self.trouble.jitter_s:
+            delay += jitter.uniform(0, self.trouble.jitter_s)
+        self.view.creep()
         if self.trouble.outdated:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
         params = 2 * s.models_changed | 4 * self.trouble.edit_mode  # as `NatNetFrame` reads them
         frame = natnet.NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
         leaves = now + round(delay * SECOND)
-        self.timeline.at(leaves, partial(self._leave, self._exposures, frame))
+        for _ in range(1 + self.trouble.doubled):
+            self.timeline.at(leaves, partial(self._leave, self._exposures, now, frame))
         self._plan()
 
-    def _leave(self, exposure: int, frame: natnet.NatNetFrame) -> None:
+    def _leave(self, exposure: int, exposed_ns: int, frame: natnet.NatNetFrame) -> None:
+        slow = exposed_ns != self._left_ns < exposed_ns < self._left_ns + SECOND / self.trouble.hz
         if self.trouble.frozen and self._last is not None:
             frame = self._last
         self._last = frame
-        if not (self.trouble.silent or self.trouble.no_frames):
+        if not (self.trouble.silent or self.trouble.no_frames or slow):
+            self._left_ns = exposed_ns
             self._stream(frame, self.timeline.now_ns)
+            if not self.trouble.frozen:
+                self._show(exposed_ns, frame)
         self._stage.sent(exposure)
+
+    def _show(self, exposed_ns: int, frame: natnet.NatNetFrame) -> None:
+        """Remember when each robot was last shown as tracked."""
+        seen = {body.id for body in frame.bodies if body.tracking_valid}
+        for i, body in enumerate(self.tracked):
+            if body.id in seen:
+                self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)
 
     def _stream(self, frame: natnet.NatNetFrame, now: int) -> None:
         packed: dict[natnet.Version, bytes] = {}

@@ -11,21 +11,35 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl_emulator.sides import Body
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class View:
     """The cameras' axes in the spec's coordinates, as in the camera's section: vertical axis `up`,
     `origin` [mm] and `rotation` [rad].
+
+    Faults set the other fields: the picture is turned about the origin by `turned` [rad], `grown`
+    by a factor and displaced by `shift` [mm]; each changes by `creeps` at an exposure: a distance
+    [mm], a factor and an angle [rad].
     """
 
     up: UpAxis = UpAxis.Y
     origin: tuple[float, float] = (0.0, 0.0)
     rotation: float = 0.0
+    shift: complex = 0j
+    grown: float = 1.0
+    turned: float = 0.0
+    creeps: tuple[complex, float, float] = (0j, 1.0, 0.0)
+
+    def creep(self) -> None:
+        """Let the picture change as it does from one exposure to the next."""
+        way, factor, angle = self.creeps
+        self.shift, self.grown = self.shift + way, self.grown * factor
+        self.turned += angle
 
     def body(self, number: int, x: float, y: float, heading: float, height: float) -> RigidBody:
         """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
-        at = complex(x, y) - complex(*self.origin)
-        at *= cmath.rect(1e-3, -self.rotation)
-        half = cmath.rect(1.0, (heading - self.rotation) / 2)
+        at = (complex(x, y) - complex(*self.origin)) * cmath.rect(self.grown, self.turned)
+        at = (at + self.shift) * cmath.rect(1e-3, -self.rotation)
+        half = cmath.rect(1.0, (heading + self.turned - self.rotation) / 2)
         if self.up is UpAxis.Z:
             position, quaternion = (at.real, at.imag, height / 1000), (0.0, 0.0, half.imag)
         else:
@@ -41,7 +55,8 @@ class TrackedBody:
     Faults set the other fields: the body is not tracked; not streamed; frozen at its last pose
     (`repeats`); displaced by `shift` [mm], which grows by `step` [mm] per exposure, along the
     robot's own axes if `own`; turned by `turned` [rad], which grows by `turn` [rad] per exposure;
-    at another `height` [mm]; or its pose is changed by `change`.
+    at another `height` [mm]; its plate slipped on the robot by `plate` [mm] along the robot's axes,
+    and turned by `plate_turned` [rad]; or its pose is changed by `change`.
     """
 
     robot: Body
@@ -59,6 +74,8 @@ class TrackedBody:
     turned: float = 0.0
     turn: float = 0.0
     height: float = 60.0
+    plate: complex = 0j
+    plate_turned: float = 0.0
     change: Callable[[RigidBody], RigidBody] | None = None
     seen: RigidBody | None = None  # the body at its last tracked pose
 
@@ -76,8 +93,10 @@ class TrackedBody:
         self.shift += self.step * (cmath.rect(1.0, robot.heading) if self.own else 1.0)
         self.turned += self.turn
         way, angle = self.noise
-        x, y = robot.x + self.shift.real + draw(0, way), robot.y + self.shift.imag + draw(0, way)
-        heading = robot.heading + self.turned - self.offset + draw(0, angle)
+        off = self.shift + self.plate * cmath.rect(1.0, robot.heading)
+        x, y = robot.x + off.real + draw(0, way), robot.y + off.imag + draw(0, way)
+        turned = self.turned + self.plate_turned - self.offset
+        heading = robot.heading + turned + draw(0, angle)
         self.seen = view.body(self.id, x, y, heading, self.height)
 
 

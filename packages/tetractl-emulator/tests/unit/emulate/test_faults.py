@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
@@ -12,15 +13,18 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.faults import Injector, Visible
 from tetractl_emulator.faults import fault as kind_of
 from tetractl_emulator.loop import Timeline
+from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 
+RADIO = ("loss", "late_ns", "doubled", "_down", "speed", "noise")
 RUN = ((60, 60), (60, 60))
 FIELD = ("off", "low_supply, millivolts: 9000", "hot, celsius: 85", "mute")
-ON_A_PORT = ("unplug", "stuck_port", "mark")  # what an open port alone can have, and nothing
+PROCESS = {get_args(kind.model_fields["fault"].annotation)[0] for kind in PROCESS_FAULTS}
+ELSEWHERE = {"unplug", "stuck_port", "pushed", *PROCESS}  # of an open port, a timeline, a process
 
 
 def shipped():
@@ -28,8 +32,8 @@ def shipped():
     found = {}
     for path in sorted(SCRIPTS.glob("*.yaml")):
         for fault in parse_document(path.read_text(), "script").data.get("faults", ()):
-            if fault["fault"] not in ON_A_PORT:
-                found[fault["fault"]] = json.dumps(fault).replace("red", "blue")
+            if fault["fault"] not in ELSEWHERE:
+                found[fault["fault"]] = json.dumps(fault).replace('"red"', '"blue"')
     rows = [pytest.param(SPEC, text, id=kind) for kind, text in found.items()]
     rows.append(pytest.param(APRILTAG_SPEC, "{fault: untracked, robot: green}", id="hidden tag"))
     return [*rows, *(pytest.param(FIELD_SPEC, f"{{fault: {text}}}", id=text) for text in FIELD)]
@@ -40,13 +44,13 @@ def state(lab):
     camera, actuator = lab.camera, lab.actuator
     parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else [camera.swapped]
     if hasattr(camera, "trouble"):
-        parts += [camera.trouble, camera.clock]
+        parts += [camera.trouble, camera.clock, camera.view]
         parts += [
             {k: v for k, v in fields(body).items() if k != "robot"} for body in camera.tracked
         ]
     if hasattr(actuator, "radio"):
         parts += [
-            actuator.radio.loss,
+            *(getattr(actuator.radio, name) for name in RADIO),
             *({**vars(r), "core": 0, "robots": 0} for r in actuator.robots),
         ]
     else:

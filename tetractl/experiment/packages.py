@@ -8,6 +8,7 @@ MICROSCOPE, EMULATOR = "tetractl-microscope", "tetractl-emulator"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
+    ("tetractl.lab_commands", "rehearse"): EMULATOR,
     ("tetractl.lab_commands", "survey"): MICROSCOPE,
     ("tetractl.commands", "track"): MICROSCOPE,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,

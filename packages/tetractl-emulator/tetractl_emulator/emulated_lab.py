@@ -143,6 +143,9 @@ class EmulatedLab:
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
     def _note(self, event: str, **facts: Any) -> None:
+        if event in ("command", "truth"):
+            now = self.timeline.now_ns
+            facts["unseen_ms"] = [round((now - t_ns) / 1e6, 1) for t_ns in self.camera.shown_ns]
         self._record.add(self.timeline.now_ns, event, **facts)
 
     def _exposed(self, exposure: int, frame: int) -> None:
@@ -165,6 +168,7 @@ class EmulatedLab:
         own = dict(fault)
         robot, mark = own.get("robot"), own.get("name")
         facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
+        facts["row"] = self._script.faults.index(fault)
         self._note("fault", **facts)
         self._record.flush()
         self._report("fault", facts)

@@ -106,7 +106,13 @@ class EmulatedSide(Protocol):
 
 
 class EmulatedCamera(EmulatedSide, Protocol):
-    """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
+    """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies).
+
+    `shown_ns` is when each robot was exposed in the newest frame sent in which it is tracked [ns];
+    empty if that is not known.
+    """
+
+    shown_ns: Sequence[int]
 
     @property
     def join(self) -> Any:

@@ -112,6 +112,7 @@ class StreamedCamera(ABC):
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
+    shown_ns: Sequence[int] = ()  # unknown
 
     def __init__(self, stage: Stage, settings: StreamSettings) -> None:
         section = stage.lab.camera

@@ -1,0 +1,53 @@
+"""`tetractl lab rehearse`: days of a fixed seed, and what it says of a defect that is planted."""
+
+import json
+
+import pytest
+from support.cli import tetractl
+from support.lab_processes import SMALL, SPEC, flags
+from tetractl_emulator.rehearsal import day
+
+from tetractl.lab.guard import Guard
+
+pytestmark = pytest.mark.slow
+
+FEW = flags((*SMALL, "controller.time_limit=3"))
+
+
+def rehearse(folder, *words):
+    return tetractl(folder, "lab", "rehearse", SPEC, "--out", "days", *words, *FEW)
+
+
+def rows(folder):
+    lines = (folder / "days" / "days.jsonl").read_text().splitlines()
+    return {row["day"]: row for row in map(json.loads, lines)}
+
+
+def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp_path):
+    (tmp_path / "two").mkdir()
+    done = rehearse(tmp_path, "--days", "2").ok()
+    assert done.stdout.endswith("2 days, 0 violations\n")
+    rehearse(tmp_path, "--days", "4").ok()
+    rehearse(tmp_path / "two", "--days", "4", "--jobs", "2").ok()
+    one, two = rows(tmp_path), rows(tmp_path / "two")
+    assert {n: row["digest"] for n, row in one.items()} == {n: r["digest"] for n, r in two.items()}
+    assert "| frames frozen |" in done.stdout
+
+
+def test_a_planted_defect_is_found_and_shrunk_to_one_fault(tmp_path, monkeypatch):
+    plan = day.DayPlan(5, {}, [*map(dict, FAULTS)], "")
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
+    monkeypatch.setattr(Guard, "_check_tracking", lambda guard: None)
+    done = rehearse(tmp_path, "--days", "1")
+    assert done.returncode == 1
+    assert "late: untracked" in done.stderr
+    assert done.stdout.endswith("1 days, 1 violations\n")
+    script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
+    assert "untracked" in script
+    assert "doubled_packets" not in script
+
+
+FAULTS = (
+    {"kind": "packets doubled", "strength": 0.5, "fault": "doubled_packets", "at": 0.2},
+    {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "green", "at": 0.6},
+)

@@ -1,0 +1,133 @@
+"""`tetractl lab rehearse`: plays random bad days of an emulated lab, and checks what must hold."""
+
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tetractl.cli import ui
+from tetractl.cli.options import Sets, Spec, option
+from tetractl.core.errors import Exit, UsageError
+
+if TYPE_CHECKING:
+    from tetractl_emulator.rehearsal.day import DayPlan
+    from tetractl_emulator.rehearsal.summary import DayRow
+
+
+def rehearse(
+    spec: Spec,
+    sets: Sets = None,
+    days: Annotated[int, option("N", "Number of days.", min=1)] = 200,
+    seed: Annotated[int, option("S", "Seed of the days.", min=0)] = 1,
+    first: Annotated[int, option("N", "Number of the first day; a day is drawn by it.")] = 0,
+    jobs: Annotated[int, option("N", "Number of days played at a time.", min=1)] = 1,
+    out: Annotated[
+        Path | None,
+        option(
+            "DIR",
+            "Folder for the days' results and the scripts of violations; days that it has"
+            " are not played again. [rehearsal-SEED]",
+        ),
+    ] = None,
+) -> int:
+    """Rehearse a lab against random faults, in virtual time: no hardware is involved.
+
+    Each day is a trial with faults drawn by the seed. An observer that knows the truth asserts what
+    must hold. A day that breaks it is shrunk to a script of a few lines, for `plant.faults`.
+
+    Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
+    """
+    from tetractl.control.build import warm_up
+    from tetractl.experiment.plants import on_plant
+    from tetractl_emulator.rehearsal.summary import broken, tables
+
+    loaded = on_plant(ui.load(spec, sets), "emulated")
+    if loaded.experiment.open:
+        raise UsageError("this spec's trials choose their robots; a rehearsal needs them named")
+    loaded.experiment.plant.require_devices()
+    warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
+    folder = out or Path(f"rehearsal-{seed}")
+    folder.mkdir(parents=True, exist_ok=True)
+    results = folder / "days.jsonl"
+    lines = results.read_text().splitlines() if results.exists() else []
+    rows = {row["day"]: row for row in map(json.loads, lines)}
+    wanted = range(first, first + days)
+    waiting = [day for day in wanted if day not in rows]
+    play = partial(rehearsed, spec, tuple(sets or ()), seed, folder)
+    interrupted = False
+    try:
+        with results.open("a") as kept, ui.progress("days") as show:
+            for done, row in enumerate(_played(play, waiting, jobs)):
+                kept.write(json.dumps(row) + "\n")
+                kept.flush()
+                rows[row["day"]] = row
+                show(done + 1, len(waiting))
+                for name, at_s, found, _ in broken(row):
+                    ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {found}")
+                if broken(row):
+                    ui.tell(f"  shrunk to {folder / _script_name(seed, row['day'])}")
+    except KeyboardInterrupt:
+        interrupted = True
+        ui.tell(f"interrupted; the same command with --out {folder} continues")
+    played = [rows[day] for day in wanted if day in rows]
+    table, text = tables(played)
+    bad = [row for row in played if broken(row)]
+    print(table, text, f"{len(played)} days, {len(bad)} violations", sep="\n\n")
+    return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
+
+
+def _played(play: Any, days: Sequence[int], jobs: int) -> "Iterator[DayRow]":
+    """Yield what becomes of each day, in the order in which they end."""
+    if jobs == 1:
+        yield from map(play, days)
+        return
+    with ProcessPoolExecutor(jobs, get_context("fork")) as pool:
+        running = [pool.submit(play, day) for day in days]
+        try:
+            for ended in as_completed(running):
+                yield ended.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _script_name(seed: int, day: int) -> str:
+    return f"seed-{seed}-day-{day}.yaml"
+
+
+def rehearsed(spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int) -> "DayRow":
+    """Play a day, and shrink its plan if it breaks an invariant; return what is kept of it."""
+    from tetractl.experiment.load import load_spec
+    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl.plant.lab_plant import RigSection
+    from tetractl_emulator.rehearsal.day import plan_of_day, play
+    from tetractl_emulator.rehearsal.invariants import violations
+    from tetractl_emulator.rehearsal.shrink import shrunk
+    from tetractl_emulator.rehearsal.summary import broken, row_of
+    from tetractl_emulator.rehearsal.truth import Truth
+
+    experiment = on_plant(load_spec(spec, sets), "emulated").experiment
+    setup, lab = experiment.setup, experiment.plant
+    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
+    watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or 0.25
+
+    def judged(plan: "DayPlan") -> "DayRow":
+        with tempfile.TemporaryDirectory() as scratch:
+            truth = Truth(play(spec, sets, plan, Path(scratch)), setup)
+            return row_of(day, truth, violations(truth, lab.limits, watchdog_s))
+
+    plan = plan_of_day(seed, day, setup, lab.actuator.type)
+    row = judged(plan)
+    if not broken(row):
+        return row
+    name = broken(row)[0][0]
+    small, plays = shrunk(plan, lambda one: name in [v[0] for v in broken(judged(one))])
+    script = small.script()
+    about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
+    path = folder / _script_name(seed, day)
+    path.write_text(dump(script | {"about": about}))
+    return {**row, "shrunk": len(script["faults"]), "plays": plays}

@@ -1,0 +1,165 @@
+"""One day of a rehearsal: a script, played by `tetractl run` in a process of its own.
+
+The process is forked, so that a signal, a full disk or a kill is that of a whole run, and what it
+leaves behind (threads, open files) can be seen.
+"""
+
+import gc
+import hashlib
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from tetractl.cli.app import run_app
+from tetractl.core.setup import Setup
+from tetractl.experiment.yaml.core_yaml import dump
+from tetractl_emulator.rehearsal.schedule import faults_of_day
+from tetractl_emulator.rehearsal.world import world_of_day
+
+HANGS_S = 300.0
+"""Wall time after which a day counts as one that hangs [s]."""
+OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
+
+
+@dataclass(frozen=True, slots=True)
+class DayPlan:
+    """What is to happen on a day: the `emulation` and the `faults` of a script, drawn for the trial
+    with number `seed`, and the reasons that are right even without a fault (`right`).
+    """
+
+    seed: int
+    emulation: Mapping[str, Any]
+    faults: Sequence[Mapping[str, Any]]
+    right: str
+
+    @property
+    def sorted(self) -> list[Mapping[str, Any]]:
+        """The faults by their times."""
+        return sorted(self.faults, key=lambda fault: fault["at"])
+
+    def script(self) -> dict[str, Any]:
+        """Return the script of the day."""
+        faults = [{k: v for k, v in one.items() if k not in OWN} for one in self.sorted]
+        about = ", ".join(dict.fromkeys(one["kind"] for one in self.sorted)) or "no fault"
+        return {"about": about, "emulation": dict(self.emulation), "faults": faults}
+
+
+@dataclass(frozen=True, slots=True)
+class Day:
+    """What became of a day: the true `events`, the exit code, -9 if it was killed, what the run
+    printed, its log, and what it `left` behind. `seconds` is the wall time.
+    """
+
+    plan: DayPlan
+    events: list[dict[str, Any]]
+    exit: int
+    said: str
+    log: Path | None
+    left: str
+    seconds: float
+
+    @property
+    def digest(self) -> str:
+        """The hash of all that truly happened, the same in each play of the plan."""
+        return hashlib.sha256(json.dumps(self.events).encode()).hexdigest()[:16]
+
+
+def plan_of_day(seed: int, day: int, setup: Setup, actuator: str) -> DayPlan:
+    """Draw the plan of a day; it depends on the seed and on the day's number alone."""
+    random = Random(f"{seed}-{day}")
+    faults = faults_of_day(random, setup.names)
+    world = world_of_day(random, setup, actuator)
+    return DayPlan(random.randrange(2**31), world.emulation, faults, world.right)
+
+
+def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
+    """Play a plan on a spec with settings, with its files in an empty folder."""
+    script, began = folder / "script.yaml", time.monotonic()
+    script.write_text(dump(plan.script()))
+    words = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
+    words += ["--seed", str(plan.seed), "--out", str(folder / "log")]
+    own = (f"plant.faults={script.resolve()}", f"plant.record={folder}", "controller.deadline=60")
+    words += [word for setting in (*sets, *own) for word in ("--set", setting)]
+    pid = os.fork()
+    if not pid:
+        _run(words, folder)
+    code = _wait(pid)
+    record = folder / "truth-000.jsonl"
+    lines = record.read_text().splitlines() if record.exists() else []
+    log = next(iter(sorted((folder / "log").glob("*.mcap*"))), None)
+    left = folder / "left.txt"
+    said = (folder / "said.txt").read_text()
+    return Day(
+        plan,
+        [json.loads(line) for line in lines],
+        code,
+        said,
+        log,
+        left.read_text() if left.exists() else "",
+        time.monotonic() - began,
+    )
+
+
+def _run(words: list[str], folder: Path) -> None:
+    """Run a command in this forked process, and end it."""
+    code = 1
+    try:
+        said = os.open(folder / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        null = os.open(os.devnull, os.O_RDONLY)
+        for target, source in ((0, null), (1, said), (2, said)):
+            os.dup2(source, target)
+        os.close(said)
+        os.close(null)
+        sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")  # noqa: SIM115
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
+        before = _open_files()
+        sys.argv = ["tetractl", *words]
+        code = int(run_app())
+        gc.collect()
+        threads = [one.name for one in threading.enumerate() if one is not threading.main_thread()]
+        files = sorted(_open_files() - before)
+        (folder / "left.txt").write_text("; ".join([*threads, *files]))
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException as error:
+        import traceback
+
+        with (folder / "said.txt").open("a") as out:
+            traceback.print_exception(error, file=out)
+    finally:
+        os._exit(code & 0xFF)
+
+
+def _open_files() -> set[str]:
+    """Return the files that this process has open, with their numbers."""
+    found = set[str]()
+    for entry in Path("/proc/self/fd").glob("*"):
+        try:
+            found.add(f"{entry.name} {entry.readlink()}")
+        except OSError:  # the folder's own
+            continue
+    return found
+
+
+def _wait(pid: int) -> int:
+    """Wait for a process; return its exit code, or the number of the signal that killed it less
+    than 0, -100 if it hangs.
+    """
+    end = time.monotonic() + HANGS_S
+    while time.monotonic() < end:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.005)
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    return -100

@@ -1,0 +1,258 @@
+"""What may go wrong on a day of a rehearsal: one table of faults, each with its weight, its draw,
+and the reasons that name it rightly; and the draw of a day's schedule.
+
+A fault acts on an emulated device by a script's fault, so a device of another package takes part by
+rows of its own.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+SIGHT = (
+    r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
+    r"|watched long enough|before reception|no camera frame|not known: the camera|frames came"
+)
+MOTION = (
+    r"moves? |turns? |does not move|drift together|off its commanded speed|radio slow"
+    r"|camera or its origin|swapped|pose jumped|pose repeats|still moves|from its start|turned by"
+)
+PLACE = r"about to leave|about to enter|too close"
+CLOCK = r"server's clock|after reception|before reception"
+RADIO = r"radio|\bport\b|does not answer|battery"
+STRONG = 0.9
+"""Strength from which on a fault lasts to the end, and has to stop the trial."""
+FOREVER = 1e9
+FRAME_S = 1 / 120  # between two exposures of the emulated camera
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """The draw of one fault: `strength` is uniform in [0, 1)."""
+
+    random: Random
+    names: tuple[str, ...]
+    strength: float
+
+    def between(self, low: float, high: float) -> float:
+        """Return a value from `low` to `high`, both above 0, by the strength, in equal ratios."""
+        return float(f"{low * (high / low) ** self.strength:.4g}")
+
+    def way(self, low: float, high: float) -> list[float]:
+        """Return a vector of a length between two, in any direction."""
+        angle, length = self.random.uniform(-math.pi, math.pi), self.between(low, high)
+        return [round(length * math.cos(angle), 5), round(length * math.sin(angle), 5)]
+
+    def signed(self, low: float, high: float) -> float:
+        """Return a value as `between`, of either sign."""
+        return self.random.choice((-1, 1)) * self.between(low, high)
+
+    def robots(self) -> dict[str, str]:
+        """Return the fields `robot` and `other`, of two robots."""
+        one, two = self.random.sample(self.names, 2)
+        return {"robot": one, "other": two}
+
+    def robot(self) -> dict[str, str]:
+        """Return the field `robot`."""
+        return {"robot": self.random.choice(self.names)}
+
+    def side(self) -> str:
+        """Return a wheel."""
+        return self.random.choice(("left", "right", "both"))
+
+
+Fields = Callable[[Draw], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRow:
+    """A row of the table: a script's `fault` with drawn `fields`; reasons that match `right` are.
+
+    A fault of the greatest strengths has to end the trial within `stops_s` [s] while robots are
+    driven; NaN if it need not. One `at_once` has no duration. `weight` is relative.
+    """
+
+    name: str
+    fault: str
+    right: str
+    fields: Fields = lambda d: {}
+    stops_s: float = math.nan
+    at_once: bool = False
+    weight: float = 1.0
+    start: float = 0.1  # share of the days on which it is there from the start
+
+
+def _kinds() -> Iterator[FaultRow]:
+    sight, moved = f"{SIGHT}|{PLACE}", f"{MOTION}|{PLACE}|{SIGHT}"
+    yield FaultRow("frames lost", "no_frames", SIGHT, stops_s=0.55)
+    yield FaultRow("server silent", "no_server", f"{SIGHT}|{CLOCK}", stops_s=0.55)
+    late = f"{sight}|{CLOCK}|{MOTION}"
+    yield FaultRow("frames late", "late_frames", late, lambda d: {"by": d.between(0.003, 0.4)})
+    yield FaultRow("frames doubled", "doubled_frames", r"$.", weight=0.5)
+    yield FaultRow("frames reordered", "reordered", late, lambda d: {"by": d.between(0.002, 0.3)})
+    yield FaultRow("frames frozen", "freeze", SIGHT, stops_s=0.55)
+    yield FaultRow(
+        "frames slow", "slow_frames", moved, lambda d: {"rate": d.between(0.01, 1) ** -1}
+    )
+    yield FaultRow(
+        "frames damaged", "bad_datagrams", f"damaged|{sight}", _share(0.005), stops_s=0.6
+    )
+    yield FaultRow(
+        "frames of the past", "outdated", SIGHT, lambda d: {"by": d.between(0.05, 30), "frames": 50}
+    )
+    yield FaultRow("other version", "other_version", f"damaged|{SIGHT}", _version, stops_s=0.6)
+    yield FaultRow("counter back", "counter_back", "counter", lambda d: {"frames": 30}, stops_s=0.1)
+    yield FaultRow("edit mode", "edit_mode", "edit mode", stops_s=0.1)
+    for name in ("untracked", "nan", "bad_quaternion"):
+        yield FaultRow(name, name, SIGHT, Draw.robot, stops_s=0.4)
+    yield FaultRow("pose frozen", "repeat", moved, Draw.robot)
+    yield FaultRow("picture frozen", "repeat", moved)
+    yield FaultRow("lifted", "lifted", SIGHT, lambda d: d.robot() | {"height": d.between(80, 2e3)})
+    yield FaultRow("tipped", "tipped", SIGHT, lambda d: d.robot() | {"angle": d.signed(0.05, 3.1)})
+    yield FaultRow("identities swapped", "swap", moved, Draw.robots, stops_s=0.5)
+    yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots, stops_s=0.1)
+    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.way(5, 500)})
+    yield FaultRow("plate slips", "slip", moved, _slip)
+    yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0))
+    yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2))
+    yield FaultRow("ghost drifts", "ghost", moved, lambda d: _ghost(d, None))
+    yield FaultRow("ghost turns", "ghost", moved, _turning)
+    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.way(3, 300)})
+    yield FaultRow("scale jumps", "picture", moved, lambda d: {"scale": 1 + d.signed(2e-3, 0.2)})
+    yield FaultRow("axes jump", "picture", moved, lambda d: {"turn": d.signed(2e-3, 1)})
+    yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.way(2, 300))))
+    yield FaultRow(
+        "scale creeps", "picture", moved, lambda d: _creeps(scale=1 + d.signed(2e-3, 0.2) * FRAME_S)
+    )
+    yield FaultRow(
+        "axes creep", "picture", moved, lambda d: _creeps(turn=d.signed(0.02, 2) * FRAME_S)
+    )
+    clock = f"{CLOCK}|{sight}|{MOTION}"
+    yield FaultRow("camera's clock jumps", "clock_jump", clock, lambda d: {"by": d.signed(5e-4, 5)})
+    yield FaultRow("camera's clock drifts", "clock_rate", clock, lambda d: {"rate": _rate(d)})
+    yield FaultRow("pushed", "pushed", moved, lambda d: _pushed(d, 3, 200, False), at_once=True)
+    yield FaultRow(
+        "put elsewhere", "pushed", moved, lambda d: _pushed(d, 10, 600, True), at_once=True
+    )
+    yield FaultRow("wheel stuck", "wheel_stuck", moved, lambda d: d.robot() | {"wheel": d.side()})
+    yield FaultRow("wheel weak", "weak_wheel", moved, lambda d: d.robot() | _weak(d))
+    yield FaultRow("battery low", "low_battery", "battery", _battery, start=0.9)
+    link = f"{RADIO}|{moved}"
+    yield FaultRow("brown-out", "off", link, Draw.robot)
+    yield FaultRow("radio unplugged", "unplug", RADIO, stops_s=0.1)
+    yield FaultRow("radio stuck", "stuck_port", RADIO, stops_s=0.1)
+    yield FaultRow("radio silent", "loss", link, _share(0.05))
+    yield FaultRow("robot deaf", "deaf", link, lambda d: d.robot() | _share(0.05)(d))
+    yield FaultRow("radio late", "late_radio", link, lambda d: {"by": d.between(0.005, 1)})
+    yield FaultRow("packets doubled", "doubled_packets", r"$.", weight=0.5)
+    yield FaultRow("radio resets", "radio_resets", link)
+    yield FaultRow("other baud rate", "baud", link, lambda d: {"baud": 9600})
+    yield FaultRow("bad bytes", "bad_bytes", link, lambda d: {"share": d.between(2e-4, 0.5)})
+    yield FaultRow("host's clock jumps", "host_clock", f"stood still|{clock}", _jump, 0.1, True)
+    yield FaultRow("host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)})
+    yield FaultRow("suspended", "stopped", f"stood still|late|{clock}|{moved}", _nap)
+    yield FaultRow("computer asleep", "asleep", f"stood still|late|{clock}|{moved}", _nap)
+    yield FaultRow("disk full", "disk_full", "cannot write the log", stops_s=1.0, at_once=True)
+    yield FaultRow("killed", "signal", r"$.", lambda d: {"signal": "KILL"}, at_once=True)
+    yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, stops_s=1.0, at_once=True)
+    yield FaultRow("second run", "second_run", r"$.", at_once=True, weight=0.5)
+    yield FaultRow("emergency stop", "emergency", "emergency stop", stops_s=0.1, at_once=True)
+
+
+def _share(least: float) -> Fields:
+    return lambda d: {"share": min(1.0, d.between(least, 1.3))}
+
+
+def _version(d: Draw) -> dict[str, str]:
+    return {"version": d.random.choice(("2.9", "3.0"))}
+
+
+def _slip(d: Draw) -> dict[str, Any]:
+    return d.robot() | {"by": d.way(2, 60), "turn": d.signed(0.02, 1.5)}
+
+
+def _slow(way: list[float]) -> list[float]:
+    """Return a velocity [mm/s] as a step in each frame [mm]."""
+    return [round(value * FRAME_S, 6) for value in way]
+
+
+def _ghost(d: Draw, angle: float | None) -> dict[str, Any]:
+    speed, at = d.signed(3, 600) * FRAME_S, angle
+    if at is None:
+        return d.robot() | {"by": _slow(d.way(3, 600))}
+    step = [round(speed * math.cos(at), 6), round(speed * math.sin(at), 6)]
+    return d.robot() | {"by": step, "axes": "robot"}
+
+
+def _turning(d: Draw) -> dict[str, Any]:
+    return d.robot() | {"by": [0, 0], "turn": round(d.signed(0.02, 4) * FRAME_S, 7)}
+
+
+def _creeps(**fields: Any) -> dict[str, Any]:
+    return fields | {"creeps": True}
+
+
+def _rate(d: Draw) -> float:
+    return 1 + d.signed(2e-4, 0.5)
+
+
+def _pushed(d: Draw, low: float, high: float, at_once: bool) -> dict[str, Any]:
+    turn = round(d.signed(0.01, 2), 4)
+    return d.robot() | {"by": d.way(low, high), "turn": turn, "at_once": at_once}
+
+
+def _weak(d: Draw) -> dict[str, Any]:
+    return {"wheel": d.side(), "share": round(1 - min(1.0, d.between(0.02, 1.2)), 4)}
+
+
+def _battery(d: Draw) -> dict[str, Any]:
+    return d.robot() | {"millivolts": round(4700 - 1200 * d.strength)}
+
+
+def _jump(d: Draw) -> dict[str, float]:
+    return {"by": d.between(0.02, 6)}
+
+
+def _plan(d: Draw) -> float:
+    return d.between(0.01, 6)
+
+
+def _nap(d: Draw) -> dict[str, float]:
+    return {"for": d.between(0.02, 5)}
+
+
+def _signal(d: Draw) -> dict[str, str]:
+    return {"signal": d.random.choice(("INT", "TERM", "HUP", "QUIT"))}
+
+
+KINDS = tuple(_kinds())
+"""The table of faults."""
+
+
+def faults_of_day(random: Random, names: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Draw a day's faults as of a script; a third of the days have one, others two to six. The key
+    `kind` is the name of the row; `strength` that of the draw.
+    """
+    count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
+    chosen = random.choices(KINDS, [kind.weight for kind in KINDS], k=count)
+    return [_fault(random, kind, names) for kind in chosen]
+
+
+def _fault(random: Random, kind: FaultRow, names: tuple[str, ...]) -> dict[str, Any]:
+    draw = Draw(random, names, random.random())
+    fault = {"kind": kind.name, "strength": round(draw.strength, 3), "fault": kind.fault}
+    fault |= kind.fields(draw)
+    if random.random() < kind.start:
+        fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
+    else:
+        fault["at"] = round(random.uniform(0, 11), 3)
+    if not kind.at_once and "for" not in fault and draw.strength < STRONG:
+        fault["for"] = round(0.02 * 200 ** random.random(), 3)  # from 20 ms to 4 s
+    return fault
+
+
+def of_name(name: str) -> FaultRow:
+    """Return the row of a name."""
+    return next(kind for kind in KINDS if kind.name == name)

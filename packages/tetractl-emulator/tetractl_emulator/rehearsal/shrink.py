@@ -1,0 +1,59 @@
+"""Shrinks the plan of a day that broke an invariant to the few events that matter.
+
+A greedy delta debugger: it leaves out faults one by one, then parts of the world, then makes faults
+shorter and milder, and keeps each change after which the same invariant is still broken.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from tetractl_emulator.rehearsal.day import DayPlan
+
+PLAYS_MAX = 40
+HALVED = ("share", "by", "turn", "seconds", "height", "angle", "for")
+"""Fields of faults that are made smaller; those with no effect at 0."""
+
+Breaks = Callable[[DayPlan], bool]
+"""Plays a plan; returns whether the invariant is broken."""
+
+
+def shrunk(plan: DayPlan, breaks: Breaks) -> tuple[DayPlan, int]:
+    """Return the smallest plan found, which breaks the same invariant, and the number of plays."""
+    plays = 0
+    changed = True
+    while changed and plays < PLAYS_MAX:
+        changed = False
+        for smaller in _smaller(plan):
+            if plays == PLAYS_MAX:
+                break
+            plays += 1
+            if breaks(smaller):
+                plan, changed = smaller, True
+                break
+    return plan, plays
+
+
+def _smaller(plan: DayPlan) -> Iterator[DayPlan]:
+    """Yield simpler plans, those that leave out most first."""
+    for i in range(len(plan.faults)):
+        yield replace(plan, faults=[*plan.faults[:i], *plan.faults[i + 1 :]])
+    if len(plan.emulation) > 1:
+        yield replace(plan, emulation={})
+    for key in plan.emulation:
+        yield replace(plan, emulation={k: v for k, v in plan.emulation.items() if k != key})
+    for i, fault in enumerate(plan.faults):
+        for milder in _milder(dict(fault)):
+            yield replace(plan, faults=[*plan.faults[:i], milder, *plan.faults[i + 1 :]])
+
+
+def _milder(fault: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a fault shorter and milder by a half, at a rounder time."""
+    if fault["at"] != round(fault["at"], 1):
+        yield fault | {"at": round(fault["at"], 1)}
+    for key in HALVED:
+        value = fault.get(key)
+        if isinstance(value, float | int) and abs(value) > 1e-3:
+            yield fault | {key: round(value / 2, 6)}
+        elif isinstance(value, list) and max(map(abs, value)) > 1:
+            yield fault | {key: [round(one / 2, 4) for one in value]}

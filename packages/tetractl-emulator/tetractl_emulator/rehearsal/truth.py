@@ -1,0 +1,163 @@
+"""What truly happened on a day, as arrays: the poses, the commands, and what was accepted.
+
+The observer of a rehearsal shares no code with the guard: distances are computed here.
+"""
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import TetractlError
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.core.shape import Shape
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_log import TrialLog
+from tetractl_emulator.rehearsal.day import Day
+
+RUN, EMERGENCY = 1, 2  # flags of a command
+
+
+@dataclass
+class Truth:
+    """The truth of a day in a lab of N robots; times are seconds since the emulation began."""
+
+    day: Day
+    setup: Setup
+
+    def of(self, event: str, **facts: Any) -> list[dict[str, Any]]:
+        """Return the recorded events of a kind."""
+        return [e for e in self.day.events if e["event"] == event and facts.items() <= e.items()]
+
+    def first(self, event: str, **facts: Any) -> float:
+        """Return the time of the first such event; infinite if there is none."""
+        return min((e["t_ns"] / SECOND for e in self.of(event, **facts)), default=np.inf)
+
+    @cached_property
+    def times(self) -> Floats:
+        """Times of the exposures (T,)."""
+        return np.array([e["t_ns"] for e in self.of("truth")]) / SECOND
+
+    @cached_property
+    def poses(self) -> Floats:
+        """True poses at the exposures (T, N, 3) [mm, rad]."""
+        count = len(self.setup.names)
+        return np.array([e["poses"] for e in self.of("truth")]).reshape(-1, count, 3)
+
+    @cached_property
+    def driving(self) -> Floats:
+        """Greatest speed of a robot's wheels at the exposures (T, N) [mm/s]; 0 if not known."""
+        still = [[0.0, 0.0]] * len(self.setup.names)
+        wheels = [e.get("wheels", still) for e in self.of("truth")]
+        return np.abs(np.array(wheels)).reshape(-1, len(still), 2).max(axis=2)
+
+    @cached_property
+    def unseen(self) -> Floats:
+        """Time since each robot was last shown (T, N) [s]; 0 if not known."""
+        shown = [e["unseen_ms"] or [0.0] * len(self.setup.names) for e in self.of("truth")]
+        return np.array(shown).reshape(-1, len(self.setup.names)) / 1000
+
+    @cached_property
+    def abort_s(self) -> float:
+        """Time of the guard's abort; infinite without one."""
+        return self.first("guard", state="abort")
+
+    @cached_property
+    def ended_s(self) -> float:
+        """Time from which our side drives no more: the abort, or when the guard left its run for
+        good.
+        """
+        states = [(e["t_ns"] / SECOND, e["state"]) for e in self.of("guard")]
+        driven = [i for i, (_, state) in enumerate(states) if state in ("run", "hold")]
+        after = states[driven[-1] + 1 :] if driven else []
+        return min(self.abort_s, after[0][0] if after else np.inf)
+
+    def active(self, at_s: float) -> bool:
+        """Return whether the guard let robots be driven at a time."""
+        before = [e["state"] for e in self.of("guard") if e["t_ns"] / SECOND <= at_s]
+        return bool(before) and before[-1] in ("run", "hold")
+
+    @cached_property
+    def faults(self) -> list[tuple[float, float, dict[str, Any]]]:
+        """The faults that became visible: begin and end [s], and the fault as drawn."""
+        ends = {e["row"]: e["t_ns"] / SECOND for e in self.of("fault", phase="end")}
+        return [
+            (e["t_ns"] / SECOND, ends.get(e["row"], np.inf), dict(self.day.plan.sorted[e["row"]]))
+            for e in self.of("fault", phase="start")
+        ]
+
+    def met(self, *kinds: str) -> bool:
+        """Return whether one of these faults became visible, by the names of scripts."""
+        return any(fault["fault"] in kinds for _, _, fault in self.faults)
+
+    @cached_property
+    def log(self) -> TrialLog | str:
+        """The log, or why it cannot be read; "" if there is none."""
+        if self.day.log is None:
+            return ""
+        try:
+            return read_trial(self.day.log)
+        except (TetractlError, ValueError, KeyError) as error:
+            return f"{type(error).__name__}: {error}"
+
+    @property
+    def reason(self) -> str:
+        """Why the trial was aborted, or the run refused; "" if it was neither."""
+        if isinstance(self.log, TrialLog) and self.log.result is not None:
+            result = self.log.result
+            return result.reason if result.outcome == "aborted" else ""
+        said = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
+        return said[1] if said else ""
+
+    @cached_property
+    def accepted(self) -> Floats:
+        """Poses that our side accepted (T, N, 2) [mm], each held until the next; NaN where there is
+        none, and after the end of a log that was broken off.
+        """
+        found = np.full((len(self.times), len(self.setup.names), 2), np.nan)
+        if isinstance(self.log, TrialLog) and len(self.log.frames):
+            rows = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
+            mm = self.setup.metres * 1000
+            for number, poses in zip(self.log.frames.tolist(), self.log.mocap, strict=True):
+                if (row := rows.get(int(number))) is not None:
+                    found[row] = poses[:, :2] * mm
+            logged = np.flatnonzero(~np.isnan(found).all(axis=(1, 2)))
+            last = len(found) if self.log.result is not None else int(logged.max(initial=0))
+            for row in range(1, last):
+                found[row] = np.where(np.isnan(found[row]), found[row - 1], found[row])
+        return found
+
+    @cached_property
+    def error(self) -> Floats:
+        """Distance between a pose accepted and the true one (T, N) [mm]; 0 before the first."""
+        off = self.accepted - self.poses[:, :, :2]
+        return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
+
+    @cached_property
+    def depth(self) -> Floats:
+        """How far a robot is beyond the rim or inside an obstacle (T, N) [mm]; 0 if it is not.
+
+        The rim is for centres, as in the spec; obstacles are grown by the body's radius.
+        """
+        mm, arena = self.setup.metres * 1000, self.setup.arena
+        x, y = self.poses[..., 0] / mm, self.poses[..., 1] / mm
+        over = [arena.left - x, x - arena.right, arena.bottom - y, y - arena.top]
+        over += [self.setup.body_radius - apart(shape, x, y) for shape in self.setup.obstacles]
+        return np.maximum(np.max(over, axis=0), 0.0) * mm
+
+
+def apart(shape: Shape, x: Floats, y: Floats) -> Floats:
+    """Return the distance of points to a shape, negative inside; a circle has one corner."""
+    at, corners = x + 1j * y, shape.corners[:, 0] + 1j * shape.corners[:, 1]
+    if len(corners) == 1:
+        return np.abs(at - corners[0]) - shape.radius
+    nearest, turned = np.full(at.shape, np.inf), np.zeros(at.shape)
+    for one, two in zip(corners, np.roll(corners, -1), strict=True):
+        part = np.clip(((at - one) / (two - one)).real, 0.0, 1.0)
+        nearest = np.minimum(nearest, np.abs(at - one - part * (two - one)))
+        turned += np.angle((two - at) / (one - at))
+    return np.where(np.abs(turned) > np.pi, -nearest, nearest) - shape.radius

@@ -1,0 +1,70 @@
+"""The world of a day: noise and latency of the camera, and robots, radio and starts that differ
+from the spec.
+
+Most days stay within what the spec's limits allow; on some a robot is put too far from its start,
+or a wheel is off by more than `wheel_error`, and then a reason may name that.
+"""
+
+import math
+from random import Random
+from typing import Any, NamedTuple
+
+from tetractl.core.setup import Setup
+
+LAG_MAX_S = 0.08
+"""Longest time constant of a wheel that is drawn [s]."""
+FAR_SHARE, OFF_SHARE = 0.02, 0.02
+"""Share of the days with a robot too far from its start, and with a wheel too far off."""
+
+
+class World(NamedTuple):
+    """The section `emulation` of a day's script, and a regular expression of the reasons that are
+    right without a fault.
+    """
+
+    emulation: dict[str, Any]
+    right: str
+
+
+def world_of_day(random: Random, setup: Setup, section: str) -> World:
+    """Draw a world for a lab whose actuator is of type `section`."""
+    camera = {
+        "noise_mm": round(random.uniform(0.1, 0.5), 3),
+        "noise_rad": round(random.uniform(0.001, 0.005), 4),
+        "latency": round(random.uniform(0.003, 0.012), 4),
+    }
+    far, off = random.random() < FAR_SHARE, random.random() < OFF_SHARE
+    right = [r"from its start|turned by"] * far + [r"off its commanded|moves |turns "] * off
+    emulation: dict[str, Any] = {"camera": camera, "robots": _placed(random, setup, far)}
+    if section == "m3pi-xbee":
+        wheels = [_robot(random, name, off and i == 0) for i, name in enumerate(setup.names)]
+        loss = round(random.uniform(0, 0.05), 3)
+        emulation["actuator"] = {"loss": loss, "robots": wheels}
+    return World(emulation, "|".join([r"about to leave|about to enter|too close", *right]))
+
+
+def _placed(random: Random, setup: Setup, far: bool) -> list[dict[str, Any]]:
+    placed = []
+    for i, name in enumerate(setup.names):
+        off = (80.0 if far and i == 0 else random.uniform(0, 8)) / 1000 / setup.metres
+        angle = random.uniform(-math.pi, math.pi)
+        x = setup.starts.x[i] + off * math.cos(angle)
+        y = setup.starts.y[i] + off * math.sin(angle)
+        heading = round(float(setup.starts.heading[i]) + random.uniform(-0.05, 0.05), 4)
+        start = [round(float(x), 2), round(float(y), 2)]
+        placed.append({"name": name, "start": start, "heading": heading})
+    return placed
+
+
+def _robot(random: Random, name: str, off: bool) -> dict[str, Any]:
+    def wheel(share: float) -> dict[str, float]:
+        return {"gain_mm": round(1000 / 127 * share, 4)}
+
+    error = 0.25 if off else random.uniform(-0.05, 0.05)
+    return {
+        "name": name,
+        "left": wheel(1 - error),
+        "right": wheel(1 + random.uniform(-0.05, 0.05)),
+        "lag": round(random.uniform(0.02, LAG_MAX_S), 3),
+        "battery_mv": random.randint(4600, 5300),
+    }

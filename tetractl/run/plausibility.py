@@ -66,6 +66,8 @@ class CheckContext:
         self.margin = self.keeps.margin + self.keeps.radius if self.keeps else 0.0
         self.walls = self.keeps is not None and self.keeps.walls
         self.longest_s = self.setup.time_limit_s
+        steps_s = (getattr(control, "steps_max", math.inf) + 1) * control.period
+        self.limit = "steps_max" if steps_s <= self.longest_s * (1 + 1e-9) else "time_limit"
 
     @property
     def least_total_error(self) -> float:
@@ -118,7 +120,7 @@ def plan_outlasts_trial(spec: CheckContext) -> Found:
             ("controller", "horizon_max"),
             f"plans of {spec.plan_s:.4g} s outlast the trial, which ends after "
             f"{spec.longest_s:.4g} s",
-            "raise controller.time_limit, or lower horizon_max to "
+            f"raise controller.{spec.limit}, or lower horizon_max to "
             f"{max(int(spec.longest_s / spec.signal_s * (1 + 1e-9)), 1)}",
         )
 
@@ -167,7 +169,7 @@ def out_of_reach(spec: CheckContext) -> Found:
                 ("robots", i, "target"),
                 f"is {spec.way(i)} away; in the {spec.longest_s:.4g} s of a trial the robot "
                 f"{spec.too_few(i, spec.longest_s, left)}",
-                "raise controller.time_limit, or bring the target nearer",
+                f"raise controller.{spec.limit}, or bring the target nearer",
             )
 
 

@@ -53,6 +53,8 @@ controller.horizon_max <- PSO
   red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
 controller.horizon_max <- controller.horizon_max=102; controller.time_limit=20.2
   plans of 20.4 s outlast the trial, .* 20.2 s | horizon_max to 101
+controller.horizon_max <- PSO; controller.steps_max=10
+  plans of 4 s outlast the trial, .* 2.2 s | steps_max, or lower horizon_max to 11
 robots.1.target <- WALL
   walled off: .* nearer than 49\d | gap
 robots.1.target <- GAP; NEAR

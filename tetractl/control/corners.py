@@ -42,8 +42,8 @@ def way_out(
     clearance is at least the way that the fastest robot drives in `keep_s` [s], or the fraction
     OUT.share of the present clearance if that is less.
     """
-    signals, least, _ = _roomiest(problem, problem.poses.array(), margins, apart, keep_s)
-    return signals if least > -np.inf else None
+    signals, safe, _ = _roomiest(problem, problem.poses.array(), margins, apart, keep_s)
+    return signals if safe else None
 
 
 class Turning(NamedTuple):
@@ -84,23 +84,29 @@ def away(
         out = way_out(problem, margins, apart, 0.0)
     if turning.steps and out is None:
         facing = turn_away(problem, margins, apart)
-    return out, facing
+    return out, turn_away(problem, margins, apart, 0.0) if out is facing is None else facing
 
 
-def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
+def turn_away(
+    problem: Problem, margins: Margins, apart: float, keep_s: float = OUT.room_s
+) -> float | None:
     """Return the direction [rad] towards which standing robots turn on the spot so that they have a
-    way out after OUT.turn_s; None if no direction gives one.
+    way out after OUT.turn_s, with the clearance of `way_out`; None if no direction gives one.
     """
     x, y, heading = problem.poses.x, problem.poses.y, problem.poses.heading
-    bias, found = 0.0 if problem.bias is None else problem.bias, []
-    for facing in TURN_TO.tolist():
-        towards = facing + bias + np.zeros_like(heading)
-        turned = exact(x, y, heading, towards, problem.a, problem.speed, OUT.turn_s)[2]
-        start = np.column_stack([x, y, turned])
-        _, *room = _roomiest(problem, start, margins, apart, OUT.room_s, every=2)
-        found.append((*room, facing))
-    least, _, facing = max(found)
-    return facing if least > -np.inf else None
+    bias = 0.0 if problem.bias is None else problem.bias
+    for every in (2, 1):  # where robots stand side by side, ways out are narrow
+        found = []
+        for facing in TURN_TO.tolist():
+            towards = facing + bias + np.zeros_like(heading)
+            turned = exact(x, y, heading, towards, problem.a, problem.speed, OUT.turn_s)[2]
+            start = np.column_stack([x, y, turned])
+            _, safe, room = _roomiest(problem, start, margins, apart, keep_s, every)
+            found.append((safe, *room, facing))
+        safe, *_, facing = max(found)
+        if safe:
+            return facing
+    return None
 
 
 def _roomiest(
@@ -110,10 +116,10 @@ def _roomiest(
     apart: float,
     keep_s: float,
     every: int = 1,
-) -> tuple[Floats, float, float]:
+) -> tuple[Floats, bool, tuple[float, float]]:
     """Return the best signals for `way_out` from start (N, 3), of `every` second, third, ... first
-    direction and rate; the least clearance on their path [length unit], -inf for an unsafe path;
-    and that clearance plus OUT.final times the clearance at the path's end."""
+    direction and rate; whether their path is safe; its least clearance [length unit], and that
+    plus OUT.final times the clearance at its end."""
     starts, rates = OUT_STARTS[::every], OUT_RATES[::every]
     turns = problem.period * rates[:, None] * np.arange(OUT.signals)
     part = problem.period / OUT.parts  # a robot that turns comes nearest within a signal
@@ -129,4 +135,4 @@ def _roomiest(
     best = int(np.argmax(total))
     now = float(room[0, best])  # below 0 inside an obstacle: robots must not go deeper
     safe = least[best] >= (min(keep_s * problem.speed.max(), OUT.share * now) if now > 0 else now)
-    return signals[best], float(least[best]) if safe else -np.inf, float(total[best])
+    return signals[best], bool(safe), (float(least[best]), float(total[best]))

@@ -101,6 +101,16 @@ def test_no_turn_helps_in_an_arena_as_narrow_as_a_corridor():
     assert turn_away(problem, Margins((), corridor, SETUP.targets), 95.0) is None
 
 
+def test_robots_side_by_side_that_face_a_wall_turn_away_from_it():
+    """Regression: the trial ended at once, 3.9 m from its targets: ways out are narrow there."""
+    top = SETUP.arena.top - 60
+    problem, _ = standing([[829.0, top, 1.7], [724.0, top, -2.3], [934.0, top, 1.64]])
+    margins = Margins(SETUP.obstacles, SETUP.arena, SETUP.targets, 47.0)
+    out, facing = away(problem, margins, 95.0)
+    assert out is None
+    assert math.sin(facing) < -0.9
+
+
 def test_two_robots_do_not_come_too_near_on_it():
     poses = np.array(facing_the_wall(500.0))
     poses[1] = [1000.0, poses[0, 1] - 30, -math.pi / 2]

@@ -350,7 +350,7 @@ WORLDS = {
     "saturated-2": _hurt("saturated", 2.0),
     "saturated-4": _hurt("saturated", 4.0),
     "near-walls": World(layout=near_a_wall),
-    "dead": _hurt("dead", 8.0),
+    "dead": World((*HURT, "on_lost=drop"), (("dead", 8.0),)),
     "gap": World((*CONTROLLER, *HURT), layout=through_a_gap),
     "crowd-8": World((*CONTROLLER, *HURT, "controller.accept_error=40"), layout=partial(crowd, 8)),
     "crowd-12": World(

@@ -38,7 +38,7 @@ class StateEstimator:
         loss: LossRule | None = None,
     ) -> None:
         self.problem = problem
-        self.losses = Losses(loss, len(problem.a))
+        self.losses = Losses(loss, problem.speed)
         self.period = round(period_s * SECOND)
         self.filter = FilterBank(prior, drive_first)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()

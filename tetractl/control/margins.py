@@ -83,7 +83,8 @@ class Margins:
         separation. Adaptive margins grow by the distance that robots may leave their course, given
         the estimate `known`, which is None for a certain motion."""
         if not collision.adaptive:
-            return problem.obstacles, problem.separation
+            margin = np.full(self._bare.count, collision.margin + collision.radius)
+            return self._bare.grown(margin), problem.separation
         off = off_course(problem.speed, period_s, dead_time_s, known)
         apart = collision.separation + 2 * off if collision.separation else 0.0
         grown = self.obstacles(problem.poses, collision.margin + collision.radius + off)

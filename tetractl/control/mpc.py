@@ -36,6 +36,7 @@ from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
+from tetractl.core.errors import ControlError
 from tetractl.core.plan import (
     PAUSE_S,
     End,
@@ -48,8 +49,10 @@ from tetractl.core.plan import (
     State,
     never,
 )
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.shape import Shape
+from tetractl.core.tour import told_dead
 from tetractl.experiment.controller import Host, Square
 
 NEXT = 2  # number of next signals of the present plan that must be safe
@@ -83,15 +86,17 @@ class Mpc:
         self.k, self.began, self._legs = 0, 0, setup.legs
         self.turning = STILL
         self.last: Plan | None
-        self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED))
+        self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED), setup.starts)
 
-    def _begin(self, leg: Leg) -> None:
-        """Begin a leg, for the robots that are not lost. The next plan is searched afresh."""
+    def _begin(self, leg: Leg, poses: Poses) -> None:
+        """Begin a leg with all robots at `poses`, for those that are not lost: lost ones on wheels
+        are obstacles. The next plan is searched afresh."""
         self.leg, self.last, self.left = leg, None, self.estimator.left
         self._targets = self._legs[min(leg.index, len(self._legs) - 1), self.left]
         walls = self.setup.arena if self.section.collision.walls else None
-        radius = self.section.collision.radius
-        self.margins = Margins(self.setup.obstacles, walls, self._targets, radius)
+        radius, lost = self.section.collision.radius, poses.xy[~self.left, None]
+        bodies = [Shape(at, radius) for at in lost if radius and self.setup.wheel_radius]
+        self.margins = Margins([*self.setup.obstacles, *bodies], walls, self._targets, radius)
 
     def plan(
         self,
@@ -102,8 +107,11 @@ class Mpc:
         """Decide what the robots do in one step, or end the trial."""
         self.time.seen(observation, last_command)
         known = self.estimator.seen(observation, last_command, earlier)
+        dead = self.estimator.losses.dead
+        if dead.any() and self.setup.loss and self.setup.loss.ends:
+            raise ControlError(told_dead(self.setup.names, dead))
         if self.estimator.left is not self.left:
-            self._begin(replace(self.leg, moving=self._moving))
+            self._begin(replace(self.leg, moving=self._moving), observation.poses)
         while True:
             step = self._step(known)
             decision = self._decide(step, observation)
@@ -116,7 +124,8 @@ class Mpc:
             if decision not in PASSED or self._state is State.STUCK or self._last_leg:
                 return decision
             now_ns, moving = observation.sampled_ns, self._moving
-            self._begin(Leg(self.leg.index + 1, self.k, now_ns, moving, Outcome(decision)))
+            leg = Leg(self.leg.index + 1, self.k, now_ns, moving, Outcome(decision))
+            self._begin(leg, observation.poses)
 
     @property
     def _last_leg(self) -> bool:

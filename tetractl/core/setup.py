@@ -60,8 +60,8 @@ class Setup:
     inf if it never does; `lag_s` the time constant with which wheels follow a command.
     `body_radius` is that of every robot, 0 for points. `way_points` (M, N, 2) are passed before the
     targets, by all robots together; `hold` is the task after the targets, None if the trial ends
-    there. `loss` is the rule by which a robot counts as lost and the trial goes on without it, None
-    if the trial ends when a robot is lost.
+    there. `loss` is the rule by which a robot counts as lost and the trial goes on without it, or
+    ends; None if robots that are not tracked end the trial, by the plant, and others never do.
     """
 
     name: str

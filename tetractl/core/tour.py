@@ -3,10 +3,11 @@
 All robots pass their M way-points together: leg j = 0, ..., M - 1 ends when the robots are nearest
 to their way-points j + 1, leg M at the targets, and leg M + 1 is the hold.
 
-A robot, for example one that swam away, is lost if it was not tracked for too long.
+A robot is lost if it was not tracked for too long, as one that swam away, or if it has wheels and
+stands while others drive, as one whose battery is empty.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,29 +16,68 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
 from tetractl.core.poses import Bools, Floats, Integers, Observation
 
+LOOK_NS = SECOND // 10  # time between two frames in which standing robots are looked for
+STRIDE_S = 0.05  # least way by which a robot has moved, as a time of driving
+STRIDE_MOST_S = 0.2  # greatest way that counts between two such frames: a pose may jump
+DEAD_S = 5.0  # way, as a time of driving, that one robot drives until another one counts as dead
+
 
 @dataclass(frozen=True, slots=True)
 class LossRule:
     """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
 
     If `replaced`, a body that is tracked again under the robot's name counts as another robot,
-    which takes over the lost robot's target.
+    which takes over the lost robot's target. A robot that is seen but `dead` (see `Standing`) is
+    lost if that is looked for; a trial that `ends` ends then, and its robots are never lost.
     """
 
     after_s: float
     replaced: bool
+    dead: bool = False
+    ends: bool = False
+
+
+class Standing:
+    """Which of N robots stand while another one drives.
+
+    All robots receive the same commands, so that one that stands for long while another drives is
+    dead. The frames alone tell: if all robots stand, commanded or not, none is dead. Way is counted
+    in seconds of driving at the spec's speed.
+    """
+
+    def __init__(self, speed: Floats) -> None:
+        self._speed, self._looked = speed, -1
+        self._at = np.full((len(speed), 2), np.nan)  # where each robot was when it last moved
+        self._driven = np.zeros(len(speed))  # way of each robot [s]
+        self._then = np.zeros((len(speed), len(speed)))  # row i: that of all when i last moved
+
+    def dead(self, frame: Observation) -> Bools | None:
+        """Return which robots (N,) have stood while one drove for DEAD_S; None if none moved."""
+        if frame.sampled_ns // LOOK_NS == self._looked:
+            return None
+        self._looked, xy = frame.sampled_ns // LOOK_NS, frame.poses.xy
+        way = np.hypot(*(xy - self._at).T) / self._speed
+        moves = frame.valid & ~(way < STRIDE_S)  # a robot seen for the first time moves
+        if not moves.any():
+            return None
+        self._driven[moves] += np.fmin(way, STRIDE_MOST_S)[moves]
+        self._at[moves] = xy[moves]
+        self._then[moves | ~frame.valid] = self._driven
+        return (self._driven - self._then).max(axis=1) >= DEAD_S
 
 
 class Losses:
-    """Which of N robots are `lost` (N,) or `left` (N,), new arrays whenever that changes, and how
-    often each has been lost, `times` (N,).
+    """Which of N robots of the given speeds (N,) are `lost` (N,) or `left` (N,), new arrays
+    whenever that changes, how often each has been lost, `times` (N,), and which are `dead` (N,).
 
     The controller, the log's reader and `verify` all pass every camera frame to `see`, in order,
     and so get the same result. Without a rule no robot is ever lost.
     """
 
-    def __init__(self, rule: LossRule | None, count: int) -> None:
-        self._rule = rule
+    def __init__(self, rule: LossRule | None, speed: Floats) -> None:
+        self._rule, count = rule, len(speed)
+        self._standing = Standing(speed) if rule and rule.dead else None
+        self.dead: Bools = np.zeros(count, dtype=np.bool_)
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
         self.left: Bools = ~self.lost
         self.times: Integers = np.zeros(count, dtype=np.int64)
@@ -48,6 +88,12 @@ class Losses:
     def see(self, frame: Observation) -> list[int]:
         """Update the losses by the next frame; return the indices of robots replaced in it."""
         if self._rule is None:
+            return []
+        dead = self._standing.dead(frame) if self._standing else None
+        if dead is not None and (dead & ~self.dead).any():
+            self.dead = self.dead | dead
+            self._lose(dead & self.left & (not self._rule.ends))
+        if self._rule.ends:
             return []
         self._waiting.append(frame)
         if frame.sampled_ns < self._due_ns:
@@ -67,6 +113,16 @@ class Losses:
         self._waiting.clear()
         return np.flatnonzero(back).tolist()
 
+    def _lose(self, gone: Bools) -> None:
+        self.times, self.lost = self.times + gone, self.lost | gone
+        self.left = ~self.lost
+
+
+def told_dead(names: Sequence[str], dead: Bools) -> str:
+    """Return the text that some of the robots `names` are dead."""
+    who = [name for name, one in zip(names, dead.tolist(), strict=True) if one]
+    return f"{', '.join(who)} {'do' if len(who) > 1 else 'does'} not move while others drive"
+
 
 @dataclass(frozen=True, slots=True)
 class HoldTask:
@@ -82,15 +138,18 @@ class TourMeasure:
     `legs` (M + 1, N, 2) are the M way-points of each robot and then its target [length unit].
 
     For each control step, call `step` with its leg and observation, then `add` with its frames;
-    frames after `until_ns` are ignored. `loss` is the rule by which a robot is lost.
+    frames after `until_ns` are ignored. `loss` is the rule by which one of the robots, of the given
+    speeds (N,), is lost.
     """
 
-    def __init__(self, legs: Floats, hold: HoldTask | None, loss: LossRule | None = None) -> None:
+    def __init__(
+        self, legs: Floats, hold: HoldTask | None, loss: LossRule | None, speed: Floats
+    ) -> None:
         self._legs, self._hold, self._leg = legs, hold, 0
         self._began_ns: int | None = None
         self._inside, self._frames = np.zeros(legs.shape[1], dtype=np.int64), 0
         self._passed: list[float] = []
-        self._losses = Losses(loss, legs.shape[1])
+        self._losses = Losses(loss, speed)
 
     def step(self, leg: int, observation: Observation) -> str:
         """Set the leg of a control step; return a message if a new leg begins, otherwise ""."""
@@ -122,6 +181,11 @@ class TourMeasure:
         """The sum of the robots' observed distances to each way-point, at the control step in which
         the way-point counts as passed [length unit]."""
         return tuple(self._passed)
+
+    @property
+    def dead(self) -> Bools:
+        """Which robots (N,) are seen and do not move while others drive."""
+        return self._losses.dead
 
     @property
     def gone(self) -> tuple[bool, ...]:

@@ -175,10 +175,11 @@ class Experiment(Model):
     each robot is within the radius.
     """
     on_lost: Literal["stop", "drop", "replace"] = "stop"
-    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or a cell is about
-    to leave the arena, has divided, or cannot be identified: the trial ends (`stop`), goes on
-    without the robot (`drop`), or with the most similar free cell in its place (`replace`). The
-    error of a dropped robot is the distance from its last pose to the target.
+    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, if a robot on wheels
+    is seen and does not move while another drives for 5 s, or if a cell is about to leave the
+    arena, has divided, or cannot be identified: the trial ends (`stop`), goes on without the robot
+    (`drop`), or with the most similar free cell in its place (`replace`). The error of a dropped
+    robot is the distance from its last pose to the target.
     """
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Obstacles, which no robot may enter."""
@@ -296,10 +297,11 @@ class Experiment(Model):
 
     @property
     def _loss(self) -> LossRule | None:
-        if self.on_lost == "stop":
+        ends, wheels = self.on_lost == "stop", self.wheels is not None
+        if ends and not wheels:
             return None
         limits = self.plant.limits if isinstance(self.plant, LabSection) else LabLimits()
-        return LossRule(limits.untracked_abort, self.on_lost == "replace")
+        return LossRule(limits.untracked_abort, self.on_lost == "replace", wheels, ends)
 
 
 def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:

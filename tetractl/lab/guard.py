@@ -25,7 +25,7 @@ from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.culprit import Culprit
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.motion_check import REPEATS, MotionCheck
+from tetractl.lab.motion_check import REPEATS, STILL, MotionCheck
 from tetractl.lab.places import Places
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
@@ -364,7 +364,8 @@ class Guard:
             lost_ns = newest - track.seen_ns
             if i in self.lost:
                 continue
-            if i in self._disobedient and lost_ns > UNTRACKED_STOP_S * SECOND:
+            still = self.rules.goes_on and track.refused == STILL  # lost, as one not tracked
+            if i in self._disobedient and not still and lost_ns > UNTRACKED_STOP_S * SECOND:
                 self.abort(f"{name} {track.refused}", suspect=i)
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))

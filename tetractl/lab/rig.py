@@ -145,5 +145,5 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         silence_ns=round(max(silence_s, 0.5) * SECOND),
         wheel_radius=setup.wheel_radius or 0.0,
         individual=individual,
-        goes_on=setup.loss is not None,
+        goes_on=setup.loss is not None and not setup.loss.ends,
     )

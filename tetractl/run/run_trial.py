@@ -24,7 +24,7 @@ from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
-from tetractl.core.tour import TourMeasure
+from tetractl.core.tour import TourMeasure, told_dead
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
@@ -59,13 +59,14 @@ class Trial:
     _began_ns: int | None = None  # time at which the first direction was sent
     _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
     _tour: TourMeasure = field(init=False)
+    _dead: int = 0  # number of robots that do not move while others drive
     # frames newer than the frame of the last step
     _between: list[Observation] = field(default_factory=list)
     _model: ModelNews = field(default_factory=ModelNews)
 
     def __post_init__(self) -> None:
         setup = self.start.setup
-        self._tour = TourMeasure(setup.legs, setup.hold, setup.loss)
+        self._tour = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
 
     def run(self) -> Result:
         """Run the trial and return its result.
@@ -129,6 +130,7 @@ class Trial:
             standing = decision.pauses
             self._misses += missed
             self._pass_samples()
+            self._tell_dead(command)
             step = Step(k, observation, decision, command, solve_ns, missed)
             for observer in self.observers:
                 observer.on_step(step)
@@ -225,6 +227,13 @@ class Trial:
     def _say(self, command: Command, text: str, level: str = "info") -> None:
         for observer in self.observers:
             observer.on_note(Note(command.sent_ns, level, text))
+
+    def _tell_dead(self, command: Command) -> None:
+        """Say which robots are lost because they do not move."""
+        setup, before, self._dead = self.start.setup, self._dead, int(self._tour.dead.sum())
+        if self._dead > before and setup.loss and not setup.loss.ends:
+            text = told_dead(setup.names, self._tour.dead)
+            self._say(command, f"{text}: the trial goes on without", "warning")
 
     def _send(self, action: Action) -> Command:
         command = self.plant.send(action)

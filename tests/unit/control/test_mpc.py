@@ -302,7 +302,7 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
     controller = mpc(spec(signal_periods=2, arrival_tolerance=5), 99, search)
     legs = np.stack([STARTS[:, :2], TARGETS[:, :2]])
     controller._legs = replace(controller.setup, way_points=legs[:1]).legs
-    controller._begin(controller.leg)
+    controller._begin(controller.leg, controller.setup.starts)
     away = STARTS - np.array([50.0, 0, 0])
     assert step(controller, away).leg == 0
     plan = step(controller)

@@ -316,6 +316,16 @@ def test_a_robot_that_does_otherwise_than_commanded_ends_the_run_by_name(done, t
     assert guard.reason.startswith(reason)
 
 
+def test_a_run_that_goes_on_leaves_out_a_robot_that_does_not_move():
+    drive = Drive(done=(0.0, 0.0, 0.0), goes_on=True)
+    guard = drive.go(1.5)
+    assert guard.state is not GuardState.ABORT
+    assert list(guard.lost) == [0]
+    assert not drive.course.frame((PLACES[0], drive.blue)).moving[0]
+    backward = Drive(done=(-200.0, 0.0, 0.0), goes_on=True).go(0.7)
+    assert backward.state is GuardState.ABORT
+
+
 @pytest.mark.parametrize("after", [0.05, 0.15, 0.5])
 @pytest.mark.parametrize("frozen", [0.07, 0.2])
 def test_a_pose_that_is_frozen_for_a_moment_is_let_pass_at_any_time(frozen, after):

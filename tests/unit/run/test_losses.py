@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from support.mutate import with_entry
+from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
+from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.tour import Losses, LossRule
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
@@ -31,6 +33,7 @@ LISTED = """robots:
 """
 CHOSEN = "robots: {choose: 3, ring: {center: [1500, 1500], radius: 500}, a: 4, speed: 420}\n"
 
+GOES_ON = LossRule(0.3, False, dead=True)
 ROUND = "obstacles: [{type: circle, center: [1500, 1500], radius: 100}]\n"
 
 
@@ -50,12 +53,71 @@ def seen(t, *valid):
 def test_a_robot_is_lost_after_a_while_for_good_or_until_another_is_there(
     rule, lost, times, others
 ):
-    losses = Losses(rule, 2)
+    losses = Losses(rule, np.ones(2))
     rows = [(0.0, 0, 1), (0.2, 1, 1), (0.4, 0, 0), (0.49, 0, 1), (0.5, 1, 1), (0.6, 1, 1)]
     back = [(t, i) for t, *valid in rows for i in losses.see(seen(t, *valid))]
     assert back == others
     assert losses.lost.tolist() == list(map(bool, lost))
     assert losses.times.tolist() == times
+
+
+def driven(way_s, until_s=20.0, rule=GOES_ON):
+    """The losses after robots of 100 mm/s have driven so far in the time t, way_s(t) (N,) [s]; seen
+    at 120 Hz with a noise of 0.3 mm."""
+    random = np.random.default_rng(1)
+    losses = Losses(rule, np.full(len(way_s(0.0)), 100.0))
+    for k in range(round(120 * until_s)):
+        way = 100 * np.array(way_s(k / 120)) + random.normal(0, 0.3, len(losses.left))
+        poses, there = Poses(way, 0 * way, 0 * way), np.ones(len(way), dtype=bool)
+        losses.see(Observation(k, round(k / 120 * 1e9), 0, poses, there))
+    return losses
+
+
+def stands(t, begin, end):
+    """How long one has driven by t that stands from `begin` to `end`."""
+    return t - min(max(t - begin, 0.0), end - begin)
+
+
+@pytest.mark.parametrize(
+    ("way_s", "dead"),
+    [
+        (lambda t: (stands(t, 3, 99), t, t), [1, 0, 0]),
+        (lambda t: (stands(t, 3, 99), t, stands(t, 9, 99)), [1, 0, 1]),
+        (lambda t: (stands(t, 3, 5), t, stands(t, 3, 7)), [0, 0, 0]),  # they stick, for up to 4 s
+        (lambda t: (stands(t, 3, 99),) * 3, [0, 0, 0]),  # the radio is silent
+        (lambda t: (stands(t, 3, 99), stands(t, 7, 99), stands(t, 7, 99)), [0, 0, 0]),  # a hold
+        (lambda t: (0.2 * t, t, 2 * t), [0, 0, 0]),  # slow, and fast
+    ],
+)
+def test_one_that_stands_while_another_drives_is_dead(way_s, dead):
+    losses = driven(way_s)
+    assert losses.dead.tolist() == losses.lost.tolist() == [bool(one) for one in dead]
+    assert losses.times.tolist() == dead
+    ends = driven(way_s, rule=LossRule(0.3, False, dead=True, ends=True))
+    assert ends.dead.tolist() == losses.dead.tolist()
+    assert not ends.lost.any()
+
+
+def test_a_trial_ends_or_goes_on_without_a_robot_that_does_not_move(tmp_path):
+    """Blue sticks for good after 4 s: the others reach their targets without it."""
+    sets = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]", "trials.seed=2"
+    ended, left = (
+        load_spec(ROOT / "experiments/three_m3pi.yaml", [*sets, f"on_lost={on_lost}"])
+        for on_lost in ("stop", "drop")
+    )
+    said = "blue does not move while others drive"
+    result = run_trial(ended, tmp_path)
+    assert (result.outcome, result.lost) == (Outcome.ABORTED, ())
+    assert result.reason == said
+    assert verify(log_path(tmp_path, 0)).problems == ()
+    (tmp_path / "drop").mkdir()
+    result = run_trial(left, tmp_path / "drop")
+    path = log_path(tmp_path / "drop", 0)
+    log = read_trial(path)
+    assert result.lost == log.tour.lost == (0, 1, 0)
+    assert max(result.robot_errors[0], result.robot_errors[2]) < 10
+    assert f"{said}: the trial goes on without" in [note.text for note in log.notes]
+    assert verify(path).problems == ()
 
 
 @pytest.mark.parametrize(("robots", "on_lost"), [(LISTED, "drop"), (CHOSEN, "replace")])

@@ -73,7 +73,8 @@ def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
         true = None if truth is None else Poses(np.array([truth]), np.zeros(1), np.zeros(1))
         return Sample(seen, true)
 
-    measure = TourMeasure(np.array([[[5.0, 0.0]], [[0.0, 0.0]]]), HoldTask(1.0, 9.0))
+    legs = np.array([[[5.0, 0.0]], [[0.0, 0.0]]])
+    measure = TourMeasure(legs, HoldTask(1.0, 9.0), None, np.ones(1))
     measure.step(0, frame(0, 9.0).observation)
     measure.add([frame(1, 0.0)])
     measure.step(1, frame(2, 4.0).observation)

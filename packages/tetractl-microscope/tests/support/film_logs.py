@@ -87,7 +87,7 @@ def write_film(made, path, robots: int = 2):
             duration_s=stop.sent_ns / 1e9 - samples[0].observation.received_ns / 1e9,
             solve_ns=(),
             deadline_misses=0,
-            tour=TourMeasure(setup.legs, None),
+            tour=TourMeasure(setup.legs, None, None, setup.speed),
         )
         writer.on_stop(stop, result)
     return samples

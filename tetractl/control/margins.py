@@ -90,6 +90,19 @@ class Margins:
         grown = self.obstacles(problem.poses, collision.margin + collision.radius + off)
         return grown, self.separation(problem.poses, apart)
 
+    def cornered(
+        self,
+        problem: Problem,
+        collision: Collision,
+        period_s: float,
+        dead_time_s: float,
+        known: Estimate | None,
+    ) -> bool:
+        """Return whether a robot stands within the margin of anything."""
+        off = off_course(problem.speed, period_s, dead_time_s, known) if collision.adaptive else 0.0
+        room = self.room(problem.poses.x, problem.poses.y, collision.separation)
+        return bool(room < collision.margin + off)
+
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no
         robot unless its body touches them."""

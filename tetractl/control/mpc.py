@@ -27,7 +27,7 @@ from tetractl.control.evaluate import compiled_drive, compiled_foresee
 from tetractl.control.fixed_sequence import best_stop, given_search, least_error, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
-from tetractl.control.margins import Margins, off_course
+from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.mpc_step import Candidate, Leg, StepStart
 from tetractl.control.passage import AHEAD, LOST, TRUSTED_S, ahead, narrow, ways
@@ -86,11 +86,10 @@ class Mpc:
         self.k, self.began, self._legs = 0, 0, setup.legs
         self.turning = STILL
         self.last: Plan | None
-        self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED), setup.starts)
+        self._begin(Leg(0, 0.0, 0, False, Outcome.ARRIVED), setup.starts)
 
     def _begin(self, leg: Leg, poses: Poses) -> None:
-        """Begin a leg with all robots at `poses`, for those that are not lost: lost ones on wheels
-        are obstacles. The next plan is searched afresh."""
+        """Begin a leg; lost robots on wheels, at `poses`, are obstacles. Plans are made afresh."""
         self.leg, self.last, self.left = leg, None, self.estimator.left
         self._targets = self._legs[min(leg.index, len(self._legs) - 1), self.left]
         walls = self.setup.arena if self.section.collision.walls else None
@@ -123,9 +122,8 @@ class Mpc:
                 return found.of_all(self.left, observation.poses)
             if decision not in PASSED or self._state is State.STUCK or self._last_leg:
                 return decision
-            now_ns, moving = observation.sampled_ns, self._moving
-            leg = Leg(self.leg.index + 1, self.k, now_ns, moving, Outcome(decision))
-            self._begin(leg, observation.poses)
+            began = self.time.passed_s, observation.sampled_ns, self._moving
+            self._begin(Leg(self.leg.index + 1, *began, Outcome(decision)), observation.poses)
 
     @property
     def _last_leg(self) -> bool:
@@ -152,7 +150,7 @@ class Mpc:
         known = replace(known, targets=self._targets, first_period=first_period)
         problem = self._with_margins(known, self.estimator.known)
         left = (self.time.left_s + phase * section.period) / problem.period
-        spent_s = (self.k - self.leg.k) * section.period
+        spent_s = self.time.passed_s - self.leg.began_s
         value = Worth(section.accept_error, spent_s, problem.period)
         return StepStart(problem, warm, section.horizon_max, left, value)
 
@@ -276,12 +274,14 @@ class Mpc:
     def _at_rest(self, step: StepStart, gaps: Floats, holds: bool) -> Plan | Outcome:
         """Decide while no plan is under way."""
         problem, value = step.problem, step.value
-        error = float(gaps.sum())
+        error, stood = float(gaps.sum()), self.k > 0 and not self._moving
         least, most = least_length(problem), max(1, step.signals_max)
-        again = value.plan(0.0, least, True) if step.allows(least, 0.0) else np.inf
+        # with little time left robots may still come nearer to targets that they cannot reach
+        tight = stood and not step.allows(least, 0.0)
+        again = value.plan(0.0, min(least, most), True)
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)
-        if self.k > 0 and not self._moving and error <= again:
+        if stood and (error <= again or not step.signals_max):
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         expired = self._expired() if self._moving else never
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
@@ -293,40 +293,41 @@ class Mpc:
 
         reached = searcher.spread(least, most, good)
         later = self._with_margins(problem, None)  # the motion will be identified by then
-        if not (reached or self._moving) and self._narrow(later):
+        passage = self.section.collision.walls and not (reached or self._moving)
+        if passage and narrow(later, self.margins, self.setup.arena):
             for one in (problem, later):
                 starts = ways(one, self.setup.arena, most, mix(self.key, self.k))
                 if searcher.onward(one, starts, good):
-                    plan = self._best(searcher, replace(step, problem=one))
+                    plan, _ = self._best(searcher, replace(step, problem=one))
                     return replace(plan, state=State.PASSING)
-        plan = self._best(searcher, step)
+        plan, worth = self._best(searcher, step)
         out = self._out(searcher, plan)
         accepted = max(good_enough, self.section.accept_error)
         # in a corner, thorough searches take longer than a way out, and are mostly in vain
         if not (out or reached) and min(one.cost for one in searcher.found) > accepted:
             searcher.thoroughly(later, most, good_enough)
             step = replace(step, problem=searcher.problem)
-            plan = self._best(searcher, step)
+            plan, worth = self._best(searcher, step)
             out = self._out(searcher, plan)
+        there = replace(problem, poses=Poses.of(plan.path[-1]))
+        if tight and (out or worth >= error or self._enters(there, plan.signals[-1:])):
+            return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
         return out or plan
 
-    def _narrow(self, problem: Problem) -> bool:
-        """Return whether robots have to pass a place that has no room for all of them abreast."""
-        collision = self.section.collision
-        return collision.walls and narrow(problem, self.margins, self.setup.arena)
-
-    def _best(self, searcher: Searcher, step: StepStart) -> Plan:
-        """Return the plan of least value that was found."""
-        valued = (self._valued(search, step) for search in searcher.found)
-        return self._planned(searcher, min(valued, key=lambda one: one.worth))
+    def _best(self, searcher: Searcher, step: StepStart) -> tuple[Plan, float]:
+        """Return the plan of least value that was found, and its value."""
+        best = min((self._valued(one, step) for one in searcher.found), key=lambda one: one.worth)
+        return self._planned(searcher, best), best.worth
 
     def _out(self, searcher: Searcher, best: Plan) -> Plan | None:
         """Return a plan by which standing robots leave a corner, or turn so that they can next,
         where the `best` plan found is not safe; None if there is none, or it is safe."""
         problem = searcher.problem
-        touches = best.obstacle_cost > 0 and self._cornered(problem)
+        known = self.section.period, self.estimator.dead_time_s, self.estimator.known
+        touches = best.obstacle_cost > 0
+        touches = touches and self.margins.cornered(problem, self.section.collision, *known)
         if not (self.stands and (touches or self._enters(problem, best.signals))):
             return None
         out, facing = away(problem, self.margins, self.section.collision.separation, self.turning)
@@ -372,13 +373,6 @@ class Mpc:
         times = self.section.period, self.estimator.dead_time_s
         grown, apart = self.margins.around(problem, self.section.collision, *times, known)
         return replace(problem, obstacles=grown, separation=apart)
-
-    def _cornered(self, problem: Problem) -> bool:
-        """Return whether a robot stands within the margin of anything."""
-        collision, times = self.section.collision, (self.section.period, self.estimator.dead_time_s)
-        off = off_course(problem.speed, *times, self.estimator.known) if collision.adaptive else 0.0
-        room = self.margins.room(problem.poses.x, problem.poses.y, collision.separation)
-        return bool(room < collision.margin + off)
 
     def _enters(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""

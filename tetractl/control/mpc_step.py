@@ -12,11 +12,11 @@ from tetractl.core.poses import Floats
 @dataclass(frozen=True, slots=True)
 class Leg:
     """The part of a trial up to way-point `index` or the targets, or, after it, the hold, with the
-    step and the time [ns] of its beginning, when the robots were `moving` or not; `outcome` is how
-    the leg before ended."""
+    time of the trial [s] and of the clock [ns] of its beginning, when the robots were `moving` or
+    not; `outcome` is how the leg before ended."""
 
     index: int
-    k: int
+    began_s: float
     began_ns: int
     moving: bool
     outcome: Outcome

@@ -318,6 +318,37 @@ def test_a_rest_leaves_time_for_the_plan_after_it(wait_s, allowed):
     assert step.allows(18, wait_s) == allowed
 
 
+def at_rest(poses, cost, left_s=2.0):
+    """The decision of robots that stand, `left_s` before the limit, if the best plan in that time
+    costs so much, and its optimiser; the plan drives to the right."""
+    search = Scripted(dict.fromkeys(range(100), cost))
+    collision = {"walls": True, "stop_before_collision": True, "silence": 0, "adaptive": False}
+    controller = mpc(spec(collision=collision), 99, search)
+    controller.last, controller.k = replace(first(controller, 1), instead=Stop()), 1
+    sent = Command(Steer(0.0), 0, (True,) * 3)
+    search.forget()
+    return controller.plan(seen(poses, now=round((12.2 - left_s) * 1e9)), sent), search
+
+
+@pytest.mark.parametrize("left_s", [2.0, 1.0])
+def test_robots_come_nearer_to_targets_that_they_cannot_reach_any_more(left_s):
+    plan, search = at_rest(STARTS, 500.0, left_s)
+    assert plan.state is State.DRIVING
+    assert {length for length, _ in lengths(search)} == {round(left_s / 0.2)}
+
+
+@pytest.mark.parametrize(("cost", "drives"), [(170.0, True), (195.0, False)])
+def test_they_end_where_no_plan_leads_nearer_by_what_an_attempt_costs(cost, drives):
+    assert (at_rest(near(200.0), cost)[0] is Outcome.NO_BETTER_PLAN) != drives
+
+
+@pytest.mark.parametrize(("gap", "drives"), [(350.0, True), (320.0, False)])
+def test_they_do_not_drive_to_an_end_before_a_wall(gap, drives):
+    poses = STARTS.copy()
+    poses[0] = [2200.0 - gap, 700, 0]
+    assert (at_rest(poses, 500.0)[0] is Outcome.NO_BETTER_PLAN) != drives
+
+
 def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
     step = StepStart(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))

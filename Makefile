@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 DEMO := logs/demo
 PACKAGES := ./packages/tetractl-microscope ./packages/tetractl-emulator
 
-.PHONY: demo demo-ours demo-paper test test-fast test-all lint clean
+.PHONY: demo demo-ours demo-paper test test-fast test-all test-lowest test-newest lint dist clean
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml constraints.txt
@@ -71,6 +71,19 @@ test-fast: $(STAMP)
 test-all: $(STAMP)
 	$(PYTEST) -m system
 
+# The tests with the lowest versions that pyproject.toml allows, and with the newest, each installed
+# into an environment of its own. Half an hour each on two cores: .ci/run leaves them out.
+test-lowest test-newest: test-%: $(STAMP)
+	@test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	@$(BIN)/python packages/versions.py $* >.venv-$*/constraints.txt
+	@.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-$*/constraints.txt -e '.[dev]' $(PACKAGES:%=-e %)
+	.venv-$*/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not system" $(TESTS)
+
+# Wheels of all packages, of the core a second one that brings its compiled code: docs/how-to/wheels.md.
+DIST ?= dist
+dist: $(STAMP)
+	@$(BIN)/python packages/dist.py $(DIST)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -79,4 +92,4 @@ lint: $(STAMP)
 	$(BIN)/python docs/words.py
 
 clean:
-	rm -rf .venv .ruff_cache .import_linter_cache
+	rm -rf .venv .venv-lowest .venv-newest .ruff_cache .import_linter_cache

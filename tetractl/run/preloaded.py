@@ -4,10 +4,9 @@ Compiled kernels are loaded from the cache by each worker, since this process kn
 """
 
 import gc
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
-
-from numba.core.registry import cpu_target
 
 NEEDED = (
     "tetractl.run.task",
@@ -21,8 +20,11 @@ NEEDED = (
 gc.disable()  # searching what is imported takes a tenth of a second
 for name in NEEDED:
     import_module(name)
-compiler: Any = cpu_target
-compiler.target_context.refresh()  # otherwise each worker does it with its first kernel
-compiler.typing_context.refresh()
+with suppress(ImportError, AttributeError):  # private; else each worker does it, with a kernel
+    import numba.core.registry as registry
+
+    target: Any = registry.cpu_target
+    target.target_context.refresh()
+    target.typing_context.refresh()
 gc.freeze()  # no worker searches these objects, or copies them by doing so
 gc.enable()

@@ -4,6 +4,9 @@ Numba's cache ends the process if one of its files is empty, damaged or cannot b
 any file, and does not see that a function in another file was edited. Here each file begins with
 the SHA-256 of its contents; if the sum does not match, the code is compiled again. If a file cannot
 be written, a note is printed once.
+
+A wheel for one Python and system has files, too, compiled for all processors of level x86-64-v3
+(`make dist`). They are looked for where the user's cache has none.
 """
 
 import hashlib
@@ -18,15 +21,29 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from llvmlite import binding
 from numba import njit
 from numba.core import event
-from numba.core.compiler import CompileResult
-from numba.core.serialize import dumps
 
 from tetractl.core.cache import cache_folder, claim, compiler_settings, compiling, digest, say_once
 from tetractl.core.kernels import sources
+from tetractl.core.kernels.light_parts import light
+
+_dumps: Any
+_rebuild: Any
+_reduce: Any
+try:
+    from numba.core import compiler, serialize
+
+    _dumps, result = serialize.dumps, compiler.CompileResult
+    _rebuild, _reduce = result._rebuild, result._reduce
+except (ImportError, AttributeError):  # they are private: without them nothing is kept
+    _rebuild = None
 
 _SUM = hashlib.sha256().digest_size
+LEVEL = "x86-64-v3"
+SHIPPED = Path(__file__).parent / "shipped"
+_NEEDED = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
 
 
 @cache
@@ -53,6 +70,18 @@ def folder() -> Path | None:
     return None
 
 
+@cache
+def shipped() -> Path | None:
+    """Return the folder of code in the package, None if it has none that runs here.
+
+    Settings of the compiler, such as NUMBA_OPT, ask for other code.
+    """
+    if not SHIPPED.is_dir() or compiler_settings() != "none":
+        return None
+    features = binding.get_host_cpu_features()
+    return SHIPPED if all(features.get(name) for name in _NEEDED.split()) else None
+
+
 class _Compiling(event.Listener):
     """Calls the functions in `compiling` when numba starts to compile."""
 
@@ -70,7 +99,7 @@ event.register("numba:compile", _Compiling())
 class KernelCache:
     """The compiled code of one function: a file for each signature, processor and Python."""
 
-    def __init__(self, function: Callable[..., Any], place: Path) -> None:
+    def __init__(self, function: Callable[..., Any], place: Path | None) -> None:
         self._function, self._place = function, place
 
     @property
@@ -79,32 +108,41 @@ class KernelCache:
         return str(self._place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled code for a signature, None if the cache has none or it is damaged."""
+        """Return the compiled code for a signature, None if there is none or it is damaged."""
         target_context.refresh()
-        key = self._key(sig, target_context.codegen())
-        path = self._path(key)
+        system = target_context.codegen().magic_tuple()
+        places = ((self._place, system), (shipped(), (system[0], LEVEL, "")))
+        found = (self._load(place, self._key(sig, code), target_context) for place, code in places)
+        return next((code for code in found if code is not None), None)
+
+    def _load(self, place: Path | None, key: tuple[Any, ...], target_context: Any) -> Any:
+        if place is None:
+            return None
         try:
-            stored = path.read_bytes()
+            stored = self._path(place, key).read_bytes()
             if hashlib.sha256(stored[_SUM:]).digest() != stored[:_SUM]:
                 raise ValueError("its checksum does not match")
             kept, payload = pickle.loads(stored[_SUM:])
-            return CompileResult._rebuild(target_context, *payload) if kept == key else None
+            if kept == key:
+                return _rebuild(target_context, *payload)
         except FileNotFoundError:
-            return None
+            pass
         except Exception as error:  # after any error the code is compiled again
-            say_once(f"{path.parent}: damaged, compiled again: {error}")
-            return None
+            say_once(f"{place}: damaged, compiled again: {error}")
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the compiled code for a signature."""
-        key = self._key(sig, data.codegen)
+        if self._place is None:
+            return
+        key = self._key(sig, data.codegen.magic_tuple())
         try:
-            stored = dumps((key, data._reduce()))
+            stored = _dumps((key, _reduce(data)))
             with tempfile.NamedTemporaryFile(dir=self._place, delete=False) as file:
                 try:
                     file.write(hashlib.sha256(stored).digest() + stored)
                     file.close()
-                    Path(file.name).replace(self._path(key))
+                    Path(file.name).replace(self._path(self._place, key))
                 except OSError:
                     with suppress(OSError):
                         Path(file.name).unlink()
@@ -112,15 +150,15 @@ class KernelCache:
         except OSError as error:
             say_once(f"compiled code is not kept: {self._place}: {error.strerror or error}")
 
-    def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+    def _key(self, sig: Any, system: tuple[str, ...]) -> tuple[Any, ...]:
         # with the version of Python, whose objects the code reads
-        system = codegen.magic_tuple(), numba.__version__, sys.implementation.cache_tag
-        return sig, *system, sources.digest(self._function, sig)
+        versions = numba.__version__, sys.implementation.cache_tag
+        return sig, *system, *versions, sources.digest(self._function, sig)
 
-    def _path(self, key: tuple[Any, ...]) -> Path:
+    def _path(self, place: Path, key: tuple[Any, ...]) -> Path:
         name = f"{self._function.__module__}.{self._function.__qualname__}"
         tag = hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:16]
-        return self._place / f"{self._function.__name__}-{tag}.kernel"
+        return place / f"{self._function.__name__}-{tag}.kernel"
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -130,9 +168,13 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(**options)(function)
-        place = None if options.get("no_cpython_wrapper") else folder()
-        if place is not None:
+        dispatcher: Any = njit(**light(numba.__version__), **options)(function)
+        if options.get("no_cpython_wrapper"):
+            return dispatcher
+        place = folder()
+        if _rebuild is None:
+            say_once(f"compiled code is not kept: numba {numba.__version__} is not known")
+        elif place is not None or shipped() is not None:
             dispatcher._cache = KernelCache(function, place)
         return dispatcher
 

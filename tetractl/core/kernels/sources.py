@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numba.core import types
-from numba.core.registry import CPUDispatcher
+from numba.extending import is_jitted
 
 from tetractl.core.cache import digest as files_digest
 
@@ -47,7 +47,7 @@ def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named
         values = [value for _, value in named]
         for overload in (value for value in values if isinstance(value, FunctionType)):
             values = [*values, *overload.__globals__.values()]
-        left += [value.py_func for value in values if isinstance(value, CPUDispatcher)]
+        left += [value.py_func for value in values if is_jitted(value)]
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:

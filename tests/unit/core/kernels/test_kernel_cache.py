@@ -1,6 +1,7 @@
 """A process that compiles the kernels and one that loads them compute the same bits."""
 
 import os
+import platform
 import subprocess
 import sys
 
@@ -125,11 +126,11 @@ print(double(21), sum(double.stats.cache_hits.values()), folder())
 """
 
 
-def small(tmp_path, **changes):
+def small(tmp_path, before="", **changes):
     """Compile and call a function in a process of its own; return what it printed, and stderr."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} | changes
     done = subprocess.run(
-        [sys.executable, "-c", SMALL], env=environment, capture_output=True, text=True
+        [sys.executable, "-c", before + SMALL], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.split(), done.stderr
@@ -187,6 +188,48 @@ def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
     found = small(tmp_path, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere)
     assert found[0][:2] == ["42", "0"]
     assert "Not a directory" in found[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", ["_rebuild", "_reduce"])
+def test_without_a_private_class_of_numba_kernels_are_compiled_each_time(tmp_path, lost):
+    before = f"import numba\ndel numba.core.compiler.CompileResult.{lost}\n"
+    for _ in range(2):
+        said, notes = small(tmp_path, before)
+        assert said[:2] == ["42", "0"]
+        assert notes.count("\n") == 1
+        assert "compiled code is not kept: numba" in notes
+
+
+@pytest.mark.slow
+def test_a_numba_that_was_never_tried_compiles_and_keeps_kernels(tmp_path):
+    before = "import numba; numba.__version__ = '99.0.0'\n"
+    assert [small(tmp_path, before)[0][:2] for _ in range(2)] == [["42", "0"], ["42", "1"]]
+
+
+SHIPPED = """
+from pathlib import Path
+from types import SimpleNamespace
+from tetractl.core.kernels import kernel_cache
+kernel_cache.SHIPPED = Path({folder!r})
+"""
+OLD = "kernel_cache.binding = SimpleNamespace(get_host_cpu_features=lambda: {'avx': True})"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="such code is for x86-64 alone")
+def test_code_in_the_package_runs_where_the_processor_and_the_settings_allow(tmp_path):
+    level = {"NUMBA_CPU_NAME": cache.LEVEL, "NUMBA_CPU_FEATURES": ""}
+    built = {"NUMBA_CACHE_DIR": str(tmp_path / "built")}
+    assert small(tmp_path, **level, **built)[0][:2] == ["42", "0"]
+    (file,) = (tmp_path / "built").rglob("*.kernel")
+    before = SHIPPED.format(folder=str(file.parent))
+    assert small(tmp_path, before)[0][:2] == ["42", "1"]
+    assert list((tmp_path / "cache").rglob("*.kernel")) == []
+    assert small(tmp_path, before, NUMBA_OPT="1")[0][:2] == ["42", "0"]
+    assert small(tmp_path, before + OLD)[0][:2] == ["42", "0"]
+    file.write_bytes(b"")
+    assert small(tmp_path, before + OLD)[0][:2] == ["42", "1"]  # from the user's own cache
 
 
 def loaded(folder, monkeypatch):

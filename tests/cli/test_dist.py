@@ -1,0 +1,83 @@
+"""`make dist`, installed into an empty environment: packages work, and nothing is compiled."""
+
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+from support.paths import ROOT
+
+pytestmark = [pytest.mark.slow, pytest.mark.system]
+
+RUN = """
+import sys
+from tetractl.core.cache import compiling
+from tetractl.cli import main
+
+def fail():
+    sys.exit("a kernel was compiled")
+
+compiling.append(fail)
+main()
+"""
+
+
+def done(*command, **variables):
+    """Run a command in the root of the repository; return what it printed."""
+    environment = os.environ | variables
+    ended = subprocess.run(
+        [*map(str, command)], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory):
+    """The interpreter of an empty environment into which the wheels were installed."""
+    wheels, place = (tmp_path_factory.mktemp(name) for name in ("wheels", "environment"))
+    done(sys.executable, "packages/dist.py", wheels)
+    pure = next(wheels.glob("tetractl-*-none-any.whl"))
+    core = next(wheels.glob("tetractl-*-cp*.whl"), pure)
+    others = [one for one in wheels.glob("*.whl") if one not in (core, pure)]
+    assert sorted(one.name.split("-")[0] for one in others) == [
+        f"tetractl_{one.name.removeprefix('tetractl-')}"
+        for one in sorted((ROOT / "packages").glob("tetractl-*"))
+    ]
+    done(sys.executable, "-m", "venv", place)
+    python = place / "bin" / "python"
+    done(python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", core, *others)
+    return python
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the wheel has no compiled code")
+@pytest.mark.parametrize("spec", ["three_m3pi_bench", "three_m3pi_paper"])
+def test_a_trial_from_the_wheel_compiles_nothing_and_decides_the_same(python, tmp_path, spec):
+    spec, cache = ROOT / f"experiments/{spec}.yaml", tmp_path / "cache"
+    run = ("run", spec, "--trials", "1", "--quiet", "--out")
+    done(python, "-c", RUN, *run, tmp_path / "wheel", TETRACTL_CACHE_DIR=str(cache))
+    assert list(cache.rglob("*.kernel")) == []
+    done(sys.executable, "-m", "tetractl", *run, tmp_path / "source")
+    digests = {
+        done(sys.executable, "-c", DIGEST, tmp_path / name / "trial-000.mcap")
+        for name in ("wheel", "source")
+    }
+    assert len(digests) == 1
+
+
+DIGEST = """
+import sys
+from pathlib import Path
+from tetractl.log.read.reader import content_digest
+print(content_digest(Path(sys.argv[1])))
+"""
+
+
+def test_the_other_packages_are_found_and_run(python, tmp_path):
+    kinds = done(python, "-m", "tetractl", "kinds")
+    assert "apriltag" in kinds and "emulated" in kinds
+    spec = ROOT / "experiments/three_m3pi_lab.yaml"
+    run = ("run", spec, "--plant", "emulated", "--trials", "1", "--yes", "--quiet")
+    done(python, "-m", "tetractl", *run, "--out", tmp_path / "emulated")
+    assert (tmp_path / "emulated" / "trial-000.mcap").exists()

@@ -27,13 +27,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
     parser.add_argument("--only", default="a,b,c,d,e,f", help="parts, such as a,b")
+    parser.add_argument("--peers", help="rows of (b), without its sweep, such as PSO,Fatrop")
     parser.add_argument("--plot", type=Path, help="where to draw growth (.svg or .png)")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")  # of peers; figures are checked by their own J
     settings = Settings.of(chosen.quick)
     parts: dict[str, Callable[[], Report]] = {
         "a": lambda: speed.iteration(settings),
-        "b": lambda: success.step_0(settings),
+        "b": lambda: success.step_0(settings, chosen.peers.split(",") if chosen.peers else ()),
         "c": lambda: loop.closed(settings),
         "d": lambda: growth.growth(settings, chosen.plot),
         "e": lambda: speed.floor(settings),

@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.control.cost import Problem
 
-from . import peers, shooting
+from . import peers, shooting, stages
 from .peers import GOOD, Meter, Over, Peer, available
 from .problems import LENGTH, LONGEST, printed, recommended
 from .report import Report, Settings, load, progress
@@ -33,6 +33,10 @@ def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
             found.append((name, peer))
         else:
             missing.append(module)
+    if stages.installed():
+        found.append(("CasADi + Fatrop", stages.fatrop))
+    else:
+        missing.append("casadi with Fatrop")
     return found, missing
 
 
@@ -52,15 +56,18 @@ def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:
 HEAD = ["optimiser", "solved", "median [ms]", "longest [ms]", "median J [mm]"]
 
 
-def step_0(settings: Settings) -> Report:
-    """Every optimiser on the printed and on the recommended problem."""
+def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
+    """Every optimiser on the printed and on the recommended problem, or those with such names."""
     report = Report("(b) Step 0 solved to a total error of 1 mm")
     everybody, missing = _optimisers(settings.cap_s)
+    if only:
+        everybody = [(who, peer) for who, peer in everybody if any(name in who for name in only)]
     if missing:
         report.say(f"Not installed, skipped: {', '.join(missing)}.")
     report.say(
-        f"A search ends at J <= {GOOD:g} mm or after {settings.cap_s:g} s. All but IPOPT and the "
-        f"NumPy reference evaluate J by our compiled kernel. {load()}."
+        f"A search ends at J <= {GOOD:g} mm or after {settings.cap_s:g} s; times are processor "
+        f"times. All but IPOPT, Fatrop and the NumPy reference evaluate J by our compiled kernel. "
+        f"{load()}."
     )
     for problem, name in ((printed(), "as printed"), (recommended(), "as recommended")):
         rows = []
@@ -82,7 +89,8 @@ def step_0(settings: Settings) -> Report:
                 _promise(report, name, times, best)
         report.say(f"**{LENGTH} signals, problem {name}**")
         report.table(HEAD, rows)
-    _sweeps(report, settings)
+    if not only:
+        _sweeps(report, settings)
     return report
 
 
@@ -102,7 +110,10 @@ def _sweeps(report: Report, settings: Settings) -> None:
         progress(f"(b) sweep: {who}")
         if who.startswith("CasADi"):
             for length in lengths:
-                shooting.shooter(problem, length, SWEEP_CAP_S)
+                if "IPOPT" in who:
+                    shooting.shooter(problem, length, SWEEP_CAP_S)
+                else:
+                    stages.Stages.of(problem, length)
         count = settings.seeds if "ours" in who else settings.sweep_seeds
         if "ours" in who:
             peer = peers.ours_once  # as the controller does: it knows when to give a length up

@@ -24,10 +24,10 @@ main()
 
 
 def done(*command, **variables):
-    """Run a command in the root of the repository; return what it printed."""
+    """Run a command away from the sources, which it would import; return what it printed."""
     environment = os.environ | variables
     ended = subprocess.run(
-        [*map(str, command)], cwd=ROOT, env=environment, capture_output=True, text=True
+        [*map(str, command)], cwd=ROOT / "docs", env=environment, capture_output=True, text=True
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
@@ -37,7 +37,7 @@ def done(*command, **variables):
 def python(tmp_path_factory):
     """The interpreter of an empty environment into which the wheels were installed."""
     wheels, place = (tmp_path_factory.mktemp(name) for name in ("wheels", "environment"))
-    done(sys.executable, "packages/dist.py", wheels)
+    done(sys.executable, ROOT / "packages/dist.py", wheels)
     pure = next(wheels.glob("tetractl-*-none-any.whl"))
     core = next(wheels.glob("tetractl-*-cp*.whl"), pure)
     others = [one for one in wheels.glob("*.whl") if one not in (core, pure)]

@@ -31,7 +31,7 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.core.poses import Floats, wrap
 from tetractl.model.motion.exact import EXACT
-from tetractl.model.motion.turning import by_turning, turning
+from tetractl.model.motion.turn_rate import by_turning, turning
 
 
 @dataclass

@@ -28,7 +28,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
-from tetractl.model.motion.turning import all_in_rows, turning
+from tetractl.model.motion.turn_rate import all_in_rows, turning
 
 STRAY = 0.3
 """Slope of h(d) beyond d = 1, where d is a robot's distance to its target in units of R."""

@@ -15,7 +15,7 @@ and a camera measures, each with its noise,
 
 The state has the logarithms of a, v and w, and all parameters drift as random walks, so that old
 measurements lose their weight. Robots on wheels have no helix, but a `side` and a `saturation`, by
-which they turn with another a than (3) says (`tetractl.model.motion.turning`).
+which they turn with another a than (3) says (`tetractl.model.motion.turn_rate`).
 
 A robot may not follow the latest direction. Its hypotheses, each with a filter and a weight, are
 that it follows the latest direction, that it follows one of the two directions before, because
@@ -64,7 +64,7 @@ from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.model.motion.motion import PARAMETERS, in_rows
-from tetractl.model.motion.turning import TURNING
+from tetractl.model.motion.turn_rate import TURNING
 
 PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
 """Frequencies of the helix to start from, over the usual one."""

@@ -45,7 +45,7 @@ LOST = 4.0  # miss after them with which robots rest for a new plan, in units of
 TRUSTED_S = 1.0  # least time that a plan is driven before
 
 
-class Grid:
+class Squares:
     """The square cells of an arena, as rows and columns."""
 
     def __init__(self, arena: Bounds) -> None:
@@ -85,7 +85,7 @@ def narrow(problem: Problem, margins: Margins, arena: Bounds) -> bool:
     all robots side by side, at the separation that the problem asks for."""
     if not len(problem.obstacles.rows):
         return False
-    grid, row = Grid(arena), (len(problem.a) - 1) / 2 * problem.separation
+    grid, row = Squares(arena), (len(problem.a) - 1) / 2 * problem.separation
     room = margins.room(grid.centres[:, :1], grid.centres[:, 1:], 0.0)
     free: Bools = (room >= row).reshape(grid.shape)
 
@@ -102,7 +102,7 @@ def narrow(problem: Problem, margins: Margins, arena: Bounds) -> bool:
 def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Floats]:
     """Yield up to TRIED_IN_ALL sequences of up to `most` signals that lead all robots near their
     targets, about the shortest first. `key` seeds the first direction of each level."""
-    grid, least = Grid(arena), float(problem.a.min())
+    grid, least = Squares(arena), float(problem.a.min())
     gaps, count = np.empty((problem.obstacles.count, len(grid.centres))), len(problem.a)
     x, y = grid.centres.T.copy()
     clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x, y, gaps)

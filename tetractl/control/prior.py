@@ -18,7 +18,7 @@ class Prior(NamedTuple):
     measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
     radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
     robots without wheels. A robot that receives nothing for `watchdog` [s] stops. The mean `side`
-    (`tetractl.model.motion.turning`) is 0.
+    (`tetractl.model.motion.turn_rate`) is 0.
     """
 
     a: Floats

@@ -311,7 +311,7 @@ class Problem:
     to the direction that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift
     that carries it; None for no bias or flow. If `within` [length unit] is given, the robots are to
     stay within that distance of their targets. `side` and `saturation` (N,) are how robots turn
-    (`tetractl.model.motion.turning`), None for robots that turn by (3). Problems are compared by
+    (`tetractl.model.motion.turn_rate`), None for robots that turn by (3). Problems are compared by
     identity, so that a problem can be the key of a cache.
     """
 

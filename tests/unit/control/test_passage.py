@@ -12,7 +12,7 @@ from support.trials import experiment
 from tetractl.control import passage
 from tetractl.control.cost import predict
 from tetractl.control.margins import Margins
-from tetractl.control.passage import Grid, narrow, ways
+from tetractl.control.passage import Squares, narrow, ways
 from tetractl.core.plan import State
 from tetractl.core.setup import Bounds
 from tetractl.experiment.load import LoadedSpec
@@ -78,7 +78,7 @@ def test_a_way_round_a_narrow_gap_makes_it_no_passage():
 
 def test_the_lengths_of_ways_are_those_of_dijkstra():
     arena, rng = Bounds(0.0, 0.0, 90.0, 50.0), np.random.default_rng(1)
-    grid = Grid(arena)
+    grid = Squares(arena)
     assert grid.shape == (50, 90)
     free = rng.random(4500) < 0.7
     target = np.array([44.5, 20.5])

@@ -26,7 +26,7 @@ from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.model.motion import exact, rolling
 from tetractl.model.motion.motion import PARAMETERS
-from tetractl.model.motion.turning import TURNING, by_turning, times, turning
+from tetractl.model.motion.turn_rate import TURNING, by_turning, times, turning
 
 differentiate, rolled = inlined(exact.differentiate), inlined(rolling.rolled)
 rate, complete, scaled = inlined(turning), inlined(by_turning), inlined(times)

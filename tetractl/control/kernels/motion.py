@@ -17,7 +17,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl.model.motion.polynomials import onwards
-from tetractl.model.motion.turning import TURNING, all_in_rows, by_turning, is_left, turning
+from tetractl.model.motion.turn_rate import TURNING, all_in_rows, by_turning, is_left, turning
 
 parameters_of = entries(len(PARAMETERS) + len(TURNING))
 rate, complete, left = inlined(turning), inlined(by_turning), inlined(is_left)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tetractl.model.motion.exact import differentiate
-from tetractl.model.motion.turning import by_turning, turning
+from tetractl.model.motion.turn_rate import by_turning, turning
 
 ANGLES, SIDES = st.floats(-3.1, 3.1), st.floats(-0.4, 0.4)
 V, T = 200.0, 0.2

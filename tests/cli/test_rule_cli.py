@@ -24,7 +24,7 @@ def commands(command=None, words=()):
 
 
 WITHOUT_JSON = ["init", "schema", "plot", "replay", "export", "open", "report"]
-WITHOUT_JSON += ["study", "warm", "lab stop", "lab calibrate", "lab survey"]
+WITHOUT_JSON += ["study", "warm", "lab stop", "lab calibrate", "lab survey", "lab rehearse"]
 """Commands that write files, play, or give what has no form but its own."""
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
-from tetractl.cli.options import Sets, Spec, option
+from tetractl.cli.options import Sets, Spec, option, out_option
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def rehearse(
     jobs: Annotated[int, option("N", "Number of days played at a time.", min=1)] = 1,
     out: Annotated[
         Path | None,
-        option(
+        out_option(
             "DIR",
             "Folder for the days' results and the scripts of violations; days that it has"
             " are not played again. [rehearsal-SEED]",

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.evaluate import compiled_costs
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
 from tetractl.control.stop import PaperStop, StopCriterion, stopped
@@ -137,6 +136,8 @@ def swarms(
     section: Pso, problem: Problem, length: int, warm: Floats | None, key: int
 ) -> Iterator[Swarm]:
     """Yield Algorithm 1's swarm before the first and after each iteration, without end."""
+    from tetractl.control.evaluate import compiled_costs  # late: reading a spec searches nothing
+
     costs = compiled_costs(problem, section.particles)
     swarm = Swarm.scatter(section, length, key)  # line 1
     swarm.best_cost = costs(swarm.best)

@@ -30,7 +30,7 @@ from worlds import WORLDS, Truth, Unmodelled
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo
 from tetractl.core.plan import End, Estimate, Outcome, Plan
-from tetractl.core.poses import Observation
+from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.core.trial import EPOCH_NS
 from tetractl.experiment.load import LoadedSpec, start_of
@@ -125,14 +125,15 @@ def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
 
 
 def true(plant: SimPlant) -> Truth:
-    """Return what holds at the end of a trial."""
+    """Return what holds at the end of a trial; errors of wheels count as those of a and speed."""
     a, speed = plant.rates
     drives = speed != 0
+    turns, goes = calibration(plant)
     radios = [one for one in plant.section.disturbances if isinstance(one, RadioSection)]
     delay = sum(one.delay + one.jitter / 2 + one.spread / 2 for one in radios)
     known = {
-        "a": np.where(drives, a, plant.a),
-        "speed": np.where(drives, np.abs(speed), plant.speed),
+        "a": turns * np.where(drives, a, plant.a),
+        "speed": goes * np.where(drives, np.abs(speed), plant.speed),
         "side": np.zeros(len(a)),
         "dead_time": np.array([plant.section.dead_time + delay]),
         "lives": np.ones(len(a), dtype=np.bool_),
@@ -141,6 +142,18 @@ def true(plant: SimPlant) -> Truth:
         if isinstance(one, Unmodelled):
             known = one.truth(known)
     return known
+
+
+def calibration(plant: SimPlant) -> tuple[Floats, Floats]:
+    """Return the factors (N,) by which the errors of gains and radii change turning rates and
+    speeds: by (21)-(23) a robot turns by the mean gain over the radius, and a difference of its
+    gains turns it at a constant rate besides, which is no part of a."""
+    if plant.wheels is None:
+        ones = np.ones(len(plant.a))
+        return ones, ones
+    _, gain, _, true_gain, *_ = plant.wheels.host.trains[0]
+    mean = (true_gain / gain).mean(axis=0)
+    return mean * plant.setup.wheel_radius / plant.wheels.radius, mean
 
 
 def held(known: Estimate | None, truth: Truth) -> Row:

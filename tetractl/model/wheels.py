@@ -143,7 +143,7 @@ class WheeledRobots:
 
     def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
         self.bodies = np.zeros((1, ROWS, radius.size))
-        body, self._radius = self.bodies[0], radius
+        body, self.radius = self.bodies[0], radius
         self.pose, self.wheels, self.targets, self._rates, _ = np.split(body, (3, 5, 7, 9))
         body[LAG], body[STILL] = lag_s, still
         self.poses = poses
@@ -160,7 +160,7 @@ class WheeledRobots:
 
     def scale(self, turning: Floats, speed: Floats) -> None:
         """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
-        self._rates[:] = turning / (2 * self._radius), speed / 2
+        self._rates[:] = turning / (2 * self.radius), speed / 2
 
     def wheels_in(self, seconds: float) -> Floats:
         """Return the wheel speeds (2, N) after a time [s] from now."""

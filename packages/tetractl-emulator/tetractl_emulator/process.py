@@ -18,52 +18,142 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.base import Positive
 from tetractl.lab.serial_port import Ports, SerialPort, holder
-from tetractl_emulator.faults import Undo, fault, switching
+from tetractl_emulator.faults import Begin, Undo, fault, switching
 
 AFTER_NS = SECOND
 """Time for which an emulated lab goes on after the process has ended [ns]: robots come to rest."""
 SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
-class Process(Protocol):
-    """The process that drives the robots, as faults see it; `note` records an event."""
+class HostClock(Clock, Protocol):
+    """The clock of our side in virtual time: `ahead_ns` of true time; it is `stopped` while the
+    process stands still, and stands itself if `asleep`. A plan takes `plan_s` [s].
+    """
 
-    note: Callable[..., None]
+    ahead_ns: int
+    stopped: bool
+    asleep: bool
+    plan_s: float
+
+
+class Process:
+    """The process that drives the robots through the port with the name that `port` returns; what
+    cannot be done to it does nothing. `note` records an event.
+    """
+
+    def __init__(self, ports: Ports, port: Callable[[], Path], clock: Clock) -> None:
+        self._ports, self._port, self._clock = ports, port, clock
+        self.note: Callable[..., None] = lambda event, **facts: None
 
     def signal(self, name: str) -> None:
         """Send the process a signal, by its name without SIG."""
-        ...
 
     def stop(self, on: bool) -> None:
         """Suspend the process as SIGSTOP does, or let it continue."""
-        ...
 
     def sleep(self, on: bool) -> None:
         """Suspend the whole host, whose monotonic clock stands meanwhile; or wake it up."""
-        ...
 
     def fill_disk(self) -> None:
         """Let every further write of the log fail."""
-        ...
 
     def set_clock(self, by_ns: int) -> None:
         """Set the host's monotonic clock forward [ns]."""
-        ...
 
     def plan_for(self, seconds: float) -> None:
         """Let each plan from now on take a time [s]."""
-        ...
 
     def press_stop(self) -> None:
         """Press the key of the emergency stop."""
-        ...
 
     def run_again(self) -> None:
-        """Let another program open the actuator's port; record the answer."""
-        ...
+        """Let a second run open the port; record the answer, "" if the port opens."""
+        again = (str(self._port()), 57600, "the second run", self._clock, lambda *_: None, "")
+        second, says = self._ports(*again), ""
+        try:
+            second.open()
+        except AbortError as error:
+            says = error.message
+        else:
+            second.close()
+        self.note("second", says=says)
 
 
-def _once(act: Callable[[Any, Process], object]) -> Callable[[Any, Process], Undo]:
+class PortHolder(Process):
+    """The process that has locked a port of this computer."""
+
+    def __init__(self, port: Callable[[], Path], clock: Clock) -> None:
+        super().__init__(SerialPort, port, clock)
+
+    def signal(self, name: str) -> None:
+        """Send the process a signal."""
+        self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
+
+    def stop(self, on: bool) -> None:
+        """Suspend the process, or let it continue."""
+        self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
+
+    def fill_disk(self) -> None:
+        """Let every write of the process to a file fail."""
+        self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, 1)))
+
+    def _act(self, act: Callable[[int], object]) -> None:
+        with suppress(OSError):
+            if pid := holder(str(self._port())):
+                act(pid)
+
+
+class ThisProcess(Process):
+    """This process, in virtual time on `clock`; `supervision` is that of its trial, and `end` lets
+    the emulation go on alone, and closes it.
+    """
+
+    end: Callable[[], None]
+
+    def __init__(
+        self,
+        ports: Ports,
+        port: Callable[[], Path],
+        clock: HostClock,
+        supervision: LabSupervision,
+    ) -> None:
+        super().__init__(ports, port, clock)
+        self._host, self._supervision = clock, supervision
+
+    def signal(self, name: str) -> None:
+        """Take a signal as its handler does; after SIGKILL only the emulation goes on."""
+        if name != "KILL":
+            self._supervision.signalled()
+            return
+        self.end()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def stop(self, on: bool) -> None:
+        """Let our side stand still."""
+        self._host.stopped = on
+
+    def sleep(self, on: bool) -> None:
+        """Let our side and its clock stand still."""
+        self._host.stopped = self._host.asleep = on
+
+    def fill_disk(self) -> None:
+        """Let the log's next write fail."""
+        self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
+
+    def set_clock(self, by_ns: int) -> None:
+        """Set our side's clock forward."""
+        self._host.ahead_ns += by_ns
+
+    def plan_for(self, seconds: float) -> None:
+        """Let each plan take a time [s] of our side's clock."""
+        self._host.plan_s = seconds
+
+    def press_stop(self) -> None:
+        """Set the event of the key."""
+        self._supervision.emergency.set()
+
+
+def _once(act: Callable[[Any, Process], object]) -> Begin:
     """Return a function that starts a fault by `act(fault, process)`; nothing ends it."""
 
     def begin(fault: Any, process: Process) -> Undo:
@@ -73,8 +163,8 @@ def _once(act: Callable[[Any, Process], object]) -> Callable[[Any, Process], Und
     return begin
 
 
-def _busy(process: Process, seconds: float) -> Undo:
-    process.plan_for(seconds)
+def _busy(fault: Any, process: Process) -> Undo:
+    process.plan_for(fault.seconds)
     return lambda: process.plan_for(0.0)
 
 
@@ -94,12 +184,7 @@ PROCESS_FAULTS = (
         _once(lambda f, p: p.set_clock(round(f.by * SECOND))),
         by=Positive,
     ),
-    fault(
-        "busy",
-        "Each plan takes this time [s]; only in virtual time.",
-        lambda f, p: _busy(p, f.seconds),
-        seconds=Positive,
-    ),
+    fault("busy", "Each plan takes this time [s]; only in virtual time.", _busy, seconds=Positive),
     fault(
         "emergency",
         "The operator presses the emergency stop; only in virtual time.",
@@ -107,124 +192,3 @@ PROCESS_FAULTS = (
     ),
     fault("second_run", "A second run opens the port.", _once(lambda f, p: p.run_again())),
 )
-
-
-def refused(ports: Ports, port: Path, clock: Clock) -> str:
-    """Open a port as a second run would; return the error, "" if it could be opened."""
-    second = ports(str(port), 57600, "the second run", clock, lambda data, t_ns: None, "")
-    try:
-        second.open()
-    except AbortError as error:
-        return error.message
-    second.close()
-    return ""
-
-
-class HostClock(Clock, Protocol):
-    """The clock of our side in virtual time: `ahead_ns` of true time; it is `stopped` while the
-    process stands still, and stands itself if `asleep`. A plan takes `plan_s` [s].
-    """
-
-    ahead_ns: int
-    stopped: bool
-    asleep: bool
-    plan_s: float
-
-
-class PortHolder:
-    """The process that has locked a port of this computer; faults that need its clock or its keys
-    do nothing.
-    """
-
-    def __init__(self, port: Callable[[], Path], clock: Clock) -> None:
-        self._port, self._clock = port, clock
-        self.note: Callable[..., None] = lambda event, **facts: None
-
-    def signal(self, name: str) -> None:
-        """Send the process a signal."""
-        self._send(signal.Signals[f"SIG{name}"])
-
-    def stop(self, on: bool) -> None:
-        """Suspend the process, or let it continue."""
-        self._send(signal.SIGSTOP if on else signal.SIGCONT)
-
-    def sleep(self, on: bool) -> None:
-        """Do nothing."""
-
-    def fill_disk(self) -> None:
-        """Let every write of the process to a file fail."""
-        with suppress(OSError):
-            if pid := holder(str(self._port())):
-                resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, 1))
-
-    def set_clock(self, by_ns: int) -> None:
-        """Do nothing."""
-
-    def plan_for(self, seconds: float) -> None:
-        """Do nothing."""
-
-    def press_stop(self) -> None:
-        """Do nothing."""
-
-    def run_again(self) -> None:
-        """Open the port as a second run would."""
-        self.note("second", says=refused(SerialPort, self._port(), self._clock))
-
-    def _send(self, number: int) -> None:
-        with suppress(OSError):
-            if pid := holder(str(self._port())):
-                os.kill(pid, number)
-
-
-class ThisProcess:
-    """This process, in virtual time on `clock`; `supervision` is that of its trial, `end` closes
-    the emulation, and `port` returns the name of the actuator's port.
-    """
-
-    def __init__(
-        self,
-        clock: HostClock,
-        supervision: LabSupervision,
-        ports: Ports,
-        port: Callable[[], Path],
-    ) -> None:
-        self.end: Callable[[], None] = lambda: None
-        self.note: Callable[..., None] = lambda event, **facts: None
-        self._clock, self._supervision = clock, supervision
-        self._ports, self._port = ports, port
-
-    def signal(self, name: str) -> None:
-        """Take a signal as its handler does; after SIGKILL only the emulation goes on."""
-        if name != "KILL":
-            self._supervision.signalled()
-            return
-        self.end()
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    def stop(self, on: bool) -> None:
-        """Let our side stand still."""
-        self._clock.stopped = on
-
-    def sleep(self, on: bool) -> None:
-        """Let our side and its clock stand still."""
-        self._clock.stopped = self._clock.asleep = on
-
-    def fill_disk(self) -> None:
-        """Let the log's next write fail."""
-        self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
-
-    def set_clock(self, by_ns: int) -> None:
-        """Set our side's clock forward."""
-        self._clock.ahead_ns += by_ns
-
-    def plan_for(self, seconds: float) -> None:
-        """Let each plan take a time [s] of our side's clock."""
-        self._clock.plan_s = seconds
-
-    def press_stop(self) -> None:
-        """Set the event of the key."""
-        self._supervision.emergency.set()
-
-    def run_again(self) -> None:
-        """Open the port in memory as a second run would."""
-        self.note("second", says=refused(self._ports, self._port(), self._clock))

@@ -82,7 +82,7 @@ def started(
     loop, wires = VirtualLoop, memory_wires(clock)
     assert wires.ports is not None, "wires in memory have ports"
     watched = supervision or LabSupervision()
-    process = ThisProcess(clock, watched, wires.ports, lambda: emulation.port)
+    process = ThisProcess(wires.ports, lambda: emulation.port, clock, watched)
     emulation = EmulatedLab(
         lab, setup, script, options, make_loop=loop, wires=wires, process=process
     ).__enter__()

@@ -102,6 +102,10 @@ class Guard:
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
     _warned: set[str] = field(default_factory=set)
     _warnings: list[str] = field(default_factory=list)  # warnings not yet returned
+    # robots seen to move in a pause as no command does, and how
+    moved: dict[int, str] = field(default_factory=dict)
+    # since when each was seen so [ns], and its last pose before
+    _strays: dict[int, tuple[int, Pose]] = field(default_factory=dict)
     _driven: bool = False  # whether `go` was called: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
@@ -157,6 +161,7 @@ class Guard:
             self.drift.rest()
             self._places.restart()
             self._disobedient.clear()
+            self._strays.clear()
             for track in self._filters:  # motion before the run is ignored: robots were carried
                 track.forget()
 
@@ -320,14 +325,18 @@ class Guard:
     def _fault(self, i: int, pose: Pose, now_ns: int) -> str:
         """Return why a pose of robot i is not accepted, "" if it is.
 
-        Motion is compared with commands only while a run may move the robot: after a stop,
-        `rest_check` finds robots that still move.
+        Motion is compared with commands only while a run may move the robot. In a pause it is noted
+        in `moved`, since a stop may be lost and sent again.
         """
         track = self._filters[i]
         before = track.pose
         fault = self._ghosts.get(i) or track.fault(pose, now_ns, self._driven)
-        if fault or not self._active or before is None:
+        if fault or before is None:
             return fault
+        if not self._active:
+            if self._driven and self.rules.individual:
+                self._watch_pause(i, before, pose, now_ns)
+            return ""
         if pose == before:  # a robot may stand, or a picture is frozen: not a motion to compare
             return REPEATS if track.refused == REPEATS or self._motion.commanded(i) else ""
         if self.rules.individual:
@@ -343,6 +352,16 @@ class Guard:
         if fault:
             self._disobedient.add(i)
         return fault
+
+    def _watch_pause(self, i: int, before: Pose, pose: Pose, now_ns: int) -> None:
+        since_ns, last = self._strays.get(i, (now_ns, before))
+        fault = self._motion.disagrees(i, last, pose)
+        if not fault:
+            self._strays.pop(i, None)
+            return
+        self._strays[i] = since_ns, last
+        if now_ns - since_ns > UNTRACKED_STOP_S * SECOND:
+            self.moved.setdefault(i, fault)
 
     def _warn(self, text: str) -> None:
         """Add a warning, unless it was given before."""

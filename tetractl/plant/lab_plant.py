@@ -32,6 +32,7 @@ from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.candidates import free_candidates, turn_field
+from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, TracksCells
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
@@ -210,11 +211,18 @@ class LabPlant:
         return Command(Stop(), first.sent_ns, reached, first.left, first.right)
 
     def _check_pause(self) -> None:
-        """Abort if a robot was seen to move in a pause, once all have stood for `REST_NS`."""
-        paused = self._stopped_ns and self.rig.guard.state is GuardState.READY
-        if paused and self.rig.actuator.halts and self.clock.now() - self._stopped_ns > PAUSED_NS:
-            for line in drifting_robots(self.rig, LONGER[:1]):
-                self.rig.guard.abort(f"in a pause {line}")
+        """Abort if a robot was seen to move in a pause as no command does, or once all have stood
+        for `REST_NS`.
+        """
+        guard, lines = self.rig.guard, list[str]()
+        if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):
+            return
+        if self.clock.now() - self._stopped_ns > PAUSED_NS:
+            lines = drifting_robots(self.rig, LONGER[:1])
+        moved = [f"{self.setup.names[i]} {how}" for i, how in guard.moved.items()]
+        moved = [CAMERA] if len(moved) == len(self.setup.names) > 1 else moved
+        for line in [*lines, *moved]:
+            guard.abort(f"in a pause {line}")
 
     def settle(self) -> Verdict:
         """Wait until every robot is tracked and, if robots can stand, at rest; check the path.

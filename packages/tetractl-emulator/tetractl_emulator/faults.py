@@ -169,10 +169,10 @@ class Injector:
                 self.report("start", pending.fault)
 
     def _begin(self, fault: Fault) -> None:
-        undo = fault.begin(self.device_of(fault))
         if fault.visible is Visible.AT_ONCE:
-            self.report("start", fault)
-        else:
+            self.report("start", fault)  # before it: a killed process reports nothing
+        undo = fault.begin(self.device_of(fault))
+        if fault.visible is not Visible.AT_ONCE:
             self._pending.append(_Pending(fault))
         if fault.duration is not None:
             end = self.timeline.now_ns + round(fault.duration * SECOND)

@@ -246,10 +246,10 @@ class EmulatedM3pi(PluggedDevice):
     def push(self, fault: Any) -> Undo:
         """Move a robot as a fault says."""
         row, parts = self.robot(fault.robot).row, 1 if fault.at_once else PUSH_PARTS
-        way = *(value / parts for value in fault.by), fault.turn / parts
+        x, y, turn = (value / parts for value in (*fault.by, fault.turn))
         for part in range(parts):
             at = self._timeline.now_ns + part * PUSH_NS // PUSH_PARTS
-            self._timeline.at(at, lambda: self._wheels.shift(row, *way))
+            self._timeline.at(at, lambda: self._wheels.shift(row, x, y, turn))
         return lambda: None
 
     def robot(self, name: str) -> EmulatedRobot:

@@ -130,7 +130,7 @@ def _belief(truth: Truth) -> Iterator[Violation]:
                 return
     if isinstance(truth.log, TrialLog) and truth.log.result and truth.log.result.outcome.complete:
         mm = truth.setup.metres * 1000
-        apart = truth.poses[-1, :, :2] / mm - truth.setup.targets.reshape(-1, 2)
+        apart = truth.poses[truth.final, :, :2] / mm - truth.setup.targets.reshape(-1, 2)
         off = np.hypot(apart[:, 0], apart[:, 1]) - truth.log.result.robot_errors
         if (most := float(np.abs(off).max()) * mm) > RESULT_MM:
             yield Violation("wrong result", float(truth.times[-1]), f"by {most:.0f} mm")

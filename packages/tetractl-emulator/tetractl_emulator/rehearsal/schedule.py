@@ -6,7 +6,7 @@ rows of its own.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from random import Random
 from typing import Any
@@ -49,12 +49,12 @@ class Draw:
         """Return a value as `between`, of either sign."""
         return self.random.choice((-1, 1)) * self.between(low, high)
 
-    def robots(self) -> dict[str, str]:
+    def robots(self) -> dict[str, Any]:
         """Return the fields `robot` and `other`, of two robots."""
         one, two = self.random.sample(self.names, 2)
         return {"robot": one, "other": two}
 
-    def robot(self) -> dict[str, str]:
+    def robot(self) -> dict[str, Any]:
         """Return the field `robot`."""
         return {"robot": self.random.choice(self.names)}
 
@@ -63,7 +63,7 @@ class Draw:
         return self.random.choice(("left", "right", "both"))
 
 
-Fields = Callable[[Draw], Mapping[str, Any]]
+Fields = Callable[[Draw], dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def _share(least: float) -> Fields:
     return lambda d: {"share": min(1.0, d.between(least, 1.3))}
 
 
-def _version(d: Draw) -> dict[str, str]:
+def _version(d: Draw) -> dict[str, Any]:
     return {"version": d.random.choice(("2.9", "3.0"))}
 
 
@@ -211,7 +211,7 @@ def _battery(d: Draw) -> dict[str, Any]:
     return d.robot() | {"millivolts": round(4700 - 1200 * d.strength)}
 
 
-def _jump(d: Draw) -> dict[str, float]:
+def _jump(d: Draw) -> dict[str, Any]:
     return {"by": d.between(0.02, 6)}
 
 
@@ -219,11 +219,11 @@ def _plan(d: Draw) -> float:
     return d.between(0.01, 6)
 
 
-def _nap(d: Draw) -> dict[str, float]:
+def _nap(d: Draw) -> dict[str, Any]:
     return {"for": d.between(0.02, 5)}
 
 
-def _signal(d: Draw) -> dict[str, str]:
+def _signal(d: Draw) -> dict[str, Any]:
     return {"signal": d.random.choice(("INT", "TERM", "HUP", "QUIT"))}
 
 

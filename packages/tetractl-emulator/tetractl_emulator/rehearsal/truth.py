@@ -113,6 +113,13 @@ class Truth:
         said = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
         return said[1] if said else ""
 
+    @property
+    def final(self) -> int:
+        """The exposure of the last frame in the log, after which people may move robots."""
+        assert isinstance(self.log, TrialLog), "a log was read"
+        rows = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
+        return rows.get(int(self.log.frames[-1]), -1) if len(self.log.frames) else -1
+
     @cached_property
     def accepted(self) -> Floats:
         """Poses that our side accepted (T, N, 2) [mm], each held until the next; NaN where there is

@@ -58,7 +58,7 @@ class RobotFilter:
         follows: int = kernel.FOLLOWS,
     ) -> None:
         (self.a, self.v), self.helix, self.lag = model.parameters[i], model.helix, model.lag
-        self.watchdog = model.watchdog
+        self.watchdog, self.sticks = model.watchdog, model.sticks
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)
         self.slots: list[Hypothesis | None] = [Hypothesis(math.nan, 0.0, z.copy(), cov.copy())]
@@ -270,9 +270,13 @@ class RobotFilter:
         if math.isnan(moving.u):
             self.slots[-1] = None
             return
-        share = min(0.5, seconds / ASSUMED.stuck_for_s)
+        if stuck is not None:
+            strays, turns = self.sticks.strays, self.sticks.turns
+            grown = np.array([strays, strays, turns]) ** 2 * seconds
+            stuck.cov[[X, Y, HEADING], [X, Y, HEADING]] += grown
+        share = min(0.5, seconds / self.sticks.for_s)
         weight = -math.inf if stuck is None else stuck.ln_weight
-        sticks = moving.ln_weight + math.log(min(0.5, seconds / ASSUMED.stuck_every_s))
+        sticks = moving.ln_weight + math.log(min(0.5, seconds / self.sticks.every_s))
         if weight + math.log(share) > moving.ln_weight:
             free = self.copy(-1, moving.u, weight + math.log(share))
             free.left = moving.left

@@ -151,7 +151,7 @@ class Mpc:
         problem = self._with_margins(known, self.estimator.known)
         left = (self.time.left_s + phase * section.period) / problem.period
         spent_s = self.time.passed_s - self.leg.began_s
-        value = Worth(section.accept_error, spent_s, problem.period)
+        value = Worth(section.accept_error, spent_s, problem.period, section.patience_s(self.setup))
         return StepStart(problem, warm, section.horizon_max, left, value)
 
     def _decide(self, step: StepStart, observation: Observation) -> Plan | Outcome | End:

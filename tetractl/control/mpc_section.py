@@ -11,8 +11,10 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from tetractl.control.collision import Collision
+from tetractl.control.kernels.filter_state import Sticks
 from tetractl.control.plain import PlainSection
 from tetractl.control.prior import Prior
+from tetractl.control.value import PATIENCE_S
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller
@@ -23,7 +25,7 @@ from tetractl.experiment.controller import ALONE, Host, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
+from tetractl.model.swimmers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
 
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
 _PSO, _MULTISTART = (KindSection(OPTIMIZERS, default=name) for name in ("pso", "multistart"))
@@ -55,8 +57,14 @@ class PriorSection(Model):
     """Standard deviation of k of robots that turn by a exp(k) to the left, a exp(-k) to the
     right."""
 
+    def rests(self, setup: Setup) -> bool:
+        """Return whether cells are to be expected to rest: a stray can be distinguished from the
+        noise only if that is known."""
+        return setup.wheel_radius is None and self.position_noise > 0 < self.heading_noise
+
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
+        stray = REST_STRAY * float(problem.speed.mean())
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -74,6 +82,7 @@ class PriorSection(Model):
             lag=setup.lag_s,
             watchdog=setup.watchdog_s,
             side_std=self.side if setup.wheel_radius is not None else 0.0,
+            sticks=Sticks(*RESTS_S, stray, REST_TURN) if self.rests(setup) else Sticks(),
         )
 
 
@@ -236,6 +245,11 @@ class RecommendedMpc(SearchFields):
         if not self.estimate:
             return super().known(setup)
         return self.prior.of(self.problem(setup), self.dead_time, setup)
+
+    def patience_s(self, setup: Setup) -> float:
+        """Return the time in which the price of an attempt doubles [s]. Cells that rest may begin
+        again and again until the time is over: for them it is at most half the time limit."""
+        return min(PATIENCE_S, self.time_limit / 2) if self.prior.rests(setup) else PATIENCE_S
 
     def warm_up(self, setup: Setup) -> None:
         """Call the functions of the planner and of the margins once, so that they are compiled."""

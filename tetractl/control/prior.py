@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tetractl.control.kernels.filter_state import Sticks
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats
 
@@ -17,8 +18,9 @@ class Prior(NamedTuple):
     0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
     measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
     radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
-    robots without wheels. A robot that receives nothing for `watchdog` [s] stops. The mean `side`
-    (`tetractl.model.motion.turn_rate`) is 0.
+    robots without wheels. A robot that receives nothing for `watchdog` [s] stops. Now and then a
+    robot does not do what it is sent: it `sticks`. The mean `side` is 0
+    (`tetractl.model.motion.turn_rate`).
     """
 
     a: Floats
@@ -37,6 +39,7 @@ class Prior(NamedTuple):
     lag: float = 0.0
     watchdog: float = math.inf
     side_std: float = 0.0
+    sticks: Sticks = Sticks()
 
     @property
     def certain(self) -> bool:
@@ -60,4 +63,4 @@ class Prior(NamedTuple):
 
 def nothing(problem: Problem, dead_time: float) -> Prior:
     """Return the prior of robots of which everything is known, with a dead time [s]."""
-    return Prior(problem.a, problem.speed, dead_time, *(0.0,) * 4)
+    return Prior(problem.a, problem.speed, dead_time, 0.0, 0.0, 0.0, 0.0)

@@ -17,17 +17,19 @@ The value of a candidate is an error [length unit], the less the better:
 from dataclasses import dataclass
 from typing import ClassVar
 
+PATIENCE_S = 80.0  # time in which `attempt` doubles
+
 
 @dataclass(frozen=True, slots=True)
 class Worth:
     """The values of the candidates of a control step `spent_s` after the leg began; each signal
-    lasts `period_s`.
+    lasts `period_s`. `attempt` doubles in `patience_s`.
     """
 
     accept: float
     spent_s: float
     period_s: float
-    patience_s: ClassVar[float] = 80.0  # time in which `attempt` doubles
+    patience_s: float = PATIENCE_S
     price: ClassVar[float] = 0.02  # of a second, in units of `accept`
     touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
     unheard: ClassVar[float] = 1.5  # caution if robots that receive nothing might touch something

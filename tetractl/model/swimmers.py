@@ -30,6 +30,9 @@ A_LOG_SD = 0.25  # guess
 DIPOLE_SD_RAD = 0.1  # guess: standard deviation of the angle between dipole and body axis
 WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
 DRIFT_UM_S = 3.0  # guess: slow flow of the medium
+RESTS_S = 6.0, 1.0  # guess: means until a cell rests, or backs off and turns, and of its duration
+REST_STRAY = 0.2  # guess: random walk of its position meanwhile, over its speed [sqrt(s)]
+REST_TURN = 1.0  # guess: random walk of its heading meanwhile [rad/sqrt(s)]
 
 
 def speed_factor(celsius: float) -> float:

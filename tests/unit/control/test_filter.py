@@ -24,13 +24,15 @@ from tetractl.control.kernels.filter_state import (
     MARKER,
     STUCK,
     Bank,
+    Sticks,
     X,
+    Y,
 )
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.poses import Poses, wrap
-from tetractl.experiment.disturbance import Disturbance
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 
@@ -76,6 +78,7 @@ def know(
     seed=3,
     late=None,
     stop_s=math.inf,
+    more=(),
 ):
     """Drive simulated robots in smoothly varying directions until they are stopped at `stop_s`;
     what is known of them, and the plant.
@@ -85,7 +88,9 @@ def know(
     """
     experiment = load_spec(spec, settings).experiment
     clock, section = VirtualClock(), experiment.controller
-    plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(seed))
+    every = (*experiment.plant.disturbances, *more)
+    simulated = experiment.plant.model_copy(update={"disturbances": every})
+    plant = SimPlant(simulated, experiment.setup, clock, np.random.SeedSequence(seed))
     if late:
         plant.motion.transit.disturbances.append(late)
         plant.motion._moving.append(late)
@@ -272,6 +277,38 @@ def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
     assert found.speed == pytest.approx(plant.setup.speed, rel=0.02)
 
 
+class Backing(Disturbance):
+    """All cells swim backwards for 0.5 s from 4 s on, and then turn on the spot for 0.5 s."""
+
+    def varied(self, a, speed, time_s):
+        return a, speed * (1.0 if not 4 <= time_s < 5 else 0.0 if time_s >= 4.5 else -1.0)
+
+    def moved(self, poses, moving, seconds, time_s):
+        turned = 2.0 * seconds * (4.5 <= time_s < 5)
+        return Poses(poses.x, poses.y, poses.heading + turned)
+
+
+class BackingSection(DisturbanceSection):
+    type: str
+
+    def build(self, setup, rng):
+        return Backing()
+
+
+def test_a_cell_that_backs_off_and_turns_is_followed():
+    away = []
+
+    def compare(k, problem, estimator, plant):
+        state, poses = likely(estimator.filter), plant.poses
+        far = np.hypot(state[:, X] - poses.x, state[:, Y] - poses.y)
+        away.append((far.max(), np.abs(state[:, HEADING] - poses.heading).max()))
+
+    know([], 6, until=compare, spec=CELLS, more=[BackingSection(type="backing")])
+    far, turned = np.array(away[20:]).T
+    assert far.max() < 50  # um; a filter that has only cells at rest is off by more than 100
+    assert turned.max() < 0.5
+
+
 def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
     *_, estimator = know(rate=20, seconds=2)
     filters = estimator.filter
@@ -358,7 +395,8 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
         1.5,
         helix,
     )
-    bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1))
+    sticks = Sticks(6, 1, 60, 1)
+    bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1, sticks=sticks))
     model, made = bank._model, bank._bank
     if not helix:  # wheels that saturate
         made.state[..., LN_W], made.cov[..., LN_W, LN_W] = math.log(0.6), 0.3**2

@@ -207,16 +207,20 @@ def _branch(bank, model, b, i, u, step, now):
 
 
 @compiled(**INLINE_FAST)
-def _stick(bank, b, i, seconds, now):
-    """Exchange probability between driving and being stuck, for the `seconds` before `now`."""
+def _stick(bank, model, b, i, seconds, now):
+    """Exchange probability between driving and being stuck, for the `seconds` before `now`, in
+    which a stuck robot may have strayed."""
     weight = bank.weight[b, i]
     best, stuck = likeliest(weight, weight.size - 1), weight.size - 1
     if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
         weight[stuck] = -math.inf
         return
-    share = min(0.5, seconds / ASSUMED.stuck_for_s)
+    for k in range(at.HEADING + 1):
+        rate = model.sticks.turns if k == at.HEADING else model.sticks.strays
+        bank.cov[b, i, stuck, k, k] += rate * rate * seconds
+    share = min(0.5, seconds / model.sticks.for_s)
     stays, free = weight[stuck] + math.log(1 - share), weight[stuck] + math.log(share)
-    sticks = weight[best] + math.log(min(0.5, seconds / ASSUMED.stuck_every_s))
+    sticks = weight[best] + math.log(min(0.5, seconds / model.sticks.every_s))
     if free > weight[best]:
         _copy(bank, b, i, stuck, best)
         weight[best] = free
@@ -370,7 +374,7 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
                     ln = _weigh(bank, b, i, model, pose, gap, off, best, work)
                     found[b, i] += ln
                     bank.score[b, i] += ln
-                _stick(bank, b, i, until - since, until)
+                _stick(bank, model, b, i, until - since, until)
                 most = max(most, bank.score[b, i])
             for b in range(bank.tau.shape[0]):
                 forget = math.exp(-(until - since) / ASSUMED.forget_s)

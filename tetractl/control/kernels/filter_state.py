@@ -38,8 +38,6 @@ class Assumed(NamedTuple):
     substep_s: float = 0.025  # longest step between two additions of random walks
     lost: float = 0.05  # probability that a command does not arrive
     alike: float = 0.1  # squared difference of two hypotheses' headings, over the variance
-    stuck_every_s: float = 30.0  # mean time until a robot gets stuck
-    stuck_for_s: float = 0.5  # mean time for which it is stuck
     gate: float = 30.0  # squared deviation above which a measurement is an outlier
     least_weight: float = -25.0  # least ln of a hypothesis's weight
     lost_track_s: float = 0.3  # time without a fit after which the camera's pose is used
@@ -80,6 +78,16 @@ class Shared(NamedTuple):
     dead_times: Floats  # (2, N) each robot's dead time and its standard deviation [s]
 
 
+class Sticks(NamedTuple):
+    """How robots do not do what they are sent: a robot is stuck, or a cell rests, or backs off and
+    turns."""
+
+    every_s: float = 30.0  # mean time until it begins
+    for_s: float = 0.5  # mean time for which it lasts
+    strays: float = 0.0  # random walk of the position meanwhile [length unit/sqrt(s)]
+    turns: float = 0.0  # random walk of the heading meanwhile [rad/sqrt(s)]
+
+
 class FilterModel(NamedTuple):
     """The prior on N robots; `noise` and `walk` are standard deviations."""
 
@@ -89,6 +97,7 @@ class FilterModel(NamedTuple):
     helix: float  # its angular frequency [rad/s], 0 if there is none
     lag: float  # time constant with which turning rate and speed follow a direction [s]
     watchdog: float  # time without a command after which a robot stops, or inf [s]
+    sticks: Sticks = Sticks()
 
 
 class Bank(NamedTuple):

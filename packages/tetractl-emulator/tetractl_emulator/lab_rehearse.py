@@ -42,13 +42,15 @@ def rehearse(
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
     from tetractl.control.build import warm_up
-    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.plants import lab_of, on_plant
+    from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.summary import broken, tables
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
     if loaded.experiment.open:
         raise UsageError("this spec's trials choose their robots; a rehearsal needs them named")
     loaded.experiment.plant.require_devices()
+    kinds = rehearsal_of(lab_of(loaded.experiment, loaded.name), loaded.experiment.setup).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     folder = out or Path(f"rehearsal-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,7 +76,7 @@ def rehearse(
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
     played = [rows[day] for day in wanted if day in rows]
-    table, text = tables(played)
+    table, text = tables(played, kinds)
     bad = [row for row in played if broken(row)]
     print(table, text, f"{len(played)} days, {len(bad)} violations", sep="\n\n")
     return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
@@ -106,6 +108,7 @@ def rehearsed(spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int
     from tetractl.plant.lab_plant import RigSection
     from tetractl_emulator.rehearsal.day import plan_of_day, play
     from tetractl_emulator.rehearsal.invariants import violations
+    from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.shrink import shrunk
     from tetractl_emulator.rehearsal.summary import broken, row_of
     from tetractl_emulator.rehearsal.truth import Truth
@@ -120,7 +123,7 @@ def rehearsed(spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int
             truth = Truth(play(spec, sets, plan, Path(scratch)), setup)
             return row_of(day, truth, violations(truth, lab.limits, watchdog_s))
 
-    plan = plan_of_day(seed, day, setup, lab.actuator.type)
+    plan = plan_of_day(seed, day, setup, rehearsal_of(lab, setup))
     row = judged(plan)
     if not broken(row):
         return row

@@ -92,6 +92,18 @@ class SerialDevice(ABC):
             self._timeline.at(self._out_ns, lambda: self.port.write(wired))
 
 
+class RobotRadio(SerialDevice):
+    """A radio to robots. Faults set `loss`, the probability that a robot does not receive a
+    transmission, `late_ns`, by which they are late [ns], and whether they are `doubled`.
+    """
+
+    loss, late_ns, doubled = 0.0, 0, False
+
+    @abstractmethod
+    def poll_answers(self) -> None:
+        """Send the answers that robots have ready; to be called about every millisecond."""
+
+
 class PluggedDevice:
     """A device on a port that can be unplugged; `what` is the device's description, and `wired` is
     the part that receives and answers.

@@ -2,7 +2,8 @@
 
 To emulate another camera or actuator, implement the interface and name the class in the entry
 points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`; those of this package are named
-in `tetractl_emulator.registries`.
+in `tetractl_emulator.registries`. What a side may add to rehearsals is in
+`tetractl_emulator.rehearsal.participants`.
 """
 
 from collections.abc import Callable, Mapping, Sequence

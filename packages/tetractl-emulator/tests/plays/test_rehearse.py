@@ -34,6 +34,14 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     assert "| frames frozen |" in done.stdout
 
 
+def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
+    robots = "robots: [{name: green}, {name: blue}, {name: red}]"
+    lines = f"lab.actuator={{type: twist, port: radio, {robots}}}"
+    done = rehearse(tmp_path, "--days", "3", "--set", lines).ok()
+    assert done.stdout.endswith("3 days, 0 violations\n")
+    assert any(row["ended"] != "refused" for row in rows(tmp_path).values())
+
+
 def test_a_planted_defect_is_found_and_shrunk_to_one_fault(tmp_path, monkeypatch):
     plan = day.DayPlan(5, {}, [*map(dict, FAULTS)], "")
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)

@@ -20,7 +20,7 @@ from tetractl.lab.actuators.xbee.frames import (
 from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot
-from tetractl_emulator.port import PseudoPort, SerialDevice, uart_ns
+from tetractl_emulator.port import PseudoPort, RobotRadio, uart_ns
 
 RECEIVED = bytes.fromhex("81 00 01 28 00")  # data from address 1 at -40 dBm
 AIR_NS_A_BYTE = 32_000
@@ -30,14 +30,12 @@ ACK_NS = 860_000  # time a sender waits for an acknowledgement
 ROBOT_BAUD = 57600
 
 
-class EmulatedRadio(SerialDevice):
+class EmulatedRadio(RobotRadio):
     """The PC's module on its port, and one module per robot.
 
     `versions` are the hardware version (HV) and firmware version (VR) of the PC's module.
-    `loss` is the probability that a robot does not receive a transmission; faults also set
-    `late_ns`, by which they are late, and whether they are `doubled`. `note(event, **facts)`
-    records each command when it is read from the port, with `sequence`, `flags` and the `wheels` of
-    all robots, and what each robot hears.
+    `note(event, **facts)` records each command when it is read from the port, with `sequence`,
+    `flags` and the `wheels` of all robots, and what each robot hears.
     """
 
     def __init__(
@@ -53,7 +51,6 @@ class EmulatedRadio(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note)
         self.loss, self.robots = loss, robots
-        self.late_ns, self.doubled = 0, False
         self._random = random.Random(seed)
         self._decoder, self._witnessed = Decoder(), Decoder()
         self._air_ns = 0  # when the air is free again

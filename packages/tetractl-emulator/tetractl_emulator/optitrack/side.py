@@ -14,8 +14,9 @@ from typing import Any, ClassVar
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import WireError
+from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import entry
+from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
@@ -31,6 +32,7 @@ from tetractl_emulator.optitrack.scripted import (
     TrueBody,
 )
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
 
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
@@ -59,6 +61,11 @@ class EmulatedOptitrack:
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
+
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return what rehearsals draw of the cameras."""
+        return Rehearsal(world=_world)
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section, options = stage.lab.camera, stage.options
@@ -282,6 +289,14 @@ class EmulatedOptitrack:
             bodies[i], bodies[j] = replace(other, id=one.id), replace(one, id=other.id)
         streamed = {body.id for body in self.tracked if body.streamed}
         return tuple(body for body in bodies if body.id in streamed)
+
+
+def _world(chance: random.Random, _off: bool) -> dict[str, Any]:
+    return {
+        "noise_mm": round(chance.uniform(0.1, 0.5), 3),
+        "noise_rad": round(chance.uniform(0.001, 0.005), 4),
+        "latency": round(chance.uniform(0.003, 0.012), 4),
+    }
 
 
 def _port(of: Any) -> int:

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -21,7 +21,8 @@ from typing import Any
 from tetractl.cli.app import run_app
 from tetractl.core.setup import Setup
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl_emulator.rehearsal.schedule import faults_of_day
+from tetractl_emulator.rehearsal.participants import LabRehearsal
+from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow, faults_of_day
 from tetractl_emulator.rehearsal.world import world_of_day
 
 HANGS_S = 300.0
@@ -32,18 +33,24 @@ OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
 @dataclass(frozen=True, slots=True)
 class DayPlan:
     """What is to happen on a day: the `emulation` and the `faults` of a script, drawn for the trial
-    with number `seed`, and the reasons that are right even without a fault (`right`).
+    with number `seed`, and the reasons that are right even without a fault (`right`); `kinds` are
+    the rows from which faults were drawn.
     """
 
     seed: int
     emulation: Mapping[str, Any]
     faults: Sequence[Mapping[str, Any]]
     right: str
+    kinds: Sequence[FaultRow] = field(default=KINDS, repr=False)
 
     @property
     def sorted(self) -> list[Mapping[str, Any]]:
         """The faults by their times."""
         return sorted(self.faults, key=lambda fault: fault["at"])
+
+    def kind(self, fault: Mapping[str, Any]) -> FaultRow:
+        """Return the row of a drawn fault."""
+        return next(kind for kind in self.kinds if kind.name == fault["kind"])
 
     def script(self) -> dict[str, Any]:
         """Return the script of the day."""
@@ -72,12 +79,12 @@ class Day:
         return hashlib.sha256(json.dumps(self.events).encode()).hexdigest()[:16]
 
 
-def plan_of_day(seed: int, day: int, setup: Setup, actuator: str) -> DayPlan:
+def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal) -> DayPlan:
     """Draw the plan of a day; it depends on the seed and on the day's number alone."""
     random = Random(f"{seed}-{day}")
-    faults = faults_of_day(random, setup.names)
-    world = world_of_day(random, setup, actuator)
-    return DayPlan(random.randrange(2**31), world.emulation, faults, world.right)
+    faults = faults_of_day(random, setup.names, lab.kinds)
+    world = world_of_day(random, setup, lab)
+    return DayPlan(random.randrange(2**31), world.emulation, faults, world.right, lab.kinds)
 
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:

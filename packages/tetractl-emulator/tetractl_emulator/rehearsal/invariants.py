@@ -15,8 +15,8 @@ from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.verify import differences
-from tetractl_emulator.rehearsal.schedule import STRONG, of_name
-from tetractl_emulator.rehearsal.truth import EMERGENCY, RUN, Truth
+from tetractl_emulator.rehearsal.schedule import STRONG
+from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
 
 SLACK_S = 0.02  # a tick, a millisecond of the wire, and what a camera's clock may be off
@@ -55,7 +55,7 @@ def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
     emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
     for command in truth.of("command"):
         at = command["t_ns"] / 1e9
-        driven = [any(wheels) and command["flags"] & RUN for wheels in command["wheels"]]
+        driven = truth.drives(command)
         if at > emergency and not command["flags"] & EMERGENCY and at > truth.first("run"):
             yield Violation("emergency released", at, f"flags {command['flags']}")
             return
@@ -172,7 +172,7 @@ def _end(truth: Truth) -> Iterator[Violation]:
 def _reason(truth: Truth) -> Iterator[Violation]:
     """The reason names a fault that was there."""
     reason = truth.reason
-    right = [truth.day.plan.right, *(of_name(f["kind"]).right for _, _, f in truth.faults)]
+    right = [truth.day.plan.right, *(truth.day.plan.kind(f).right for _, _, f in truth.faults)]
     if reason and not re.search("|".join(filter(None, right)) or "$.", reason, re.IGNORECASE):
         yield Violation("reason", min(truth.abort_s, 1e6), reason[:200])
 
@@ -180,7 +180,7 @@ def _reason(truth: Truth) -> Iterator[Violation]:
 def _times(truth: Truth) -> Iterator[Violation]:
     """A strong fault ends the trial in its time while robots are driven."""
     for began, ended, fault in truth.faults:
-        within = of_name(fault["kind"]).stops_s
+        within = truth.day.plan.kind(fault).stops_s
         strong = fault["strength"] >= STRONG and ended == np.inf
         if strong and not math.isnan(within) and truth.active(began):
             took = truth.ended_s - began

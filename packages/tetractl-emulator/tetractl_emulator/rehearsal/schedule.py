@@ -6,7 +6,7 @@ rows of its own.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from random import Random
 from typing import Any
@@ -231,12 +231,14 @@ KINDS = tuple(_kinds())
 """The table of faults."""
 
 
-def faults_of_day(random: Random, names: tuple[str, ...]) -> list[dict[str, Any]]:
+def faults_of_day(
+    random: Random, names: tuple[str, ...], kinds: Sequence[FaultRow] = KINDS
+) -> list[dict[str, Any]]:
     """Draw a day's faults as of a script; a third of the days have one, others two to six. The key
     `kind` is the name of the row; `strength` that of the draw.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
-    chosen = random.choices(KINDS, [kind.weight for kind in KINDS], k=count)
+    chosen = random.choices(kinds, [kind.weight for kind in kinds], k=count)
     return [_fault(random, kind, names) for kind in chosen]
 
 
@@ -251,8 +253,3 @@ def _fault(random: Random, kind: FaultRow, names: tuple[str, ...]) -> dict[str, 
     if not kind.at_once and "for" not in fault and draw.strength < STRONG:
         fault["for"] = round(0.02 * 200 ** random.random(), 3)  # from 20 ms to 4 s
     return fault
-
-
-def of_name(name: str) -> FaultRow:
-    """Return the row of a name."""
-    return next(kind for kind in KINDS if kind.name == name)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tetractl_emulator.rehearsal.invariants import Violation
-from tetractl_emulator.rehearsal.schedule import KINDS
+from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
 from tetractl_emulator.rehearsal.truth import Truth
 
 DayRow = Mapping[str, Any]
@@ -45,7 +45,7 @@ def broken(row: DayRow) -> list[list[Any]]:
     return [violation for violation in row["violations"] if not violation[3]]
 
 
-def tables(rows: Sequence[DayRow]) -> tuple[str, str]:
+def tables(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> tuple[str, str]:
     """Return the faults met, as a table in Markdown, and a paragraph on the days."""
     times, met = defaultdict[str, list[float]](list), Counter[str]()
     for row in rows:
@@ -58,7 +58,7 @@ def tables(rows: Sequence[DayRow]) -> tuple[str, str]:
         "| fault | met | alone | noticed | median [s] | p99 [s] | worst [s] |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
-    for kind in KINDS:
+    for kind in kinds:
         took = times[kind.name]
         shown = [f"{np.quantile(took, q):.3f}" if took else "" for q in (0.5, 0.99, 1.0)]
         cells = [kind.name, met[kind.name], alone[kind.name], len(took), *shown]

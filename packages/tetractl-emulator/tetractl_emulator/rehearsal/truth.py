@@ -55,6 +55,12 @@ class Truth:
         wheels = [e.get("wheels", still) for e in self.of("truth")]
         return np.abs(np.array(wheels)).reshape(-1, len(still), 2).max(axis=2)
 
+    def drives(self, command: dict[str, Any]) -> list[bool]:
+        """Return which robots a command drives: `drives` or, of robots with `wheels`, if not 0."""
+        running = bool(command["flags"] & RUN)
+        own = [running and any(wheels) for wheels in command.get("wheels", ())]
+        return command.get("drives", own)
+
     @cached_property
     def unseen(self) -> Floats:
         """Time since each robot was last shown (T, N) [s]; 0 if not known."""

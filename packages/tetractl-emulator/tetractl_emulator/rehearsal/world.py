@@ -10,6 +10,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from tetractl.core.setup import Setup
+from tetractl_emulator.rehearsal.participants import LabRehearsal
 
 LAG_MAX_S = 0.08
 """Longest time constant of a wheel that is drawn [s]."""
@@ -26,20 +27,13 @@ class World(NamedTuple):
     right: str
 
 
-def world_of_day(random: Random, setup: Setup, section: str) -> World:
-    """Draw a world for a lab whose actuator is of type `section`."""
-    camera = {
-        "noise_mm": round(random.uniform(0.1, 0.5), 3),
-        "noise_rad": round(random.uniform(0.001, 0.005), 4),
-        "latency": round(random.uniform(0.003, 0.012), 4),
-    }
+def world_of_day(random: Random, setup: Setup, lab: LabRehearsal) -> World:
+    """Draw a world for a lab."""
+    camera = lab.camera(random, False)
     far, off = random.random() < FAR_SHARE, random.random() < OFF_SHARE
     right = [r"from its start|turned by"] * far + [r"off its commanded|moves |turns "] * off
     emulation: dict[str, Any] = {"camera": camera, "robots": _placed(random, setup, far)}
-    if section == "m3pi-xbee":
-        wheels = [_robot(random, name, off and i == 0) for i, name in enumerate(setup.names)]
-        loss = round(random.uniform(0, 0.05), 3)
-        emulation["actuator"] = {"loss": loss, "robots": wheels}
+    emulation["actuator"] = lab.actuator(random, off)
     return World(emulation, "|".join([r"about to leave|about to enter|too close", *right]))
 
 
@@ -54,17 +48,3 @@ def _placed(random: Random, setup: Setup, far: bool) -> list[dict[str, Any]]:
         start = [round(float(x), 2), round(float(y), 2)]
         placed.append({"name": name, "start": start, "heading": heading})
     return placed
-
-
-def _robot(random: Random, name: str, off: bool) -> dict[str, Any]:
-    def wheel(share: float) -> dict[str, float]:
-        return {"gain_mm": round(1000 / 127 * share, 4)}
-
-    error = 0.25 if off else random.uniform(-0.05, 0.05)
-    return {
-        "name": name,
-        "left": wheel(1 - error),
-        "right": wheel(1 + random.uniform(-0.05, 0.05)),
-        "lag": round(random.uniform(0.02, LAG_MAX_S), 3),
-        "battery_mv": random.randint(4600, 5300),
-    }

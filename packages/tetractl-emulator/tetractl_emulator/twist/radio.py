@@ -1,21 +1,22 @@
 """One port of emulated robots that take lines: serial or UDP, and a transparent radio; no I/O."""
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.lab.actuators.twist.lines import decode_command
+from tetractl.lab.cobs import Flag
 from tetractl_emulator.m3pi.robot import EmulatedRobot
-from tetractl_emulator.port import PseudoPort, SerialDevice
+from tetractl_emulator.port import PseudoPort, RobotRadio
 from tetractl_emulator.sides import Stage
 
 DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the robots
 
 
-class LineRadio(SerialDevice):
-    """Passes lines on `port` to `robots`, each of which loses one with the probability `loss()`,
-    and their replies back."""
+class LineRadio(RobotRadio):
+    """Passes lines on `port` to `robots`, and their replies back; `indices` are the numbers of all
+    robots of the setup."""
 
     def __init__(
         self,
@@ -23,11 +24,12 @@ class LineRadio(SerialDevice):
         port: PseudoPort,
         baud: int,
         robots: Sequence[EmulatedRobot],
-        loss: Callable[[], float],
+        indices: Sequence[int],
+        loss: float,
         seed: int,
     ) -> None:
         super().__init__(stage.timeline, port, baud, stage.note)
-        self.robots, self._loss = robots, loss
+        self.robots, self.loss, self._indices = robots, loss, indices
         self._random = random.Random(seed)
         self._line, self._witnessed = b"", b""
 
@@ -35,14 +37,17 @@ class LineRadio(SerialDevice):
         """Take bytes that have come over the line; robots hear whole lines or none."""
         *lines, self._line = (self._line + data).split(b"\n")
         for line in lines:
-            arrives = self._timeline.now_ns + DELAY_NS
+            arrives = self._timeline.now_ns + DELAY_NS + self.late_ns
             for robot in self.robots:
-                if self._random.random() >= self._loss():
-                    self._timeline.at(arrives, lambda robot=robot, line=line: _hear(robot, line))
+                if self._random.random() >= max(self.loss, robot.deaf):
+                    for _ in range(1 + self.doubled):
+                        self._timeline.at(arrives, lambda to=robot, line=line: _hear(to, line))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)
-        own = {"kind": command.kind, "entries": command.entries}
+        driven = [index for index, *speeds in command.entries if any(speeds)]
+        drives = [command.flags & Flag.RUN and index in driven for index in self._indices]
+        own = {"kind": command.kind, "entries": command.entries, "drives": [*map(bool, drives)]}
         return {"sequence": command.sequence, "flags": int(command.flags), **own}
 
     def _witness(self, data: bytes) -> None:

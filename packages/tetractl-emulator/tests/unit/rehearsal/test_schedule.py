@@ -6,20 +6,23 @@ from random import Random
 import pytest
 from support.paths import ROOT
 from tetractl_emulator.rehearsal.day import DayPlan, plan_of_day
-from tetractl_emulator.rehearsal.schedule import KINDS, faults_of_day, of_name
+from tetractl_emulator.rehearsal.participants import rehearsal_of
+from tetractl_emulator.rehearsal.schedule import KINDS, faults_of_day
 from tetractl_emulator.script import script_of
 
 from tetractl.experiment.load import load_spec
 
 NAMES = ("green", "blue", "red")
-SETUP = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment.setup
+EXPERIMENT = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
+SETUP = EXPERIMENT.setup
+LAB = rehearsal_of(EXPERIMENT.lab, SETUP)
 
 
 def test_a_day_depends_on_its_number_and_the_seed_alone():
-    one, again = (plan_of_day(7, 12, SETUP, "m3pi-xbee") for _ in range(2))
+    one, again = (plan_of_day(7, 12, SETUP, LAB) for _ in range(2))
     assert one == again
-    assert one != plan_of_day(7, 13, SETUP, "m3pi-xbee")
-    assert one != plan_of_day(8, 12, SETUP, "m3pi-xbee")
+    assert one != plan_of_day(7, 13, SETUP, LAB)
+    assert one != plan_of_day(8, 12, SETUP, LAB)
 
 
 def test_every_day_is_a_valid_script_and_every_fault_is_met_often():
@@ -29,7 +32,7 @@ def test_every_day_is_a_valid_script_and_every_fault_is_met_often():
         counts[len(faults)] += 1
         met.update(fault["kind"] for fault in faults)
         if day % 10 == 0:
-            plan = plan_of_day(1, day, SETUP, "m3pi-xbee")
+            plan = plan_of_day(1, day, SETUP, LAB)
             assert len(script_of(plan.script(), "optitrack", "m3pi-xbee").faults) == len(
                 plan.faults
             )
@@ -49,4 +52,4 @@ def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():
 
 
 def test_names_of_rows_are_unique():
-    assert [of_name(kind.name) for kind in KINDS] == list(KINDS)
+    assert len({kind.name for kind in KINDS}) == len(KINDS)

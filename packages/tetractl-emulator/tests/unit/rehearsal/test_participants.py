@@ -1,0 +1,67 @@
+"""What a lab is rehearsed against: the table's faults that its sides can have, and their own."""
+
+import pytest
+from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
+from support.lab_specs import SPEC
+from tetractl_emulator.faults import UNPLUG, fault
+from tetractl_emulator.rehearsal.day import plan_of_day
+from tetractl_emulator.rehearsal.participants import Rehearsal, rehearsal_of
+from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
+from tetractl_emulator.script import Sides, script_of
+from tetractl_emulator.twist.side import EmulatedTwist
+
+from tetractl.experiment.load import parse_spec
+
+
+def lab_of(spec):
+    experiment = parse_spec(spec, "lab.yaml").experiment
+    return experiment.lab, experiment.setup
+
+
+def kinds_of(spec):
+    return rehearsal_of(*lab_of(spec)).kinds
+
+
+@pytest.mark.parametrize("spec", [SPEC, TWIST_SPEC])
+def test_robots_on_wheels_can_have_every_fault_of_the_table(spec):
+    assert list(kinds_of(spec)) == list(KINDS)
+
+
+def test_a_camera_of_pictures_has_none_of_a_motion_capture_system():
+    names = {kind.fault for kind in kinds_of(APRILTAG_SPEC)}
+    assert {"no_frames", "untracked", "unplug", "signal"} < names
+    assert not names & {"swap", "twin_id", "ghost"}
+
+
+def test_one_robot_is_not_swapped_with_itself():
+    lab, setup = lab_of(SPEC)
+    kinds = rehearsal_of(lab, setup.only([0])).kinds
+    assert {kind.fault for kind in KINDS} - {kind.fault for kind in kinds} == {"swap", "twin_id"}
+
+
+def test_days_of_lines_are_valid_scripts_with_a_world_of_their_own():
+    lab, setup = lab_of(TWIST_SPEC)
+    for day in range(100):
+        plan = plan_of_day(1, day, setup, rehearsal_of(lab, setup))
+        script = script_of(plan.script(), "optitrack", "twist")
+        assert len(script.faults) == len(plan.faults)
+        assert {robot.name for robot in script.emulation.actuator.robots} == {"green", "blue"}
+
+
+def test_a_side_of_its_own_has_rows_of_its_own_in_place_of_the_tables(monkeypatch):
+    flood = FaultRow("flood", "flood", "wet")
+    plug = FaultRow("cable cut", "unplug", "cable", weight=2.0)
+
+    class Own(EmulatedTwist):
+        faults = (UNPLUG, fault("flood", "Water.", lambda fault, device: lambda: None))
+
+        @classmethod
+        def rehearsal(cls, lab, setup):
+            return Rehearsal([flood, plug])
+
+    camera = Sides.of("optitrack", "twist").camera
+    monkeypatch.setattr(Sides, "of", lambda *_: Sides(camera, Own))
+    names = [kind.name for kind in kinds_of(TWIST_SPEC)]
+    assert names[:2] == ["flood", "cable cut"]
+    assert "frames lost" in names
+    assert not {"radio unplugged", "wheel stuck"} & set(names)

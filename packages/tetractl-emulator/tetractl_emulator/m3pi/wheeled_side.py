@@ -1,0 +1,220 @@
+"""What emulated robots on two wheels have in common, whatever reaches them: states and faults.
+
+A side of your own derives from `WheeledSide`, and makes `robots`, `wheels` and `radios`.
+"""
+
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from random import Random
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from tetractl.core.clock import SECOND
+from tetractl.experiment.base import Finite, Name, Point, Positive
+from tetractl_emulator.faults import (
+    STUCK_PORT,
+    UNPLUG,
+    Begin,
+    Share,
+    Undo,
+    fault,
+    setting,
+    settings,
+    switching,
+)
+from tetractl_emulator.loop import Timeline
+from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
+from tetractl_emulator.port import RobotRadio
+from tetractl_emulator.rehearsal.world import LAG_MAX_S
+
+PUSH_NS, PUSH_PARTS = SECOND // 5, 40  # how long a push takes, and in how many steps
+Wheel = Literal["left", "right", "both"]
+
+
+class WheeledSide:
+    """Base class of emulated actuators whose bodies are `robots`, moved by `wheels`, and which hear
+    what `radios` pass on.
+    """
+
+    robots: Sequence[EmulatedRobot]
+    wheels: EmulatedRobots
+    radios: Sequence[RobotRadio]
+    timeline: Timeline
+
+    @property
+    def bodies(self) -> Sequence[EmulatedRobot]:
+        """The robots, in the order of the setup."""
+        return self.robots
+
+    @property
+    def driven(self) -> bool:
+        """Whether any motor is driven."""
+        return any(any(robot.counts()) for robot in self.robots)
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """The speeds of all wheels [mm/s], to be recorded as {"wheels": [[left, right], ...]}."""
+        return {"wheels": [[round(wheel, 2) for wheel in robot.wheels] for robot in self.robots]}
+
+    def switch(self, on: bool) -> None:
+        """Switch every robot on or off."""
+        for robot in self.robots:
+            robot.switch(on)
+
+    def advance(self, until_ns: int) -> None:
+        """Advance the robots to `until_ns`."""
+        self.wheels.advance(until_ns)
+
+    def tick(self) -> None:
+        """Send the robots' pending answers."""
+        for radio in self.radios:
+            radio.poll_answers()
+
+    def robot(self, name: str) -> EmulatedRobot:
+        """Return the robot with this name."""
+        return next(robot for robot in self.robots if robot.name == name)
+
+    def push(self, fault: Any) -> Undo:
+        """Move a robot as a fault says."""
+        row, parts = self.robot(fault.robot).row, 1 if fault.at_once else PUSH_PARTS
+        x, y, turn = (value / parts for value in (*fault.by, fault.turn))
+        for part in range(parts):
+            at = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
+            self.timeline.at(at, lambda: self.wheels.shift(row, x, y, turn))
+        return lambda: None
+
+    def restart(self, down: bool) -> None:
+        """Let the radios take and give no bytes while they are `down`."""
+        for radio in self.radios:
+            radio.restart(down)
+
+
+def robots_of_day(
+    random: Random, names: Sequence[str], off: bool, wheel: str, gain: Callable[[float], Any]
+) -> dict[str, Any]:
+    """Draw the section of a day's radio and robots, whose fields LEFT and RIGHT are of a wheel's
+    share of its speed: within 5 %, the first robot's left one 25 % if it is `off`.
+    """
+    robots: list[dict[str, Any]] = []
+    for i, name in enumerate(names):
+        error = 0.25 if off and i == 0 else random.uniform(-0.05, 0.05)
+        own = {"name": name, wheel.format("left"): gain(1 - error)}
+        own[wheel.format("right")] = gain(1 + random.uniform(-0.05, 0.05))
+        own |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
+        robots.append(own | {"battery_mv": random.randint(4600, 5300)})
+    return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
+
+
+def _robot_of(device: Any, fault: Any) -> EmulatedRobot:
+    return device.robot(fault.robot)
+
+
+def _radios(**values: Any) -> Begin:
+    """Return a function that starts a fault: it sets attributes of all radios."""
+
+    def begin(fault: Any, device: Any) -> Undo:
+        now = {name: v(fault) if callable(v) else v for name, v in values.items()}
+        undos = [setting(radio, **now) for radio in device.radios]
+
+        def end() -> None:
+            for undo in undos:
+                undo()
+
+        return end
+
+    return begin
+
+
+def _weak(fault: Any) -> tuple[float, float]:
+    left, right = (fault.wheel in (side, "both") for side in ("left", "right"))
+    return fault.share if left else 1.0, fault.share if right else 1.0
+
+
+STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
+WHEELED_FAULTS = (
+    fault(
+        "wheel_stuck",
+        "One or both wheels no longer turn.",
+        settings(_robot_of, stuck=lambda f: STUCK[f.wheel]),
+        robot=Name,
+        wheel=Wheel,
+    ),
+    UNPLUG,
+    STUCK_PORT,
+    fault(
+        "loss",
+        "Robots do not receive this fraction of the transmissions.",
+        _radios(loss=attrgetter("share")),
+        share=Share,
+    ),
+    fault(
+        "deaf",
+        "A robot does not receive this fraction of the transmissions.",
+        settings(_robot_of, deaf=attrgetter("share")),
+        robot=Name,
+        share=Share,
+    ),
+    fault(
+        "late_radio",
+        "Transmissions arrive late [s].",
+        _radios(late_ns=lambda f: round(f.by * SECOND)),
+        by=Positive,
+    ),
+    fault(
+        "doubled_packets",
+        "Robots receive each transmission twice.",
+        _radios(doubled=True),
+    ),
+    fault(
+        "radio_resets",
+        "The radio's module restarts: it takes and gives no bytes until it is up again.",
+        switching(lambda d, f: d.restart),
+    ),
+    fault(
+        "baud",
+        "The radio's module has another baud rate.",
+        _radios(speed=attrgetter("baud")),
+        baud=Literal[9600, 19200, 38400, 115200],
+    ),
+    fault(
+        "bad_bytes",
+        "This fraction of the bytes on the wire to the radio is changed, both ways.",
+        _radios(noise=attrgetter("share")),
+        share=Share,
+    ),
+    fault(
+        "weak_wheel",
+        "A wheel turns at this share of its speed.",
+        settings(_robot_of, weak=_weak),
+        robot=Name,
+        wheel=Wheel,
+        share=Share,
+    ),
+    fault(
+        "pushed",
+        "Somebody moves a robot on the floor: by this distance [mm] and angle [rad], within 0.2 s, "
+        "or at once if it is put elsewhere.",
+        lambda f, d: d.push(f),
+        robot=Name,
+        by=Point,
+        turn=(Finite, 0.0),
+        at_once=(bool, False),
+    ),
+    fault(
+        "off",
+        "A robot is switched off.",
+        switching(lambda d, f: _robot_of(d, f).switch, False),
+        robot=Name,
+    ),
+    fault(
+        "low_battery",
+        "A robot's battery has this voltage [mV].",
+        settings(
+            lambda d, f: _robot_of(d, f).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
+        ),
+        robot=Name,
+        millivolts=Annotated[int, Field(ge=0, le=9000)],
+    ),
+)
+"""The faults of a `WheeledSide`."""

@@ -84,6 +84,13 @@ DIST ?= dist
 dist: $(STAMP)
 	@$(BIN)/python packages/dist.py $(DIST)
 
+# Days of the emulated lab with random faults, of a new seed: docs/rehearsals.md of the emulator.
+DAYS ?= 200
+SPEC ?= experiments/three_m3pi_lab.yaml
+SEED := $(shell date +%s)
+rehearse: $(STAMP)
+	$(BIN)/tetractl lab rehearse $(SPEC) --days $(DAYS) --seed $(SEED) --jobs 2 --out logs/rehearsal-$(SEED)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -49,6 +49,8 @@ def rehearse(
     loaded = on_plant(ui.load(spec, sets), "emulated")
     if loaded.experiment.open:
         raise UsageError("this spec's trials choose their robots; a rehearsal needs them named")
+    if lab_of(loaded.experiment, loaded.name).actuator.type == "field":
+        raise UsageError("cells swim undriven; a rehearsal needs robots that stand undriven")
     loaded.experiment.plant.require_devices()
     kinds = rehearsal_of(lab_of(loaded.experiment, loaded.name), loaded.experiment.setup).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))

@@ -5,6 +5,7 @@ import json
 import pytest
 from support.cli import tetractl
 from support.lab_processes import SMALL, SPEC, flags
+from support.paths import EXAMPLES
 from tetractl_emulator.rehearsal import day
 
 from tetractl.lab.guard import Guard
@@ -40,6 +41,12 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
     done = rehearse(tmp_path, "--days", "3", "--set", lines).ok()
     assert done.stdout.endswith("3 days, 0 violations\n")
     assert any(row["ended"] != "refused" for row in rows(tmp_path).values())
+
+
+def test_cells_are_refused(tmp_path):
+    done = tetractl(tmp_path, "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml")
+    assert done.returncode == 2
+    assert "cells swim undriven" in done.stderr
 
 
 def test_a_planted_defect_is_found_and_shrunk_to_one_fault(tmp_path, monkeypatch):

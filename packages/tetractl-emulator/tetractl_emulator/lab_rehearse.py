@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option
 from tetractl.core.errors import Exit, UsageError
+from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
     from tetractl_emulator.rehearsal.day import DayPlan
@@ -64,7 +65,7 @@ def rehearse(
     play = partial(rehearsed, spec, tuple(sets or ()), seed, folder)
     interrupted = False
     try:
-        with results.open("a") as kept, ui.progress("days") as show:
+        with interrupted_once(), results.open("a") as kept, ui.progress("days") as show:
             for done, row in enumerate(_played(play, waiting, jobs)):
                 kept.write(json.dumps(row) + "\n")
                 kept.flush()

@@ -11,10 +11,8 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from tetractl.control.collision import Collision
-from tetractl.control.kernels.filter_state import Sticks
 from tetractl.control.plain import PlainSection
-from tetractl.control.prior import Prior
-from tetractl.control.value import PATIENCE_S
+from tetractl.control.prior import Prior, Sticks
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller
@@ -249,6 +247,8 @@ class RecommendedMpc(SearchFields):
     def patience_s(self, setup: Setup) -> float:
         """Return the time in which the price of an attempt doubles [s]. Cells that rest may begin
         again and again until the time is over: for them it is at most half the time limit."""
+        from tetractl.control.value import PATIENCE_S  # late: reading a spec needs no controller
+
         return min(PATIENCE_S, self.time_limit / 2) if self.prior.rests(setup) else PATIENCE_S
 
     def warm_up(self, setup: Setup) -> None:

@@ -5,9 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.filter_state import Sticks
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats
+
+
+class Sticks(NamedTuple):
+    """How robots do not do what they are sent: a robot is stuck, or a cell rests, or backs off and
+    turns."""
+
+    every_s: float = 30.0  # mean time until it begins
+    for_s: float = 0.5  # mean time for which it lasts
+    strays: float = 0.0  # random walk of the position meanwhile [length unit/sqrt(s)]
+    turns: float = 0.0  # random walk of the heading meanwhile [rad/sqrt(s)]
 
 
 class Prior(NamedTuple):

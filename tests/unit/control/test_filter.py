@@ -24,11 +24,10 @@ from tetractl.control.kernels.filter_state import (
     MARKER,
     STUCK,
     Bank,
-    Sticks,
     X,
     Y,
 )
-from tetractl.control.prior import Prior
+from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.poses import Poses, wrap

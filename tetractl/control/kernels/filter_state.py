@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.control.prior import Sticks
 from tetractl.core.poses import Floats
 
 X, Y, HEADING, SINE, COSINE, LN_A, LN_V, SIDE, LN_W, BIAS, MARKER, FLOW_X, FLOW_Y = range(13)
@@ -76,16 +77,6 @@ class Shared(NamedTuple):
     room: Floats  # (T, N) scratch
     score: Floats  # (B, N) ln of each filter's probability, up to a constant
     dead_times: Floats  # (2, N) each robot's dead time and its standard deviation [s]
-
-
-class Sticks(NamedTuple):
-    """How robots do not do what they are sent: a robot is stuck, or a cell rests, or backs off and
-    turns."""
-
-    every_s: float = 30.0  # mean time until it begins
-    for_s: float = 0.5  # mean time for which it lasts
-    strays: float = 0.0  # random walk of the position meanwhile [length unit/sqrt(s)]
-    turns: float = 0.0  # random walk of the heading meanwhile [rad/sqrt(s)]
 
 
 class FilterModel(NamedTuple):

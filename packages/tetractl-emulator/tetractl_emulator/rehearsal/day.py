@@ -125,7 +125,7 @@ def _run(words: list[str], folder: Path) -> None:
             os.dup2(source, target)
         os.close(said)
         os.close(null)
-        sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")  # noqa: SIM115
+        sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
         before = _open_files()

@@ -1,4 +1,4 @@
-"""Frames of the mbed firmware, which has a watchdog: commands to all robots, and their replies.
+"""Frames of the m3pi's firmware, which has a watchdog: commands to all robots, and their replies.
 
 The bytes of a command: 0x51, sequence, flags, number of robots, then i8 left and i8 right per
 robot, CRC. The bytes of a reply, sent only when polled: 0x52, id, sequence, status, u16 battery

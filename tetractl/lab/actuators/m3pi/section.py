@@ -44,8 +44,8 @@ class M3piRobot(RobotPart):
 
 
 class M3piSection(XbeeSection, ActuatorSection):
-    """m3pi robots with two wheels and mbed firmware, steered over an XBee radio by one frame for
-    all; without frames they stop by themselves after 250 ms.
+    """m3pi robots with two wheels and firmware with a watchdog, steered over an XBee radio by one
+    frame for all; without frames they stop by themselves after 250 ms.
     """
 
     device: ClassVar[str] = "tetractl.lab.actuators.m3pi.actuator:M3piActuator"

@@ -5,7 +5,7 @@ the evaluations that its searches report, at the processor time that they take o
 computer. `benchmarks/anywhere.py` prints the counted and the measured time of a control step.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
@@ -49,7 +49,9 @@ class _Counted:
             spent(evaluations)
             return limits.expired(evaluations)
 
-        counted = replace(limits, expired=expired) if limits.timed else limits
+        counted = limits
+        if limits.timed:
+            counted = Limits(limits.evaluations, expired, limits.thorough)
         found = self.optimizer.search(problem, length, warm, key, counted)
         spent(found.evaluations)
         return found

@@ -46,16 +46,15 @@ class Standing:
     """
 
     def __init__(self, speed: Floats) -> None:
-        self._speed, self._looked = speed, -1
+        self._speed, self.due_ns = speed, 0
         self._at = np.full((len(speed), 2), np.nan)  # where each robot was when it last moved
         self._driven = np.zeros(len(speed))  # way of each robot [s]
         self._then = np.zeros((len(speed), len(speed)))  # row i: that of all when i last moved
 
     def dead(self, frame: Observation) -> Bools | None:
-        """Return which robots (N,) have stood while one drove for DEAD_S; None if none moved."""
-        if frame.sampled_ns // LOOK_NS == self._looked:
-            return None
-        self._looked, xy = frame.sampled_ns // LOOK_NS, frame.poses.xy
+        """Return which robots (N,) have stood while one drove for DEAD_S, None if none moved, and
+        set `due_ns` to the time of the next frame to look at."""
+        self.due_ns, xy = (frame.sampled_ns // LOOK_NS + 1) * LOOK_NS, frame.poses.xy
         way = np.hypot(*(xy - self._at).T) / self._speed
         moves = frame.valid & ~(way < STRIDE_S)  # a robot seen for the first time moves
         if not moves.any():
@@ -89,10 +88,11 @@ class Losses:
         """Update the losses by the next frame; return the indices of robots replaced in it."""
         if self._rule is None:
             return []
-        dead = self._standing.dead(frame) if self._standing else None
-        if dead is not None and (dead & ~self.dead).any():
-            self.dead = self.dead | dead
-            self._lose(dead & self.left & (not self._rule.ends))
+        if self._standing and frame.sampled_ns >= self._standing.due_ns:
+            dead = self._standing.dead(frame)
+            if dead is not None and (dead & ~self.dead).any():
+                self.dead = self.dead | dead
+                self._lose(dead & self.left & (not self._rule.ends))
         if self._rule.ends:
             return []
         self._waiting.append(frame)

@@ -96,21 +96,17 @@ class SimCamera:
         seen = truth
         if self._noisy:
             seen = truth + self.noise * self.rng.standard_normal(truth.shape)
-        for when, true, measured in zip(times.tolist(), truth, seen, strict=True):
-            poses = Poses(*true)
-            self._send(when, poses, Poses(*measured) if self._noisy else poses)
-
-    def _send(self, when: int, truth: Poses, measured: Poses) -> None:
-        """Send the host a frame of the true poses `truth`, exposed at `when` [ns]."""
-        number, valid = self._exposed, self._tracked
-        self._exposed += 1
-        if self._measured:
-            measured, valid = self._disturb(measured, when)
-        received = self.arrivals([when])[0]
-        if received < NEVER:
-            self._shown = measured
-            seen = Observation(number, when, received, measured, valid)
-            self._under_way.append(Sample(seen, truth))
+        at, valid = times.tolist(), self._tracked
+        for when, arrives, true, measured in zip(at, self.arrivals(at), truth, seen, strict=True):
+            number, poses = self._exposed, Poses(*true)
+            shown = Poses(*measured) if self._noisy else poses
+            self._exposed += 1
+            if self._measured:
+                shown, valid = self._disturb(shown, when)
+            if arrives < NEVER:
+                self._shown = shown
+                frame = Observation(number, when, arrives, shown, valid)
+                self._under_way.append(Sample(frame, poses))
 
     def arrivals(self, times: Sequence[int]) -> list[int]:
         """Return when the next frames, exposed at `times`, reach the host [ns]; NEVER if lost.

@@ -43,9 +43,10 @@ def flat(problem: Problem) -> Flat:
     p, parameters = problem.poses, all_in_rows(problem)
     times = problem.first_period, problem.period
     kind: Any = MOTIONS.load(problem.motion).lanes
-    a, speed, side, _ = parameters.T
-    sides = np.concatenate([a * np.exp(side), a / np.exp(side)])
-    both, drift = np.column_stack([sides, np.tile(speed, 2)]), problem.drift
+    count, more, drift = len(parameters), np.exp(parameters[:, 2]), problem.drift
+    both = np.concatenate([parameters[:, :2], parameters[:, :2]])
+    both[:count, 0] *= more
+    both[count:, 0] /= more
     rest = kind.of(both, times[1])
     first = rest if times[0] == times[1] else kind.of(both, times[0])
     displaced = np.empty((6, 0))

@@ -14,6 +14,7 @@ arbitrary starts and targets, most random sequences end in a corner between wall
 other robots, and hops from nearly good sequences find good ones.
 """
 
+import math
 from threading import get_ident
 from typing import ClassVar, Literal, NamedTuple
 
@@ -171,7 +172,8 @@ class _PolishedProgress(Progress):
             how = kernels.search(
                 *self.laid, np.uint64(key), warm, rounds, *search, most, look, work
             )
-            require_finite(work.costs[1:])
+            if not math.isfinite(work.costs[1]):
+                require_finite(work.costs[1:])
             self.history += work.history[: work.at[kernels.KEPT]].tolist()
             work.at[kernels.KEPT] = 0
             self.evaluations, begun = int(work.at[kernels.EVALUATIONS]), int(work.at[kernels.BEGUN])

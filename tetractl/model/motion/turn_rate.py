@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import Derivatives, Parameter, in_rows
+from tetractl.model.motion.motion import Derivatives, Parameter
 from tetractl.model.motion.polynomials import sincos
 
 TURNING = Parameter("side", False, 0.005), Parameter("saturation", True, 0.02)
@@ -23,10 +23,11 @@ TURNING = Parameter("side", False, 0.005), Parameter("saturation", True, 0.02)
 
 def all_in_rows(of: Any) -> Floats:
     """Return PARAMETERS and TURNING (N, 4) in the fields of a problem."""
-    count = len(of.a)
-    side = np.zeros(count) if of.side is None else of.side
-    saturation = np.ones(count) if of.saturation is None else of.saturation
-    return np.column_stack([in_rows(of), side, saturation])
+    rows = np.empty((len(of.a), 4))
+    rows[:, 0], rows[:, 1] = of.a, of.speed
+    rows[:, 2] = 0.0 if of.side is None else of.side
+    rows[:, 3] = 1.0 if of.saturation is None else of.saturation
+    return rows
 
 
 def is_left(c: float, s: float, cu: float, su: float) -> bool:

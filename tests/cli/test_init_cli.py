@@ -45,6 +45,36 @@ def test_the_lab_of_a_new_spec_can_be_used(tetractl):
     assert "cameras" in done.stdout.partition("# Limits")[2]
 
 
+def test_a_lab_has_the_robots_and_the_camera_that_are_asked_for(tetractl, tmp_path):
+    made = tetractl("init", "lines", "--lab", "--robots", "twist").ok()
+    assert made.stdout == "lines.yaml\n"
+    assert tetractl("validate", "lines.yaml", "--strict").ok().stderr == ""
+    lab = load_spec(tmp_path / "lines.yaml").experiment.lab
+    assert (lab.camera.type, lab.actuator.type) == ("optitrack", "twist")
+    bodies = [(robot.name, robot.body) for robot in lab.camera.robots]
+    assert bodies == [(name, name) for name in ("green", "blue", "red")]
+    done = tetractl("run", "lines.yaml", "--trials", 2, "--json").ok()
+    assert json.loads(done.stdout)["total_error"]["max"] < 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["--lab", "--robots", "twits"],
+            "--robots twits: unknown; did you mean 'twist'?\nhint: known are m3pi",
+        ),
+        (["--robots", "twist"], "--camera and --robots are of a lab\nhint: add --lab"),
+        (["--camera", "optitrack"], "--camera and --robots are of a lab"),
+        (["--example", "three_m3pi", "--robots", "twist"], "--example cannot be combined"),
+    ],
+)
+def test_labs_that_do_not_exist_are_one_line(tetractl, tmp_path, words, said):
+    done = tetractl("init", "new", *words) if "--example" not in words else tetractl("init", *words)
+    assert (done.returncode, said in done.stderr) == (2, True), done.stderr
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["5", "true", "1e3", "null", "0x1f", "a.b-c_d"])
 def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
     assert tetractl("init", name).returncode == 0

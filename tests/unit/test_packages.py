@@ -19,7 +19,7 @@ HIDDEN = """
 import sys
 import importlib.metadata
 
-PACKAGES = {"tetractl_emulator", "tetractl_microscope"}
+PACKAGES = {"tetractl_emulator", "tetractl_microscope", "tetractl_toio"}
 
 class Hidden:
     def find_spec(self, name, path=None, target=None):
@@ -30,7 +30,7 @@ sys.meta_path.insert(0, Hidden())
 found = importlib.metadata.entry_points
 
 def points(**by):
-    ours = ("tetractl-emulator", "tetractl-microscope")
+    ours = ("tetractl-emulator", "tetractl-microscope", "tetractl-toio")
     got = found(**by)
     if not by.get("group", "").startswith("tetractl."):
         return got
@@ -64,7 +64,7 @@ def test_what_a_package_brings_is_named_where_it_is_missing(project):
             if (of, package) == (group, found["name"])
         }
         points = found["entry-points"].get(group, {})
-        if group == EXAMPLES.group:
+        if group == EXAMPLES.group and points:
             brings = {name.partition("/")[0] for name in _names(project.parent)}
             assert brought == brings and list(points.values()) == [f"{module(project)}:EXAMPLES"]
         else:
@@ -94,7 +94,9 @@ def test_tests_of_the_core_need_no_package():
     files = [*ROOT.glob("tests/**/*.py")]
     own = {path.stem for path in ROOT.glob("tests/support/*.py")}
     assert {one for path in files for one in TAKEN.findall(path.read_text("utf-8"))} <= own
-    imports = re.compile(r"^ *(from|import) (tetractl_(emulator|microscope)|cv2|tifffile)", re.M)
+    imports = re.compile(
+        r"^ *(from|import) (tetractl_(emulator|microscope|toio)|cv2|tifffile)", re.M
+    )
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
 
@@ -113,6 +115,7 @@ def test_the_core_imports_whole_without_the_packages_and_opencv():
         ("tetractl-microscope", ["track", "dish.avi"]),
         ("tetractl-microscope", ["validate", str(MICROSCOPE_EXAMPLES / "tetrahymena_dish.yaml")]),
         ("tetractl-microscope", ["init", "--example", "two_cells"]),
+        ("tetractl-microscope", ["init", "x", "--lab", "--camera", "apriltag"]),
         ("tetractl-emulator", ["init", "--example", "faults/apriltag/drips"]),
     ],
 )

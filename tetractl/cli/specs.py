@@ -82,7 +82,13 @@ def init(
         str | None,
         argument("[NAME]", "Name of the experiment and of the file to write. [experiment]"),
     ] = None,
-    lab: Annotated[bool, switch("Add a lab of m3pi robots to the spec.", "--lab")] = False,
+    lab: Annotated[bool, switch("Add a lab to the spec.", "--lab")] = False,
+    camera: Annotated[
+        str | None, option("KIND", "The lab's camera, such as apriltag. [optitrack]")
+    ] = None,
+    robots: Annotated[
+        str | None, option("KIND", "The lab's robots, such as twist. [m3pi-xbee]")
+    ] = None,
     example: Annotated[
         str | None,
         option(
@@ -98,15 +104,19 @@ def init(
 
     Example: tetractl init first
 
+    Example: tetractl init shelf --lab --camera apriltag --robots twist
+
     Example: tetractl init --example studies/dead_time
     """
     if example is not None:
-        if name is not None or lab:
+        if name is not None or lab or camera or robots:
             raise UsageError(
                 "--example cannot be combined with other options: it writes a file as shipped",
                 "give --example alone",
             )
         return _example(example)
+    if (camera or robots) and not lab:
+        raise UsageError("--camera and --robots are of a lab", "add --lab")
     name = "experiment" if name is None else name
     path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
     if not NAME.fullmatch(path.stem):
@@ -114,7 +124,7 @@ def init(
             f"'{printable(name, 80)}' cannot be the name of an experiment",
             "use up to 64 characters: a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
-    _write(path, template(path.stem, path.name, lab), "give another NAME")
+    _write(path, template(path.stem, path.name, lab, camera, robots), "give another NAME")
     ui.tell(f"run it with: tetractl run {path}")
     return Exit.DONE
 
@@ -145,15 +155,18 @@ def _write(path: Path, text: str, hint: str) -> None:
     print(path)
 
 
-def template(name: str, file: str, lab: bool = False) -> str:
-    """Return a commented spec of an experiment called `name` with two robots, to be kept in `file`;
-    with a `lab` if wanted."""
-    from importlib.resources import files
-
+def template(
+    name: str, file: str, lab: bool = False, camera: str | None = None, robots: str | None = None
+) -> str:
+    """Return a commented spec of an experiment called `name`, to be kept in `file`; with a `lab` of
+    these kinds of camera and robots if wanted."""
+    from tetractl.experiment.lab_template import OURS, lab_template
     from tetractl.experiment.yaml.core_yaml import dump
 
-    kind = "lab.yaml" if lab else "robots.yaml"
-    text = (files("tetractl.experiment") / "templates" / kind).read_text("utf-8")
+    if lab:
+        text = lab_template(robots or "m3pi-xbee", camera)
+    else:
+        text = (OURS / "robots.yaml").read_text("utf-8")
     named = dump({"name": name}).strip("{}\n")  # in quotes if YAML would read the name as a number
     return text.replace("@NAME@", named).replace("@FILE@", file)
 

@@ -187,6 +187,8 @@ LAB_COMMANDS = Registry(
 """Commands, and those of `tetractl lab`, in the order in which the help lists them."""
 EXAMPLES = Registry("tetractl.examples", {})
 """The folders of further examples, each a `Path`: by the name of what brings it."""
+TEMPLATES = Registry("tetractl.templates", {})
+"""Likewise, folders of further parts of the specs that `init --lab` writes."""
 
 
 def all_registries() -> list[Registry]:

@@ -10,6 +10,7 @@ BRINGS = {
     ("tetractl.lab_commands", "emulate"): EMULATOR,
     ("tetractl.lab_commands", "rehearse"): EMULATOR,
     ("tetractl.lab_commands", "survey"): MICROSCOPE,
+    ("tetractl.lab_commands", "markers"): MICROSCOPE,
     ("tetractl.commands", "track"): MICROSCOPE,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,

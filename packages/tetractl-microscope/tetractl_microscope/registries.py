@@ -7,6 +7,8 @@ from tetractl.core.registry import Registry
 
 EXAMPLES = Path(__file__).parent / "examples"
 """The folder of the examples that `tetractl init --example` writes."""
+TEMPLATES = Path(__file__).parent / "templates"
+"""The folder of the parts of `tetractl init --lab --camera apriltag`."""
 
 CELL_FIGURES = Registry(
     "tetractl.cell_figures",

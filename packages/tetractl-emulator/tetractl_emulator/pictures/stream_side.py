@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field
-from tetractl_microscope.pictures.picture_section import MjpegSource, PictureSection
+from tetractl_microscope.pictures.picture_section import DeviceSource, MjpegSource, PictureSection
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
@@ -117,15 +117,18 @@ class StreamedCamera(ABC):
     def __init__(self, stage: Stage, settings: StreamSettings) -> None:
         section = stage.lab.camera
         assert isinstance(section, PictureSection), "the camera searches pictures"
-        if not isinstance(section.source, MjpegSource):
+        source, in_memory = section.source, not stage.wires.http
+        served = (MjpegSource, DeviceSource) if in_memory else MjpegSource
+        if not isinstance(source, served):
             raise SpecError(
-                f"a source of type {section.source.type} cannot be emulated",
+                f"a source of type {source.type} cannot be emulated",
                 "use {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
             )
         self.seed = stage.options.seed
         self._stage, self._settings, self._latency = stage, settings, section.latency
         port = stage.options.command_port
-        self._port = urlsplit(section.source.url).port or 80 if port is None else port
+        named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
+        self._port = named if port is None else port
         self._past: deque[tuple[int, Floats]] = deque(maxlen=200)
         self._watched = self._opened = False
         self._exposures = 0

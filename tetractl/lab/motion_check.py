@@ -116,10 +116,14 @@ class MotionCheck:
         """
         past, allowed = self._past[i], self._allowed[:, i]
         seen = self.seen[i] + motion(before, pose) if past else self.seen[i]
-        for then in reversed([row for _, row in past]):
-            way, least, most = np.array([seen, *allowed]) - then
-            if np.any((way < least - self._slack[i]) | (way > most + self._slack[i])):
-                found = _diagnosis(way, least, most, self._slack[i])
+        if past:
+            moved = np.array([seen, *allowed]) - np.array([row for _, row in past])  # (K, 3, 3)
+            slack = self._slack[i]
+            below, above = moved[:, 1] - slack, moved[:, 2] + slack
+            wrong = (moved[:, 0] < below) | (moved[:, 0] > above)
+            if len(rows := np.flatnonzero(wrong.any(axis=1))):
+                way, least, most = moved[rows[-1]]
+                found = _diagnosis(way, least, most, slack)
                 return found if self._radius else OF_CELLS.get(found, found)
         self.seen[i] = seen
         if not past or self._now_ns - past[-1][0] >= SECOND // 20:
@@ -139,7 +143,13 @@ def motion(before: Pose, pose: Pose) -> Floats:
         dx * math.cos(middle) + dy * math.sin(middle),
         dy * math.cos(middle) - dx * math.sin(middle),
     )
-    return np.array([along / np.sinc(turned / math.tau), across, turned])
+    return np.array([along / chord(turned), across, turned])
+
+
+def chord(turned: float) -> float:
+    """Return the chord of an arc on which a robot turns by an angle, as a share of its length."""
+    half = math.pi * (turned / math.tau)
+    return math.sin(half) / half if half else 1.0
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
+from tetractl.lab.motion_check import chord
 
 
 class Places:
@@ -57,8 +58,8 @@ class Places:
         if self._rates is None:
             return pose.x, pose.y
         way, turned = (rate[i] * self._reaction for rate in self._rates)
-        chord, course = way * float(np.sinc(turned / math.tau)), pose.heading + turned / 2
-        return pose.x + chord * math.cos(course), pose.y + chord * math.sin(course)
+        gone, course = way * chord(turned), pose.heading + turned / 2
+        return pose.x + gone * math.cos(course), pose.y + gone * math.sin(course)
 
     def _depth(self, x: float, y: float) -> float:
         """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""

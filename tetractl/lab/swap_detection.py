@@ -81,9 +81,10 @@ class SwapDetector:
             commanded = np.array([self._sent.mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
             self._shared = key, commanded
         commanded = self._shared[1]  # (D, N)
-        self._all.add(i, commanded, angle, dt)
-        stretch = self._stretch
-        stretch.add(i, commanded, angle, dt)
+        stretch, apart = self._stretch, commanded[0] - commanded[0, i]
+        terms = commanded**2 * dt, angle * commanded, apart**2 * dt, commanded[:, i] * dt
+        self._all.add(i, *terms, angle, dt)
+        stretch.add(i, *terms, angle, dt)
         self._watched_ns[i] += dt_ns if commanded[0].any() else 0
         if self._watched_ns[i] >= ALONE_NS:
             followed = stretch.follows_alone(i)
@@ -104,7 +105,7 @@ class SwapDetector:
             return (
                 f"{names} turn as another robot is commanded: are their numbers or bodies swapped?"
             )
-        for i, j in np.argwhere(self._alone):
+        for i, j in np.argwhere(self._alone) if self._alone.any() else ():
             one, other = self._names[i], self._names[j]
             return f"{one} turns as {other} is commanded, not as {one} is: is its number wrong?"
         return ""
@@ -121,14 +122,21 @@ class _TurnIntegrals:
         self._way = np.zeros((len(DELAYS_NS), n))  # integrals of w_i(t - d)
         self._turned, self._seconds = np.zeros(n), np.zeros(n)  # integrals of s_i, and of 1
 
-    def add(self, i: int, commanded: Floats, angle: float, dt: float) -> None:
-        """Add a turn of robot i by `angle` [rad] within `dt` [s], during which the `commanded`
-        rates of all robots were (D, N) [rad/s].
-        """
-        self._commanded[:, i] += commanded**2 * dt
-        self._common[:, i] += angle * commanded
-        self._differ[i] += (commanded[0] - commanded[0, i]) ** 2 * dt
-        self._way[:, i] += commanded[:, i] * dt
+    def add(
+        self,
+        i: int,
+        commanded: Floats,
+        common: Floats,
+        differ: Floats,
+        way: Floats,
+        angle: float,
+        dt: float,
+    ) -> None:
+        """Add a turn of robot i by `angle` [rad] within `dt` [s], and the integrals over it."""
+        self._commanded[:, i] += commanded
+        self._common[:, i] += common
+        self._differ[i] += differ
+        self._way[:, i] += way
         self._turned[i] += angle
         self._seconds[i] += dt
 
@@ -173,6 +181,8 @@ def _ring(follows: np.ndarray) -> list[int]:
     """Return a ring of robots, each of which follows the next, and the last the first; [] if there
     is none.
     """
+    if not follows.any():
+        return []
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])

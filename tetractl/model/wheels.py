@@ -162,12 +162,6 @@ class WheeledRobots:
         """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
         self._rates[:] = turning / (2 * self.radius), speed / 2
 
-    def wheels_in(self, seconds: float) -> Floats:
-        """Return the wheel speeds (2, N) after a time [s] from now."""
-        lags = self.bodies[0, LAG]
-        kept = np.exp(np.divide(-seconds, lags, out=np.full(lags.size, -np.inf), where=lags > 0))
-        return self.targets + (self.wheels - self.targets) * kept
-
     def drive(
         self,
         since_ns: int,

@@ -24,7 +24,7 @@ from tetractl.core.commands import (
     Verdict,
 )
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Observation, Pose, Poses
+from tetractl.core.poses import Floats, Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
@@ -268,12 +268,11 @@ class LabPlant:
         frames, self._read = self.rig.frames.since(self._read)
         if isinstance(self.rig.camera, AddsToFrames):
             self._added |= {added.sampled_ns: added for added in self.rig.camera.additions()}
+        paths: list[Floats] = []
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
             self._heading = poses.heading
-            path = poses.xy.T[:, None].copy()
-            path[..., list(self.rig.guard.lost)] = np.nan
-            self._path_check.add(path[0], path[1], np.array([accepted.fresh]))
+            paths.append(poses.xy)
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
             self._recent.append(self._newest)
@@ -281,6 +280,10 @@ class LabPlant:
             if added is not None:
                 self._news.extend(self._identities.see(added))
             self._fresh.append(Sample(self._newest, None, added.messages if added else ()))
+        if paths:
+            x, y = np.array(paths).transpose(2, 0, 1)
+            x[:, list(self.rig.guard.lost)] = np.nan
+            self._path_check.add(x, y, np.array([accepted.fresh for accepted in frames]))
         if self._newest is not None:  # frames that the guard rejected give no sample
             now = self._newest.sampled_ns
             self._added = {at: added for at, added in self._added.items() if at > now}

@@ -177,7 +177,7 @@ class EmulatedLab:
         """Advance the actuator, and record which robots start or stop moving."""
         now = self.timeline.now_ns
         self.actuator.tick()
-        if self.actuator.driven and not self._ran:
+        if not self._ran and self.actuator.driven:
             self._ran = True
             if self._still_since is not None:  # a run begins: rest before it does not count
                 self._still_since = now

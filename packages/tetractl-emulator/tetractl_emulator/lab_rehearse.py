@@ -43,7 +43,9 @@ def rehearse(
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
     from tetractl.control.build import warm_up
+    from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
+    from tetractl.run.task import run_trial
     from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.summary import broken, tables
 
@@ -55,6 +57,9 @@ def rehearse(
     loaded.experiment.plant.require_devices()
     kinds = rehearsal_of(lab_of(loaded.experiment, loaded.name), loaded.experiment.setup).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
+    short = on_plant(load_spec(spec, [*(sets or ()), "controller.time_limit=1"]), "emulated")
+    with tempfile.TemporaryDirectory() as scratch:  # what it loads, no day has to load
+        run_trial(short, Path(scratch))
     folder = out or Path(f"rehearsal-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
     results = folder / "days.jsonl"

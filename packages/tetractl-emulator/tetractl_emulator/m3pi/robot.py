@@ -4,6 +4,7 @@
 Lengths are millimetres.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -11,13 +12,19 @@ import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.poses import Floats, Poses
+from tetractl.model.motion.rolling import LAG
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
+from tetractl.plant.wheel_kernel import roll
 from tetractl_emulator.firmware import RobotCore, WheelsCore
 
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
 STEPS_MAX = 1000  # number of steps that may be integrated together
 FULL_LOAD_MM_S = 2000.0  # both wheels together
+Place = tuple[float, float, float]
+"""x, y, heading of a robot [mm, rad]."""
+Speeds = tuple[float, float]
+"""The speeds of a robot's left and right wheel [mm/s]."""
 
 
 @dataclass(slots=True)
@@ -65,23 +72,22 @@ class EmulatedRobot:
     @property
     def x(self) -> float:
         """Position x [mm]."""
-        return float(self.robots.poses.x[self.row])
+        return self.robots.poses[self.row][0]
 
     @property
     def y(self) -> float:
         """Position y [mm]."""
-        return float(self.robots.poses.y[self.row])
+        return self.robots.poses[self.row][1]
 
     @property
     def heading(self) -> float:
         """Heading [rad]."""
-        return float(self.robots.poses.heading[self.row])
+        return self.robots.poses[self.row][2]
 
     @property
-    def wheels(self) -> tuple[float, float]:
+    def wheels(self) -> Speeds:
         """The speeds of the left and the right wheel [mm/s]."""
-        left, right = self.robots.wheels[:, self.row].tolist()
-        return left, right
+        return self.robots.wheel_speeds[self.row]
 
     @property
     def load(self) -> float:
@@ -145,10 +151,14 @@ class EmulatedRobots:
     ) -> None:
         at_zero = Poses(*np.zeros((3, len(robots))))
         self._wheeled = WheeledRobots(at_zero, radius, lag_s, AT_REST_MM_S)
+        self._wheeled.roll = roll
+        self._wheeled.drive(start_ns, np.array([start_ns]))  # so that the code is loaded before
         self.robots, self._drivetrains = robots, drivetrains
         self._now_ns = self._settled_ns = start_ns
         self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
-        self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
+        # `poses`, `wheel_speeds` and `standing`, and when they were computed [ns]
+        self._known: tuple[int, list[Place], list[Speeds]] = -1, [], []
+        self._stood: tuple[int, list[bool]] = -1, []
         self._held: list[tuple[Counts, tuple[bool, bool], tuple[float, float]]] = []
         for row, robot in enumerate(robots):
             robot.robots, robot.row = self, row
@@ -159,22 +169,23 @@ class EmulatedRobots:
         return self._now_ns // MILLISECOND
 
     @property
-    def poses(self) -> Poses:
-        """The present poses [mm, rad]."""
-        return self._settled().poses
+    def poses(self) -> list[Place]:
+        """The present poses."""
+        return self._now()[1]
 
     @property
-    def wheels(self) -> Floats:
-        """The present speeds of the wheels (2, N) [mm/s]."""
-        return self._settled().wheels.copy()
+    def wheel_speeds(self) -> list[Speeds]:
+        """The present speeds of each robot's wheels."""
+        return self._now()[2]
 
     @property
     def standing(self) -> list[bool]:
         """Whether each robot is at rest, or moves more slowly than a camera could detect."""
         if self._stood[0] != self._now_ns:
-            ahead_s = (self._now_ns - self._settled_ns) / SECOND
-            fastest = np.abs(self._wheeled.wheels_in(ahead_s)).max(axis=0)
-            self._stood = self._now_ns, (fastest < STANDING_MM_S).tolist()
+            ahead_s = (self._settled_ns - self._now_ns) / SECOND
+            body = self._wheeled.bodies[0]
+            own = zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)
+            self._stood = self._now_ns, [_stands(ahead_s, *wheels) for wheels in own]
         return self._stood[1]
 
     def advance(self, until_ns: int) -> None:
@@ -197,11 +208,22 @@ class EmulatedRobots:
         wheeled = self._settled()
         wheeled.pose[:, row] = x, y, heading
         wheeled.wheels[:, row] = 0.0
-        self._stood = -1, []
+        self._forget()
 
     def shift(self, row: int, x: float, y: float, turn: float) -> None:
         """Move a robot [mm, rad] without stopping its wheels."""
         self._settled().pose[:, row] += x, y, turn
+        self._forget()
+
+    def _forget(self) -> None:
+        self._known, self._stood = (-1, [], []), (-1, [])
+
+    def _now(self) -> tuple[int, list[Place], list[Speeds]]:
+        if self._known[0] != self._now_ns:
+            body = self._settled().bodies[0]
+            places = list(zip(*body[:3].tolist(), strict=True))
+            self._known = self._now_ns, places, list(zip(*body[3:5].tolist(), strict=True))
+        return self._known
 
     def _settled(self) -> WheeledRobots:
         """Return the robots as they are now."""
@@ -216,3 +238,10 @@ class EmulatedRobots:
         for robot, load in zip(self.robots, loads, strict=True):
             robot.battery.draw(load, seconds)
         return wheeled
+
+
+def _stands(ahead_s: float, left: float, right: float, one: float, two: float, lag: float) -> bool:
+    """Return whether wheels of two speeds, which follow `one` and `two`, stand at -`ahead_s`."""
+    kept = math.exp(ahead_s / lag) if lag > 0 else 0.0
+    fastest = max(abs(one + (left - one) * kept), abs(two + (right - two) * kept))
+    return fastest < STANDING_MM_S

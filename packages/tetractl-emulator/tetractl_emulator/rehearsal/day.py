@@ -6,13 +6,16 @@ leaves behind (threads, open files) can be seen.
 
 import gc
 import hashlib
+import importlib
 import json
 import os
+import select
 import signal
 import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -95,10 +98,14 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     words += ["--seed", str(plan.seed), "--out", str(folder / "log")]
     own = (f"plant.faults={script.resolve()}", f"plant.record={folder}", "controller.deadline=60")
     words += [word for setting in (*sets, *own) for word in ("--set", setting)]
+    ended, ends = os.pipe()
     pid = os.fork()
     if not pid:
         _run(words, folder)
-    code = _wait(pid)
+    os.close(ends)
+    code = _wait(pid, ended)
+    os.close(ended)
+    _load_ahead(folder / "modules.txt")
     record = folder / "truth-000.jsonl"
     lines = record.read_text().splitlines() if record.exists() else []
     log = next(iter(sorted((folder / "log").glob("*.mcap*"))), None)
@@ -128,13 +135,14 @@ def _run(words: list[str], folder: Path) -> None:
         sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
-        before = _open_files()
+        before, loaded = _open_files(), set(sys.modules)
         sys.argv = ["tetractl", *words]
         code = int(run_app())
         gc.collect()
         threads = [one.name for one in threading.enumerate() if one is not threading.main_thread()]
         files = sorted(_open_files() - before)
         (folder / "left.txt").write_text("; ".join([*threads, *files]))
+        (folder / "modules.txt").write_text("\n".join(sys.modules.keys() - loaded))
         sys.stdout.flush()
         sys.stderr.flush()
     except BaseException as error:
@@ -144,6 +152,13 @@ def _run(words: list[str], folder: Path) -> None:
             traceback.print_exception(error, file=out)
     finally:
         os._exit(code & 0xFF)
+
+
+def _load_ahead(modules: Path) -> None:
+    """Import what a day has imported, so that the next ones need not."""
+    for name in modules.read_text().split() if modules.exists() else ():
+        with suppress(ImportError):
+            importlib.import_module(name)
 
 
 def _open_files() -> set[str]:
@@ -157,16 +172,12 @@ def _open_files() -> set[str]:
     return found
 
 
-def _wait(pid: int) -> int:
-    """Wait for a process; return its exit code, or the number of the signal that killed it less
-    than 0, -100 if it hangs.
+def _wait(pid: int, ended: int) -> int:
+    """Wait for a process, which closes the other end of the pipe `ended`; return its exit code, or
+    the number of the signal that killed it less than 0, -100 if it hangs.
     """
-    end = time.monotonic() + HANGS_S
-    while time.monotonic() < end:
-        done, status = os.waitpid(pid, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.005)
-    os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
-    return -100
+    hangs = not select.select([ended], [], [], HANGS_S)[0]
+    if hangs:
+        os.kill(pid, signal.SIGKILL)
+    status = os.waitpid(pid, 0)[1]
+    return -100 if hangs else os.waitstatus_to_exitcode(status)

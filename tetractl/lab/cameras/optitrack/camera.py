@@ -67,6 +67,7 @@ class OptitrackCamera:
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
         self._asked: Counter[str] = Counter()
+        self._next_ns = 0  # when a request is due again, if nothing comes
         self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
 
     @property
@@ -213,7 +214,7 @@ class OptitrackCamera:
             if not self.senders.admit(datagram, host, port):
                 continue
             now = self._clock.now()
-            message = self.stream.feed(datagram, now)
+            message, self._next_ns = self.stream.feed(datagram, now), 0
             if isinstance(message, natnet.NatNetFrame):
                 self.senders.pin(port)
             elif isinstance(message, natnet.ServerInfo) and self._unicast:
@@ -227,12 +228,16 @@ class OptitrackCamera:
     def _chores(self) -> None:
         """Send the requests that are due."""
         now = self._clock.now()
-        for what, period_ns, message in list(self._requests(now)):
+        if now < self._next_ns:
+            return
+        wanted = list(self._requests(now))
+        for what, period_ns, message in wanted:
             if now >= self._due.get(what, now):
                 self._due[what] = now + period_ns
                 self._asked[what] += 1
                 self.stream.asked(message)
                 self._send(message)
+        self._next_ns = min((self._due[what] for what, _, _ in wanted), default=0)
 
     def _requests(self, now: int) -> Iterator[tuple[str, int, natnet.ClientMessage]]:
         """Yield the requests for missing information, for the server's time and, in unicast, to

@@ -171,6 +171,7 @@ class Stream:
         self._placement = placement
         self._pinned = pinned
         self._on_frame = on_frame
+        self._ids: dict[str, int] = {}  # the bodies of the model
         self._asked: str | None = None
         self._awaited: Counter[type[natnet.ServerMessage]] = Counter()
         self._echoes: deque[int] = deque(maxlen=64)  # requests without an answer so far
@@ -187,7 +188,7 @@ class Stream:
         """Return a body's id in frames, None if its name is unknown."""
         if isinstance(body, int):
             return body
-        return self.model.ids().get(body) if self.model else None
+        return self._ids.get(body)
 
     def missing(self) -> list[str | int]:
         """Return the robots' bodies that are not in the newest frame, in the robots' order."""
@@ -254,7 +255,7 @@ class Stream:
                 self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
             case natnet.ModelDef():
-                self.model, self.models_changed = message, False
+                self.model, self.models_changed, self._ids = message, False, message.ids()
                 self._twins = self._twins_in(message)
             case natnet.EchoResponse(client, server) if self.sync is not None:
                 self.sync.add(client, received_ns, server)
@@ -284,8 +285,8 @@ class Stream:
         sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
-            if frame.number >= before.number - 10:  # it was overtaken on its way
-                return
+            if sampled_ns < before.sampled_ns or frame.number >= before.number - 10:
+                return  # it was overtaken on its way; without a clock, by few
             self._fault = (
                 f"{COUNTED_BACK} from {before.number} to {frame.number}: "
                 "the server was restarted, or plays a recording"

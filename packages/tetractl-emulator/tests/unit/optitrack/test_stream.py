@@ -3,6 +3,7 @@ import struct
 import pytest
 from tetractl_emulator.optitrack.natnet_server import pack_answer
 
+from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
@@ -91,6 +92,18 @@ def test_the_newest_frame_wins():
     assert stream.newest.number == 9
     assert stream.newest.fault == ""
     assert stream.counts.frames == 3
+
+
+@pytest.mark.parametrize("exposure, fault", [(HZ // 2, ""), (HZ + 9, "the frame counter went")])
+def test_a_frame_of_the_past_was_overtaken_by_however_many_and_a_new_one_counts_back(
+    exposure, fault
+):
+    stream = connected()
+    stream.asked(natnet.EchoRequest(0))
+    stream.feed(pack_answer(natnet.EchoResponse(0, 0)), 0)
+    for number, exposed in ((500, HZ), (400, exposure)):
+        stream.feed(frame(number, exposure=exposed), 2 * SECOND)
+    assert stream.newest.fault[:22] == fault
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,16 @@ import math
 import numpy as np
 
 from tetractl.control.filter import FilterBank
-from tetractl.control.kernels.filter_state import ASSUMED, BIAS, GRID, LN_A, LN_V, MARKER, SIDE
+from tetractl.control.kernels.filter_state import (
+    ASSUMED,
+    BIAS,
+    GRID,
+    LN_A,
+    LN_V,
+    MARKER,
+    SIDE,
+    STUCK,
+)
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
 
@@ -39,6 +48,7 @@ def estimate(filters: FilterBank) -> Estimate:
     best = np.argmax(score, axis=0), np.arange(score.shape[1])
     each = (*best, np.argmax(bank.weight[best], axis=1))
     z, cov = bank.state[each], bank.cov[each]
+    weights = np.exp(bank.weight[best] - bank.weight[best].max(axis=1, keepdims=True))
     squares = bank.white[best][:, 1, :3]
     blocks = np.maximum(bank.white[best][:, 1, 3], ASSUMED.least_blocks)[:, None]
     more = np.sqrt(np.maximum(1, squares / blocks)).max(axis=1)
@@ -56,6 +66,7 @@ def estimate(filters: FilterBank) -> Estimate:
         side=z[:, SIDE],
         side_std=std[:, SIDE],
         saturation=np.ones(len(a)),
+        stands=weights[:, STUCK] / weights.sum(axis=1),
         dead_time=float(tau.mean()),
         dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
         misfit=squares / (blocks * (1 - part + ASSUMED.sure * np.sqrt(part)) ** 3),

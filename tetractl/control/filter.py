@@ -53,6 +53,7 @@ from tetractl.control.kernels.filter_state import (
     FOUND,
     GRID,
     MISFIT,
+    STANDS,
     TURNS,
     Bank,
     FilterModel,
@@ -329,6 +330,7 @@ class FilterBank:
         side, side_std, saturation = found[TURNS]
         more = {"dead_time": dead_time, "dead_time_std": std, "misfit": found[MISFIT].T}
         more |= {"side": side, "side_std": side_std, "saturation": saturation}
+        more |= {"stands": found[STANDS]}
         known = Estimate(*motion, **more)
         return Ahead(Poses(x, y, heading), turn, found[DRIFT].T, held, known)
 

@@ -165,7 +165,9 @@ class Estimate:
     how far from independent the errors of the predictions are, in the order of INNOVATIONS: above
     1, the model does not fit at the level 0.001. None if it is not tested. `side` (N,) is the k of
     a robot that turns by a exp(k) to the left and a exp(-k) to the right, and `saturation`
-    (N,) its greatest turning rate over the greater of these; None if they are not estimated.
+    (N,) its greatest turning rate over the greater of these. `stands` (N,) is the probability that
+    a robot stands although it is sent a direction: it is stuck, or a cell rests, or backs off and
+    turns. None if they are not estimated.
     """
 
     a: Floats
@@ -180,6 +182,12 @@ class Estimate:
     side: Floats | None = None
     side_std: Floats | None = None
     saturation: Floats | None = None
+    stands: Floats | None = None
+
+    def standing(self, names: Sequence[str]) -> list[str]:
+        """Return the robots, of these `names`, that probably stand although they are to drive."""
+        there = [] if self.stands is None else self.stands.tolist()
+        return [name for name, p in zip(names, there, strict=False) if p > 0.5]
 
     def unfit(self, names: Sequence[str]) -> set[str]:
         """Return what the model does not fit, such as "heading of red"."""

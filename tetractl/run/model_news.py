@@ -1,4 +1,5 @@
-"""What a trial says of the controller's model: that it does not fit, and what was learnt since."""
+"""What a trial says of the controller's model: that it does not fit, what was learnt since, and who
+stands."""
 
 import math
 from collections.abc import Iterator
@@ -47,14 +48,19 @@ def learnt(known: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
 @dataclass(slots=True)
 class ModelNews:
     """Tells changes of how a controller's model fits: each part that does not fit once, until all
-    have fitted for FITS_S."""
+    have fitted for FITS_S. Of each robot the first time that it stands is said: screen and log show
+    every time."""
 
     _said: set[str] = field(default_factory=set)  # what does not fit
     _before: Estimate | None = None  # the estimate when it was said
     _unfit_ns: int = 0  # time at which something last did not fit
+    _stood: set[str] = field(default_factory=set)  # who has stood
 
     def of(self, known: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield level and text of what is news in an estimate."""
+        for name in set(known.standing(setup.names)) - self._stood:
+            self._stood.add(name)
+            yield "info", f"{name} stands although it is sent a direction"
         if unfit := known.unfit(setup.names):
             self._before, self._unfit_ns = self._before or known, now_ns
             if new := unfit - self._said:

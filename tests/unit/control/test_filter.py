@@ -262,18 +262,39 @@ def test_cells_are_followed_through_helix_noise_and_flow(settings):
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.15)
 
 
-def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
+def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_said_to_stand():
     stuck = "plant.disturbances=[{type: sticking, every: 2, duration: 0.5}]"
     agree = []
 
     def compare(k, problem, estimator, plant):
         if k > 4:
-            held = estimator.filter.ahead(0).held
-            agree.append(np.isnan(held) == (plant.disturbances[0]._free.well(k / 5) == 0))
+            stands = estimator.estimate.stands > 0.5
+            agree.append(stands == (plant.disturbances[0]._free.well(k / 5) == 0))
 
     found, plant, _ = know([*NOISY, stuck], 20, until=compare)
     assert np.mean(agree) > 0.9
     assert found.speed == pytest.approx(plant.setup.speed, rel=0.02)
+
+
+class Resting(Disturbance):
+    """All cells rest for 1 s from 4 s on."""
+
+    def varied(self, a, speed, time_s):
+        return a, speed * (not 4 <= time_s < 5)
+
+
+def test_a_cell_that_rests_is_said_to_stand_within_three_to_five_pictures():
+    said, rate = {}, 30  # by the number of pictures since the rest began
+
+    def compare(k, problem, estimator, plant):
+        since = round((estimator.filter._last.sampled_ns / SECOND - 4) * rate)
+        said.setdefault(since, []).append(estimator.estimate.stands > 0.5)
+
+    for seed in range(3):
+        know([], 6, rate, CELLS, until=compare, more=[OwnSection(type="resting")], seed=seed)
+    shares = {since: np.mean(stands) for since, stands in said.items()}
+    assert max(share for since, share in shares.items() if -60 <= since < 3) == 0
+    assert shares[3] > 0.4 and min(shares[n] for n in range(5, 12)) == 1
 
 
 class Backing(Disturbance):
@@ -287,11 +308,11 @@ class Backing(Disturbance):
         return Poses(poses.x, poses.y, poses.heading + turned)
 
 
-class BackingSection(DisturbanceSection):
+class OwnSection(DisturbanceSection):
     type: str
 
     def build(self, setup, rng):
-        return Backing()
+        return {"backing": Backing, "resting": Resting}[self.type]()
 
 
 def test_a_cell_that_backs_off_and_turns_is_followed():
@@ -302,7 +323,7 @@ def test_a_cell_that_backs_off_and_turns_is_followed():
         far = np.hypot(state[:, X] - poses.x, state[:, Y] - poses.y)
         away.append((far.max(), np.abs(state[:, HEADING] - poses.heading).max()))
 
-    know([], 6, until=compare, spec=CELLS, more=[BackingSection(type="backing")])
+    know([], 6, until=compare, spec=CELLS, more=[OwnSection(type="backing")])
     far, turned = np.array(away[20:]).T
     assert far.max() < 50  # um; a filter that has only cells at rest is off by more than 100
     assert turned.max() < 0.5
@@ -498,6 +519,7 @@ def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
         bank.restart([0])
         if k > 10:
             stand.append(bool(np.isnan(bank._bank.u[:, 0, 0]).any()))
+            assert np.isnan(bank._bank.u[:, 0, STUCK]).all()  # one that is stuck follows none
 
     know(["plant.dead_time=0.1"], seconds=4, rate=20, until=replaced)
     assert not any(stand)

@@ -1,4 +1,4 @@
-"""What is said when a controller's model does not fit, and what was learnt once it fits again."""
+"""What is said of a model that does not fit, what was learnt once it fits again, and who stands."""
 
 from dataclasses import replace
 
@@ -44,3 +44,10 @@ def test_what_was_learnt_is_said_with_numbers():
     for text, changed in cases.items():
         found = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
         assert found == [f"the model fits again: {text}"]
+
+
+def test_a_robot_that_stands_is_named_once():
+    stands = replace(FITS, stands=0.9 * (np.arange(ROBOTS) == 0))
+    assert stands.standing(SETUP.names) == [NAME]
+    found = said((1, FITS), (2, stands), (3, FITS), (4, stands))
+    assert found == [f"{NAME} stands although it is sent a direction"]

@@ -28,7 +28,11 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
     mean = doubt = 0.0
     for i in range(count):
         best = likeliest(shared.score[:, i], bank.tau.shape[0])
-        slot = likeliest(bank.weight[best, i], SLOTS)
+        slot, every = likeliest(bank.weight[best, i], SLOTS), 0.0
+        for s in range(SLOTS):
+            every += math.exp(bank.weight[best, i, s] - bank.weight[best, i, slot])
+        stuck = math.exp(bank.weight[best, i, STUCK] - bank.weight[best, i, slot])
+        found[at.STANDS, i] = stuck / every
         for k in range(z.size):
             z[k] = bank.state[best, i, slot, k]
         cov, white, more = bank.cov[best, i, slot], bank.white[best, i, 1], 1.0

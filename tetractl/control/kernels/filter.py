@@ -310,7 +310,7 @@ def place(bank, model, when, u, time, poses, which):
                 acting -= 1
             if acting > 0:
                 bank.next[b, i] = acting
-                for s in range(bank.weight.shape[2]):
+                for s in range(bank.weight.shape[2] - 1):  # a stuck robot follows none
                     bank.u[b, i, s] = u[acting - 1]
                     bank.until[b, i, s] = when[acting - 1] + model.watchdog + bank.tau[b, i]
 

@@ -19,10 +19,10 @@ X, Y, HEADING, SINE, COSINE, LN_A, LN_V, SIDE, LN_W, BIAS, MARKER, FLOW_X, FLOW_
 MOVED, SIZE = LN_A, FLOW_Y + 1  # number of state variables that move, and of all with a covariance
 SWING, PACE = range(SIZE, SIZE + 2)  # turning rate / a and speed / v of lagging wheels
 STATE = PACE + 1  # number of state variables
-FOUND, DRIFT, MISFIT, TURNS = 19, slice(11, 13), slice(13, 16), slice(16, 19)
+FOUND, DRIFT, MISFIT, TURNS, STANDS = 20, slice(11, 13), slice(13, 16), slice(16, 19), 19
 """The numbers found of a robot: its pose, a, speed, turn bias, heading bias, the deviations of all
 but the turn bias, the direction followed, flow and the misfit of the model; `side`, its deviation,
-and `saturation`."""
+`saturation`, and the probability that it stands."""
 FOLLOWS = STUCK = 3
 """Number of latest commands that a robot may follow; then comes the slot of the hypothesis that a
 robot stands although it was sent a direction."""

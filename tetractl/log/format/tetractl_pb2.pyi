@@ -1,8 +1,7 @@
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from collections.abc import Iterable as _Iterable, Mapping as _Mapping
-from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Mapping, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
@@ -18,7 +17,7 @@ class CameraFrames(_message.Message):
     valid: _containers.RepeatedScalarFieldContainer[bool]
     truth: bytes
     exact: bool
-    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: _Optional[bool] = ...) -> None: ...
+    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: bool = ...) -> None: ...
 
 class MocapSample(_message.Message):
     __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid")
@@ -54,7 +53,7 @@ class WheelCommand(_message.Message):
     left: _containers.RepeatedScalarFieldContainer[float]
     right: _containers.RepeatedScalarFieldContainer[float]
     facing: float
-    def __init__(self, direction: _Optional[float] = ..., stop: _Optional[bool] = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
+    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
 
 class Search(_message.Message):
     __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")
@@ -73,7 +72,7 @@ class Search(_message.Message):
     def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
 
 class Estimate(_message.Message):
-    __slots__ = ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit", "side", "side_std", "saturation")
+    __slots__ = ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit", "side", "side_std", "saturation", "stands")
     A_FIELD_NUMBER: _ClassVar[int]
     A_STD_FIELD_NUMBER: _ClassVar[int]
     SPEED_FIELD_NUMBER: _ClassVar[int]
@@ -86,6 +85,7 @@ class Estimate(_message.Message):
     SIDE_FIELD_NUMBER: _ClassVar[int]
     SIDE_STD_FIELD_NUMBER: _ClassVar[int]
     SATURATION_FIELD_NUMBER: _ClassVar[int]
+    STANDS_FIELD_NUMBER: _ClassVar[int]
     a: _containers.RepeatedScalarFieldContainer[float]
     a_std: _containers.RepeatedScalarFieldContainer[float]
     speed: _containers.RepeatedScalarFieldContainer[float]
@@ -98,7 +98,8 @@ class Estimate(_message.Message):
     side: _containers.RepeatedScalarFieldContainer[float]
     side_std: _containers.RepeatedScalarFieldContainer[float]
     saturation: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ..., side: _Optional[_Iterable[float]] = ..., side_std: _Optional[_Iterable[float]] = ..., saturation: _Optional[_Iterable[float]] = ...) -> None: ...
+    stands: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ..., side: _Optional[_Iterable[float]] = ..., side_std: _Optional[_Iterable[float]] = ..., saturation: _Optional[_Iterable[float]] = ..., stands: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class ControllerStep(_message.Message):
     __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "leg", "delay_ns", "state", "estimate")
@@ -148,7 +149,7 @@ class StepTiming(_message.Message):
     k: int
     solve_ns: int
     deadline_missed: bool
-    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: _Optional[bool] = ...) -> None: ...
+    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: bool = ...) -> None: ...
 
 class Fact(_message.Message):
     __slots__ = ("key", "value")

@@ -166,6 +166,8 @@ class Dashboard:
         value_width = max(len(f"{full:.{decimals}f}"), *(len(value) for value in values))
         bar_width = width - 3 - name_width - 1 - value_width - 1
         what = "to target" if width < COMPACT else "distance to target"
+        known = frame.step and frame.step.plan.estimate
+        stands = known.standing(setup.names) if known else []
         lines = [Text(f"{what} [{setup.unit}], {frame.known}", "dim", no_wrap=True)]
         for robot, (name, value) in enumerate(zip(names, values, strict=True)):
             color = self._colors[robot]
@@ -175,9 +177,9 @@ class Dashboard:
                 (f" {name[:name_width]:<{name_width}} ", color),
                 f"{value:>{value_width}} ",
             )
-            line.append_text(
-                bar(glyphs, min(max(bar_width, 0), 40), float(now[robot]) / full, color)
-            )
+            room, part = min(max(bar_width, 0), 40), float(now[robot]) / full
+            stood = Text("stands"[:room], "yellow")
+            line.append_text(stood if name in stands else bar(glyphs, room, part, color))
             lines.append(line)
         if shown < len(now):
             worst = _number(float(now[shown:].max()))

@@ -164,6 +164,8 @@ def step_line(recording: Recording, index: int) -> str:
     if (u := step.command.direction) is not None:
         direction = f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
         state = "" if plan.state is State.DRIVING else f"  {plan.state}"
+    if plan.estimate and (who := plan.estimate.standing(recording.log.start.setup.names)):
+        state += f"  {', '.join(who)}: standing"
     time_s = recording.elapsed_s(int(recording.step_ns[index]))
     cost = "      -" if plan.pauses else f"{plan.cost:7.1f}"  # robots that stand follow no plan
     return (

@@ -1,16 +1,17 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.terminal import console as terminal
 from support.trials import cut_short, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note
-from tetractl.core.plan import Outcome
+from tetractl.core.plan import Estimate, Outcome
 from tetractl.replay.player import Player, Recording, span
 from tetractl.view.terminal.glyphs import glyphs_for
-from tetractl.view.terminal.replay_screen import dashboard
+from tetractl.view.terminal.replay_screen import dashboard, step_line
 
 pytestmark = pytest.mark.slow
 
@@ -67,6 +68,18 @@ def test_an_80_by_24_terminal_shows_everything(recording):
         "1600 × 1800 mm",
     ):
         assert words in text
+
+
+def test_robots_that_stand_are_named(recording):
+    log, names = recording.log, recording.log.start.setup.names
+    each, first = np.ones(len(names)), np.arange(len(names)) == 0
+    known = Estimate(each, each, each, each, stands=0.9 * first)
+    steps = [replace(s, plan=replace(s.plan, estimate=known)) for s in log.steps]
+    told = Recording(replace(log, steps=steps))
+    (line,) = (text for text in screen(told, 80, 24, 3) if f" {names[0]} " in text)
+    assert "stands" in line
+    assert step_line(told, 3).endswith(f"{names[0]}: standing")
+    assert "stand" not in "".join([*screen(recording, 80, 24, 3), step_line(recording, 3)])
 
 
 def test_without_colour_or_utf8_it_is_ascii(recording):

@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
@@ -46,8 +47,10 @@ def rehearse(
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.run.task import run_trial
+    from tetractl.view import style
+    from tetractl_emulator.rehearsal.drawing import days_figure
     from tetractl_emulator.rehearsal.participants import rehearsal_of
-    from tetractl_emulator.rehearsal.summary import broken, tables
+    from tetractl_emulator.rehearsal.summary import broken, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
     if loaded.experiment.open:
@@ -84,9 +87,11 @@ def rehearse(
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
     played = [rows[day] for day in wanted if day in rows]
-    table, text = tables(played, kinds)
     bad = [row for row in played if broken(row)]
-    print(table, text, f"{len(played)} days, {len(bad)} violations", sep="\n\n")
+    last = f"{len(played)} days, {len(bad)} violations"
+    title = f"{loaded.name}, emulated, days of seed {seed}: {last}"
+    style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
+    print(table(played, kinds), summary(played), last, sep="\n\n")
     return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
 
 
@@ -128,8 +133,10 @@ def rehearsed(spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int
 
     def judged(plan: "DayPlan") -> "DayRow":
         with tempfile.TemporaryDirectory() as scratch:
-            truth = Truth(play(spec, sets, plan, Path(scratch)), setup)
-            return row_of(day, truth, violations(truth, lab.limits, watchdog_s))
+            played, began_s = play(spec, sets, plan, Path(scratch)), time.process_time()
+            truth = Truth(played, setup)
+            found = violations(truth, lab.limits, watchdog_s)
+            return row_of(day, truth, found, time.process_time() - began_s)
 
     plan = plan_of_day(seed, day, setup, rehearsal_of(lab, setup))
     row = judged(plan)

@@ -13,7 +13,6 @@ import select
 import signal
 import sys
 import threading
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -65,7 +64,7 @@ class DayPlan:
 @dataclass(frozen=True, slots=True)
 class Day:
     """What became of a day: the true `events`, the exit code, -9 if it was killed, what the run
-    printed, its log, and what it `left` behind. `seconds` is the wall time.
+    printed, its log, and what it `left` behind. `seconds` is its processor time.
     """
 
     plan: DayPlan
@@ -92,7 +91,7 @@ def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal) -> DayPlan
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     """Play a plan on a spec with settings, with its files in an empty folder."""
-    script, began = folder / "script.yaml", time.monotonic()
+    script = folder / "script.yaml"
     script.write_text(dump(plan.script()))
     words = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
     words += ["--seed", str(plan.seed), "--out", str(folder / "log")]
@@ -103,7 +102,7 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     if not pid:
         _run(words, folder)
     os.close(ends)
-    code = _wait(pid, ended)
+    code, seconds = _wait(pid, ended)
     os.close(ended)
     _load_ahead(folder / "modules.txt")
     record = folder / "truth-000.jsonl"
@@ -118,7 +117,7 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
         said,
         log,
         left.read_text() if left.exists() else "",
-        time.monotonic() - began,
+        seconds,
     )
 
 
@@ -172,12 +171,13 @@ def _open_files() -> set[str]:
     return found
 
 
-def _wait(pid: int, ended: int) -> int:
+def _wait(pid: int, ended: int) -> tuple[int, float]:
     """Wait for a process, which closes the other end of the pipe `ended`; return its exit code, or
-    the number of the signal that killed it less than 0, -100 if it hangs.
+    the number of the signal that killed it less than 0, -100 if it hangs; and its processor time
+    [s].
     """
     hangs = not select.select([ended], [], [], HANGS_S)[0]
     if hangs:
         os.kill(pid, signal.SIGKILL)
-    status = os.waitpid(pid, 0)[1]
-    return -100 if hangs else os.waitstatus_to_exitcode(status)
+    _, status, used = os.wait4(pid, 0)
+    return -100 if hangs else os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime

@@ -2,6 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,24 @@ from tetractl_emulator.rehearsal.truth import Truth
 
 DayRow = Mapping[str, Any]
 """What is kept of a day: a line of `days.jsonl`."""
+NIGHT_S = 8 * 3600.0
 
 
-def row_of(day: int, truth: Truth, found: Sequence[Violation]) -> DayRow:
-    """Return what is kept of a day: what was met, how it ended, and the broken invariants."""
+@dataclass(slots=True)
+class Met:
+    """On how many `days` a fault was met, on how many `alone`, and of these the times after which
+    the guard noticed it [s].
+    """
+
+    days: int = 0
+    alone: int = 0
+    times_s: list[float] = field(default_factory=list)
+
+
+def row_of(day: int, truth: Truth, found: Sequence[Violation], observed_s: float) -> DayRow:
+    """Return what is kept of a day: what was met, how it ended, and the broken invariants; and the
+    processor time, of which the observer took a part [s].
+    """
     result = getattr(truth.log, "result", None)
     ended = "killed" if truth.day.exit < 0 else "refused"
     if truth.first("run") < np.inf and truth.day.exit >= 0:
@@ -23,7 +38,7 @@ def row_of(day: int, truth: Truth, found: Sequence[Violation]) -> DayRow:
     return {
         "day": day,
         "digest": truth.day.digest,
-        "seconds": round(truth.day.seconds, 3),
+        "seconds": round(truth.day.seconds + observed_s, 3),
         "ended": ended,
         "reason": truth.reason,
         "met": [[f["kind"], _noticed_s(truth, began)] for began, _, f in truth.faults],
@@ -45,26 +60,42 @@ def broken(row: DayRow) -> list[list[Any]]:
     return [violation for violation in row["violations"] if not violation[3]]
 
 
-def tables(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> tuple[str, str]:
-    """Return the faults met, as a table in Markdown, and a paragraph on the days."""
-    times, met = defaultdict[str, list[float]](list), Counter[str]()
+def met_by_kind(rows: Sequence[DayRow]) -> dict[str, Met]:
+    """Return how each fault was met on days, by its name."""
+    met = defaultdict[str, Met](Met)
     for row in rows:
-        for kind, noticed in row["met"]:
-            met[kind] += 1
-            if noticed is not None and len(row["met"]) == 1:
-                times[kind].append(noticed)
-    alone = Counter(row["met"][0][0] for row in rows if len(row["met"]) == 1)
+        for kind, noticed_s in row["met"]:
+            met[kind].days += 1
+            if len(row["met"]) == 1:
+                met[kind].alone += 1
+                met[kind].times_s += [] if noticed_s is None else [noticed_s]
+    return dict(met)
+
+
+def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
+    """Return the faults met, as a table in Markdown."""
+    met = met_by_kind(rows)
     lines = [
         "| fault | met | alone | noticed | median [s] | p99 [s] | worst [s] |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
     for kind in kinds:
-        took = times[kind.name]
+        one = met.get(kind.name, Met())
+        took = one.times_s
         shown = [f"{np.quantile(took, q):.3f}" if took else "" for q in (0.5, 0.99, 1.0)]
-        cells = [kind.name, met[kind.name], alone[kind.name], len(took), *shown]
+        cells = [kind.name, one.days, one.alone, len(took), *shown]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def summary(rows: Sequence[DayRow]) -> str:
+    """Return how the days ended, of which classes violations are, and what a day took."""
+    count = max(len(rows), 1)
     ended = Counter(row["ended"] for row in rows)
-    shares = ", ".join(f"{count} {how}" for how, count in ended.most_common())
+    shares = ", ".join(f"{n} {how} ({n / count:.0%})" for how, n in ended.most_common())
     predicted = Counter(v[3] for row in rows for v in row["violations"][:1] if v[3])
-    classes = "".join(f"; {n} of the class '{name}', as derived" for name, n in predicted.items())
-    return "\n".join(lines), f"days: {shares}{classes}"
+    classes = [f"{n} days of the class '{name}', as derived" for name, n in predicted.items()]
+    mean_s = sum(row["seconds"] for row in rows) / count
+    a_night = f": {NIGHT_S / mean_s:.0f} days in 8 hours on one core" if mean_s else ""
+    said = [shares, *classes, f"{mean_s:.2f} s of processor time a day{a_night}"]
+    return "; ".join(filter(None, said))

@@ -1,0 +1,40 @@
+"""What days come to: the table of faults, how days ended, and the drawing."""
+
+from tetractl_emulator.rehearsal.drawing import days_figure
+from tetractl_emulator.rehearsal.schedule import KINDS
+from tetractl_emulator.rehearsal.summary import summary, table
+
+ROWS = [
+    {"met": [["pushed", 0.2]], "ended": "aborted", "seconds": 1.0, "violations": []},
+    {"met": [["pushed", 0.4]], "ended": "aborted", "seconds": 2.0, "violations": []},
+    {"met": [["pushed", None]], "ended": "complete", "seconds": 2.0, "violations": []},
+    {
+        "met": [["pushed", 9.0], ["nan", 8.0]],
+        "ended": "refused",
+        "seconds": 3.0,
+        "violations": [["enters", 1.0, "green", "slow"]],
+    },
+]
+
+
+def test_times_are_of_days_with_one_fault():
+    lines = table(ROWS).splitlines()
+    assert "| pushed | 4 | 3 | 2 | 0.300 | 0.398 | 0.400 |" in lines
+    assert "| nan | 1 | 0 | 0 |  |  |  |" in lines
+    assert len(lines) == len(KINDS) + 2
+
+
+def test_shares_and_what_a_day_takes_are_said():
+    assert summary(ROWS) == (
+        "2 aborted (50%), 1 complete (25%), 1 refused (25%); 1 days of the class 'slow', as derived"
+        "; 2.00 s of processor time a day: 14400 days in 8 hours on one core"
+    )
+    assert summary([]) == "0.00 s of processor time a day"
+
+
+def test_every_fault_has_a_row_of_the_drawing_and_every_notice_a_point():
+    days, times = days_figure(ROWS, KINDS, "a rehearsal").axes
+    assert [label.get_text() for label in days.get_yticklabels()] == [k.name for k in KINDS]
+    row = [kind.name for kind in KINDS].index("pushed")
+    points = [line for line in times.lines if line.get_marker() == "o" and row in line.get_ydata()]
+    assert [sorted(line.get_xdata()) for line in points] == [[0.2, 0.4]]

@@ -1,0 +1,53 @@
+"""The drawing of a rehearsal: how often each fault was met and noticed, and after what time."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tetractl.view import style
+from tetractl_emulator.rehearsal.schedule import FaultRow
+from tetractl_emulator.rehearsal.summary import DayRow, Met, met_by_kind
+
+ROW_IN = 0.13
+
+
+def days_figure(rows: Sequence[DayRow], kinds: Sequence[FaultRow], title: str) -> Figure:
+    """Draw a rehearsal: (a) the days on which each fault was met, of these those on which it was
+    the only one and those on which the guard noticed it alone; (b) the times until then [s], their
+    median, and the time in which a strong fault has to end the trial.
+    """
+    drawing = _drawn(met_by_kind(rows), kinds)
+    style.headline(drawing, title)
+    return drawing
+
+
+@style.styled()
+def _drawn(met: dict[str, Met], kinds: Sequence[FaultRow]) -> Figure:
+    drawing = style.figure(style.PAGE_IN, 0.9 + ROW_IN * len(kinds))
+    days, times = drawing.subplots(1, 2, sharey=True, width_ratios=(2, 3))
+    at = np.arange(len(kinds))
+    own = [met.get(kind.name, Met()) for kind in kinds]
+    for counts, color, height in (
+        ([one.days for one in own], style.FAINT, 0.8),
+        ([one.alone for one in own], style.GREY, 0.5),
+        ([len(one.times_s) for one in own], style.INK, 0.2),
+    ):
+        days.barh(at, counts, height=height, color=color)
+    for row, (kind, one) in enumerate(zip(kinds, own, strict=True)):
+        times.plot([kind.stops_s], [row], "|", color=style.ALARM, ms=7)
+        times.plot(one.times_s, [row] * len(one.times_s), "o", color=style.GREY, ms=2, alpha=0.5)
+        if one.times_s:
+            times.plot([np.median(one.times_s)], [row], "|", color=style.INK, ms=7)
+    days.set_yticks(at, [kind.name for kind in kinds])
+    days.set_ylim(len(kinds) - 0.5, -0.5)
+    times.set_xscale("log")
+    style.panel(days, "a", "met, alone, noticed alone", "days")
+    style.panel(times, "b", "noticed after", "time from the fault to a hold or an abort [s]")
+    signs = [
+        style.sign("a day", marker="o", ms=3),
+        style.sign("median", marker="|", color=style.INK, ms=7),
+        style.sign("a strong fault has to end the trial", marker="|", color=style.ALARM, ms=7),
+    ]
+    style.legend(drawing, signs)
+    return drawing

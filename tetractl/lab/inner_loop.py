@@ -187,8 +187,9 @@ class InnerLoop:
                 raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
                 self.frames.append(accepted)
-        if self._emergency.is_set():
+        if self._emergency.is_set() and not guard.emergency:
             guard.abort("emergency stop by the operator", emergency=True)
+            self._stops_left, self._next_ns = STOPS, now  # after an abort, too: they latch
         if not isinstance(self._actuator.failure, str | None):
             raise WrongValueError(self._actuator, "an actuator", "a failure that is no text")
         ruling = guard.tick(now, self._camera.damaged, self._actuator.failure)

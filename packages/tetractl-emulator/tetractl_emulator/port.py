@@ -94,10 +94,19 @@ class SerialDevice(ABC):
 
 class RobotRadio(SerialDevice):
     """A radio to robots. Faults set `loss`, the probability that a robot does not receive a
-    transmission, `late_ns`, by which they are late [ns], and whether they are `doubled`.
+    transmission, `late_ns`, by which they are late [ns], `jitter_ns`, up to which each is later
+    still at random [ns], and whether they are `doubled`.
     """
 
-    loss, late_ns, doubled = 0.0, 0, False
+    loss, late_ns, jitter_ns, doubled = 0.0, 0, 0, False
+
+    def lateness_ns(self, chance: random.Random) -> int:
+        """Return by how much a transmission is late [ns]."""
+        return self.late_ns + (round(chance.uniform(0, self.jitter_ns)) if self.jitter_ns else 0)
+
+    @abstractmethod
+    def stop_elsewhere(self, sequence: int) -> None:
+        """Let the robots hear an emergency stop of another sender, with its own sequence number."""
 
     @abstractmethod
     def poll_answers(self) -> None:

@@ -156,3 +156,16 @@ def test_a_camera_that_raises_for_good_stops_the_robots():
     assert lab.plant.rig.guard.reason == "the camera is gone"
     assert [sent.direction for sent in lab.actuator.sent[-10:]] == [None] * 10
     assert lab.world.moving == (False,) * 3
+
+
+def test_an_emergency_stop_is_sent_after_an_abort_too():
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    lab.plant.rig.guard.abort("another fault")
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert lab.actuator.emergencies == 0
+    lab.supervision.emergency.set()
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert lab.actuator.emergencies == 10
+    assert lab.plant.rig.guard.reason == "another fault"

@@ -9,7 +9,11 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tetractl.lab.actuators.m3pi.broadcast import decode_command
+from tetractl.lab.actuators.m3pi.broadcast import (
+    BroadcastCommand,
+    decode_command,
+    encode_command,
+)
 from tetractl.lab.actuators.xbee.frames import (
     AT_COMMAND,
     BROADCAST,
@@ -18,6 +22,7 @@ from tetractl.lab.actuators.xbee.frames import (
     encode,
 )
 from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
+from tetractl.lab.cobs import Flag
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.port import PseudoPort, RobotRadio, uart_ns
@@ -82,6 +87,10 @@ class EmulatedRadio(RobotRadio):
         flags, wheels = int(command.flags), command.wheels
         return {"sequence": command.sequence, "flags": flags, "wheels": wheels}
 
+    def stop_elsewhere(self, sequence: int) -> None:
+        """Transmit an emergency stop that no program of ours has sent."""
+        self._transmit(encode_command(BroadcastCommand(sequence, Flag.EMERGENCY_STOP)))
+
     def poll_answers(self) -> None:
         """Send the answers that robots have ready; to be called about every millisecond."""
         for robot in self.robots:
@@ -99,7 +108,8 @@ class EmulatedRadio(RobotRadio):
         return self._air_ns
 
     def _transmit(self, payload: bytes) -> None:
-        arrives = self._take_air(len(payload)) + uart_ns(len(payload), ROBOT_BAUD) + self.late_ns
+        arrives = self._take_air(len(payload)) + uart_ns(len(payload), ROBOT_BAUD)
+        arrives += self.lateness_ns(self._random)
         for robot in self.robots:
             if self._random.random() >= max(self.loss, robot.deaf):
                 for _ in range(1 + self.doubled):

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Name, Point, Positive
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl_emulator.faults import (
     STUCK_PORT,
     UNPLUG,
@@ -54,8 +55,11 @@ class WheeledSide:
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The speeds of all wheels [mm/s], to be recorded as {"wheels": [[left, right], ...]}."""
-        return {"wheels": [[round(wheel, 2) for wheel in robot.wheels] for robot in self.robots]}
+        """The speeds of all wheels [mm/s], as {"wheels": [[left, right], ...]}, and the `status` of
+        each robot's firmware."""
+        wheels = [[round(wheel, 2) for wheel in robot.wheels] for robot in self.robots]
+        status = [int(robot.core.status(self.wheels.now_ms)) for robot in self.robots]
+        return {"wheels": wheels, "status": status}
 
     def switch(self, on: bool) -> None:
         """Switch every robot on or off."""
@@ -82,6 +86,14 @@ class WheeledSide:
         for part in range(parts):
             at = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
             self.timeline.at(at, lambda: self.wheels.shift(row, x, y, turn))
+        return lambda: None
+
+    def stop_elsewhere(self) -> Undo:
+        """Let robots hear ten emergency stops of another sender."""
+        for k in range(STOPS):
+            for radio in self.radios:
+                at = self.timeline.now_ns + k * STOP_GAP_NS
+                self.timeline.at(at, lambda k=k, radio=radio: radio.stop_elsewhere(k))
         return lambda: None
 
     def restart(self, down: bool) -> None:
@@ -159,6 +171,17 @@ WHEELED_FAULTS = (
         "late_radio",
         "Transmissions arrive late [s].",
         _radios(late_ns=lambda f: round(f.by * SECOND)),
+        by=Positive,
+    ),
+    fault(
+        "stopped_elsewhere",
+        "Robots hear `tetractl lab stop` by another radio: ten emergency stops.",
+        lambda f, d: d.stop_elsewhere(),
+    ),
+    fault(
+        "overtaken_packets",
+        "Transmissions are late by a random time up to this one [s], so that some overtake others.",
+        _radios(jitter_ns=lambda f: round(f.by * SECOND)),
         by=Positive,
     ),
     fault(

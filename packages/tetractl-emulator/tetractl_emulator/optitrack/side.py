@@ -31,7 +31,7 @@ from tetractl_emulator.optitrack.scripted import (
     Trouble,
     TrueBody,
 )
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, is_somewhere
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
 
@@ -260,7 +260,7 @@ class EmulatedOptitrack:
 
     def _show(self, exposed_ns: int, frame: natnet.NatNetFrame) -> None:
         """Remember when each robot was last shown as tracked."""
-        seen = {body.id for body in frame.bodies if body.tracking_valid}
+        seen = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
         for i, body in enumerate(self.tracked):
             if body.id in seen:
                 self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)

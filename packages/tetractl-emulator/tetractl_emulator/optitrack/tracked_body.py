@@ -111,6 +111,12 @@ def halved(body: RigidBody) -> RigidBody:
     return replace(body, quaternion=(x / 2, y / 2, z / 2, w / 2))
 
 
+def is_somewhere(body: RigidBody) -> bool:
+    """Return whether a body has a position, and a quaternion of norm 1."""
+    norm = sum(value * value for value in body.quaternion)
+    return math.isfinite(sum(body.position)) and abs(norm - 1.0) < 0.01
+
+
 def rolled(angle: float) -> Callable[[RigidBody], RigidBody]:
     """Return a function that turns a body about its own x axis by `angle` [rad]."""
     sin, cos = math.sin(angle / 2), math.cos(angle / 2)

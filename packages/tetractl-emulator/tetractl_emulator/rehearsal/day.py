@@ -24,7 +24,7 @@ from tetractl.cli.app import run_app
 from tetractl.core.setup import Setup
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl_emulator.rehearsal.participants import LabRehearsal
-from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow, faults_of_day
+from tetractl_emulator.rehearsal.schedule import KINDS, PLACE, FaultRow, faults_of_day
 from tetractl_emulator.rehearsal.world import world_of_day
 
 HANGS_S = 300.0
@@ -49,6 +49,11 @@ class DayPlan:
     def sorted(self) -> list[Mapping[str, Any]]:
         """The faults by their times."""
         return sorted(self.faults, key=lambda fault: fault["at"])
+
+    @property
+    def off(self) -> bool:
+        """Whether a wheel is off by more than the spec allows, or a robot far from its start."""
+        return "|" in self.right.removeprefix(PLACE)
 
     def kind(self, fault: Mapping[str, Any]) -> FaultRow:
         """Return the row of a drawn fault."""

@@ -7,7 +7,6 @@ observer knows the truth and shares no code with the guard.
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,64 +14,35 @@ from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.verify import differences
-from tetractl_emulator.rehearsal.schedule import STRONG
-from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
+from tetractl_emulator.rehearsal.logged import logged
+from tetractl_emulator.rehearsal.places import places
+from tetractl_emulator.rehearsal.sending import sending
+from tetractl_emulator.rehearsal.times import times
+from tetractl_emulator.rehearsal.truth import Truth
+from tetractl_emulator.rehearsal.violation import AIR_S, SLACK_S, Violation
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
 
-SLACK_S = 0.02  # a tick, a millisecond of the wire, and what a camera's clock may be off
-AIR_S = 0.03  # a tick, the UART and the air
 ROLL_S = LAG_MAX_S * math.log(1000.0)  # from 1 m/s to 1 mm/s with the slowest wheels
 BELIEF_MM, BELIEF_S = 60.0, 1.0
 RESULT_MM = 10.0
 RESTS_S = 0.3  # of robots after the reason that ended a run, before its process ends
+LATE = ("late_radio", "overtaken_packets")
 ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """A broken invariant: its name, when [s], and what was found. `predicted` names the class of
-    faults that the derivation says cannot be distinguished; "" for none.
-    """
-
-    name: str
-    at_s: float
-    found: str
-    predicted: str = ""
 
 
 def violations(truth: Truth, limits: LabLimits, watchdog_s: float) -> list[Violation]:
     """Return the invariants that a day has broken."""
     class_ = hidden(truth, limits)
-    found = [*_commands(truth, limits), *_rest(truth, limits, watchdog_s), *_end(truth)]
-    found += [*_reason(truth), *_times(truth)]
+    found = [*sending(truth, limits, watchdog_s), *_rest(truth, limits, watchdog_s), *_end(truth)]
+    found += [*_reason(truth), *times(truth, limits.stale, limits.untracked_abort), *logged(truth)]
+    found += places(truth, limits)
     beyond = [*_space(truth, limits, watchdog_s), *_belief(truth)]
     return found + [Violation(v.name, v.at_s, v.found, class_) for v in beyond]
 
 
-def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
-    """Drive commands need a new sight of each robot; after a stop only stops are sent."""
-    one_s, all_s = limits.stale + 0.05 + SLACK_S, limits.stale + SLACK_S
-    emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
-    for command in truth.of("command"):
-        at = command["t_ns"] / 1e9
-        driven = truth.drives(command)
-        if at > emergency and not command["flags"] & EMERGENCY and at > truth.first("run"):
-            yield Violation("emergency released", at, f"flags {command['flags']}")
-            return
-        if any(driven) and at > truth.ended_s + 0.004:
-            yield Violation("drives after stop", at, f"{at - truth.ended_s:.3f} s after the stop")
-            return
-        unseen = [ms / 1000 for ms in command["unseen_ms"]]
-        blind = [u for u, drives in zip(unseen, driven, strict=False) if drives]
-        if blind and (max(blind) > one_s or min(unseen) > all_s):
-            yield Violation("drives blind", at, f"unseen for {max(blind):.3f} s")
-            return
-
-
 def _late_s(truth: Truth) -> float:
     """Return by how much the radio was late."""
-    late = [fault["by"] for _, _, fault in truth.faults if fault["fault"] == "late_radio"]
-    return sum(late)
+    return sum(fault["by"] for _, _, fault in truth.faults if fault["fault"] in LATE)
 
 
 def _rest(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Violation]:
@@ -139,7 +109,7 @@ def _belief(truth: Truth) -> Iterator[Violation]:
 def _end(truth: Truth) -> Iterator[Violation]:
     """Log, exit code and what is left behind."""
     day, log = truth.day, truth.log
-    killed = any(fault.get("signal") == "KILL" for _, _, fault in truth.faults)
+    killed = truth.killed
     expected = -9 if killed and day.exit < 0 else 1
     if ERROR.search(day.said) or ERROR.search(truth.reason):
         text = truth.reason if ERROR.search(truth.reason) else day.said
@@ -175,17 +145,6 @@ def _reason(truth: Truth) -> Iterator[Violation]:
     right = [truth.day.plan.right, *(truth.day.plan.kind(f).right for _, _, f in truth.faults)]
     if reason and not re.search("|".join(filter(None, right)) or "$.", reason, re.IGNORECASE):
         yield Violation("reason", min(truth.abort_s, 1e6), reason[:200])
-
-
-def _times(truth: Truth) -> Iterator[Violation]:
-    """A strong fault ends the trial in its time while robots are driven."""
-    for began, ended, fault in truth.faults:
-        within = truth.day.plan.kind(fault).stops_s
-        strong = fault["strength"] >= STRONG and ended == np.inf
-        if strong and not math.isnan(within) and truth.active(began):
-            took = truth.ended_s - began
-            if took > within + AIR_S:
-                yield Violation("late", began, f"{fault['kind']}: {took:.2f} s, allowed {within}")
 
 
 def hidden(truth: Truth, limits: LabLimits) -> str:

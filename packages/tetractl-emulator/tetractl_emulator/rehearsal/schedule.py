@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
+from tetractl_emulator.rehearsal import due
+from tetractl_emulator.rehearsal.due import FRAME_S, Due, above, after
+
 SIGHT = (
     r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
     r"|watched long enough|before reception|no camera frame|not known: the camera|frames came"
@@ -23,9 +26,8 @@ PLACE = r"about to leave|about to enter|too close"
 CLOCK = r"server's clock|after reception|before reception"
 RADIO = r"radio|\bport\b|does not answer|battery"
 STRONG = 0.9
-"""Strength from which on a fault lasts to the end, and has to stop the trial."""
-FOREVER = 1e9
-FRAME_S = 1 / 120  # between two exposures of the emulated camera
+"""Strength from which on a fault lasts to the end."""
+JUMPS = above("by", 60, 0.45, alone=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +72,15 @@ Fields = Callable[[Draw], dict[str, Any]]
 class FaultRow:
     """A row of the table: a script's `fault` with drawn `fields`; reasons that match `right` are.
 
-    A fault of the greatest strengths has to end the trial within `stops_s` [s] while robots are
-    driven; NaN if it need not. One `at_once` has no duration. `weight` is relative.
+    `due` says in what time a fault has to end the trial; None if it need not. One `at_once` has no
+    duration. `weight` is relative.
     """
 
     name: str
     fault: str
     right: str
     fields: Fields = lambda d: {}
-    stops_s: float = math.nan
+    due: Due | None = None
     at_once: bool = False
     weight: float = 1.0
     start: float = 0.1  # share of the days on which it is there from the start
@@ -86,40 +88,51 @@ class FaultRow:
 
 def _kinds() -> Iterator[FaultRow]:
     sight, moved = f"{SIGHT}|{PLACE}", f"{MOTION}|{PLACE}|{SIGHT}"
-    yield FaultRow("frames lost", "no_frames", SIGHT, stops_s=0.55)
-    yield FaultRow("server silent", "no_server", f"{SIGHT}|{CLOCK}", stops_s=0.55)
+    yield FaultRow("frames lost", "no_frames", SIGHT, due=after(0.55, False))
+    yield FaultRow("server silent", "no_server", f"{SIGHT}|{CLOCK}", due=after(0.55, False))
     late = f"{sight}|{CLOCK}|{MOTION}"
     yield FaultRow("frames late", "late_frames", late, lambda d: {"by": d.between(0.003, 0.4)})
     yield FaultRow("frames doubled", "doubled_frames", r"$.", weight=0.5)
     yield FaultRow("frames reordered", "reordered", late, lambda d: {"by": d.between(0.002, 0.3)})
-    yield FaultRow("frames frozen", "freeze", SIGHT, stops_s=0.55)
+    yield FaultRow("frames frozen", "freeze", SIGHT, due=after(0.55, False))
     yield FaultRow(
         "frames slow", "slow_frames", moved, lambda d: {"rate": d.between(0.01, 1) ** -1}
     )
     yield FaultRow(
-        "frames damaged", "bad_datagrams", f"damaged|{sight}", _share(0.005), stops_s=0.6
+        "frames damaged",
+        "bad_datagrams",
+        f"damaged|{sight}",
+        _share(0.005),
+        above("share", 0.5, 0.6, False),
     )
     yield FaultRow(
         "frames of the past", "outdated", SIGHT, lambda d: {"by": d.between(0.05, 30), "frames": 50}
     )
-    yield FaultRow("other version", "other_version", f"damaged|{SIGHT}", _version, stops_s=0.6)
-    yield FaultRow("counter back", "counter_back", "counter", lambda d: {"frames": 30}, stops_s=0.1)
-    yield FaultRow("edit mode", "edit_mode", "edit mode", stops_s=0.1)
+    yield FaultRow(
+        "other version", "other_version", f"damaged|{SIGHT}", _version, after(0.6, False)
+    )
+    yield FaultRow("counter back", "counter_back", "counter", lambda d: {"frames": 30}, after(0.1))
+    yield FaultRow("edit mode", "edit_mode", "edit mode", due=after(0.1))
     for name in ("untracked", "nan", "bad_quaternion"):
-        yield FaultRow(name, name, SIGHT, Draw.robot, stops_s=0.4)
-    yield FaultRow("pose frozen", "repeat", moved, Draw.robot)
-    yield FaultRow("picture frozen", "repeat", moved)
-    yield FaultRow("lifted", "lifted", SIGHT, lambda d: d.robot() | {"height": d.between(80, 2e3)})
-    yield FaultRow("tipped", "tipped", SIGHT, lambda d: d.robot() | {"angle": d.signed(0.05, 3.1)})
-    yield FaultRow("identities swapped", "swap", moved, Draw.robots, stops_s=0.5)
-    yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots, stops_s=0.1)
-    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.way(5, 500)})
+        yield FaultRow(name, name, SIGHT, Draw.robot, after(0.4))
+    yield FaultRow("pose frozen", "repeat", moved, Draw.robot, due.REPEATS)
+    yield FaultRow("picture frozen", "repeat", moved, due=due.REPEATS)
+    height, angle = above("height", 520, 0.4), above("angle", 0.55, 0.4)
+    yield FaultRow(
+        "lifted", "lifted", SIGHT, lambda d: d.robot() | {"height": d.between(80, 2e3)}, height
+    )
+    yield FaultRow(
+        "tipped", "tipped", SIGHT, lambda d: d.robot() | {"angle": d.signed(0.05, 3.1)}, angle
+    )
+    yield FaultRow("identities swapped", "swap", moved, Draw.robots, after(0.5))
+    yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots, after(0.1))
+    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.way(5, 500)}, JUMPS)
     yield FaultRow("plate slips", "slip", moved, _slip)
-    yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0))
-    yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2))
+    yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0), due.WALKS_AHEAD)
+    yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2), due.WALKS)
     yield FaultRow("ghost drifts", "ghost", moved, lambda d: _ghost(d, None))
-    yield FaultRow("ghost turns", "ghost", moved, _turning)
-    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.way(3, 300)})
+    yield FaultRow("ghost turns", "ghost", moved, _turning, due.TURNS)
+    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.way(3, 300)}, JUMPS)
     yield FaultRow("scale jumps", "picture", moved, lambda d: {"scale": 1 + d.signed(2e-3, 0.2)})
     yield FaultRow("axes jump", "picture", moved, lambda d: {"turn": d.signed(2e-3, 1)})
     yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.way(2, 300))))
@@ -136,29 +149,47 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow(
         "put elsewhere", "pushed", moved, lambda d: _pushed(d, 10, 600, True), at_once=True
     )
-    yield FaultRow("wheel stuck", "wheel_stuck", moved, lambda d: d.robot() | {"wheel": d.side()})
-    yield FaultRow("wheel weak", "weak_wheel", moved, lambda d: d.robot() | _weak(d))
+    yield FaultRow(
+        "wheel stuck", "wheel_stuck", moved, lambda d: d.robot() | {"wheel": d.side()}, due.STANDS
+    )
+    yield FaultRow("wheel weak", "weak_wheel", moved, lambda d: d.robot() | _weak(d), due.WEAK)
     yield FaultRow("battery low", "low_battery", "battery", _battery, start=0.9)
     link = f"{RADIO}|{moved}"
     yield FaultRow("brown-out", "off", link, Draw.robot)
-    yield FaultRow("radio unplugged", "unplug", RADIO, stops_s=0.1)
-    yield FaultRow("radio stuck", "stuck_port", RADIO, stops_s=0.1)
+    yield FaultRow("radio unplugged", "unplug", RADIO, due=after(0.1, False))
+    yield FaultRow("radio stuck", "stuck_port", RADIO, due=after(0.1, False))
     yield FaultRow("radio silent", "loss", link, _share(0.05))
     yield FaultRow("robot deaf", "deaf", link, lambda d: d.robot() | _share(0.05)(d))
     yield FaultRow("radio late", "late_radio", link, lambda d: {"by": d.between(0.005, 1)})
+    overtaken = "overtaken_packets"
+    yield FaultRow("packets overtaken", overtaken, link, lambda d: {"by": d.between(0.005, 0.3)})
+    yield FaultRow("stopped elsewhere", "stopped_elsewhere", link, at_once=True)
     yield FaultRow("packets doubled", "doubled_packets", r"$.", weight=0.5)
     yield FaultRow("radio resets", "radio_resets", link)
     yield FaultRow("other baud rate", "baud", link, lambda d: {"baud": 9600})
     yield FaultRow("bad bytes", "bad_bytes", link, lambda d: {"share": d.between(2e-4, 0.5)})
-    yield FaultRow("host's clock jumps", "host_clock", f"stood still|{clock}", _jump, 0.1, True)
-    yield FaultRow("host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)})
+    yield FaultRow(
+        "host's clock jumps",
+        "host_clock",
+        f"stood still|{clock}",
+        _jump,
+        above("by", 0.6, 0.1, False),
+        True,
+    )
+    yield FaultRow(
+        "host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)}, due.PLANS
+    )
     yield FaultRow("suspended", "stopped", f"stood still|late|{clock}|{moved}", _nap)
     yield FaultRow("computer asleep", "asleep", f"stood still|late|{clock}|{moved}", _nap)
-    yield FaultRow("disk full", "disk_full", "cannot write the log", stops_s=1.0, at_once=True)
+    yield FaultRow(
+        "disk full", "disk_full", "cannot write the log", due=after(1.0, False), at_once=True
+    )
     yield FaultRow("killed", "signal", r"$.", lambda d: {"signal": "KILL"}, at_once=True)
-    yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, stops_s=1.0, at_once=True)
+    yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, after(1.0, False), True)
     yield FaultRow("second run", "second_run", r"$.", at_once=True, weight=0.5)
-    yield FaultRow("emergency stop", "emergency", "emergency stop", stops_s=0.1, at_once=True)
+    yield FaultRow(
+        "emergency stop", "emergency", "emergency stop", due=after(0.1, False), at_once=True
+    )
 
 
 def _share(least: float) -> Fields:

@@ -12,11 +12,12 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
+from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
 
 RUN, EMERGENCY = 1, 2  # flags of a command
@@ -31,7 +32,15 @@ class Truth:
 
     def of(self, event: str, **facts: Any) -> list[dict[str, Any]]:
         """Return the recorded events of a kind."""
-        return [e for e in self.day.events if e["event"] == event and facts.items() <= e.items()]
+        kind = self._kinds.get(event, [])
+        return [e for e in kind if facts.items() <= e.items()] if facts else kind
+
+    @cached_property
+    def _kinds(self) -> dict[str, list[dict[str, Any]]]:
+        kinds = dict[str, list[dict[str, Any]]]()
+        for one in self.day.events:
+            kinds.setdefault(one["event"], []).append(one)
+        return kinds
 
     def first(self, event: str, **facts: Any) -> float:
         """Return the time of the first such event; infinite if there is none."""
@@ -67,6 +76,58 @@ class Truth:
         shown = [e["unseen_ms"] or [0.0] * len(self.setup.names) for e in self.of("truth")]
         return np.array(shown).reshape(-1, len(self.setup.names)) / 1000
 
+    def sent(self, i: int) -> list[tuple[float, bool, bool]]:
+        """Return each command's time [s], and whether it drives robot i ahead, or turns it."""
+        found = []
+        for command in self.of("command"):
+            left, right = (*command.get("wheels", ()), *[(0, 0)] * (i + 1))[i]
+            ahead = left + right > 0
+            found.append((command["t_ns"] / SECOND, ahead, not ahead and left != right))
+        return found
+
+    def status(self, flag: int) -> Bools:
+        """Return a flag of the robots' firmware at the exposures (T, N): 1 running, 2 emergency
+        stopped, 4 silent; False if not known."""
+        none = [0] * len(self.setup.names)
+        rows = [e.get("status", none) for e in self.of("truth")]
+        return (np.array(rows, dtype=int).reshape(-1, len(none)) & flag) > 0
+
+    @cached_property
+    def driven(self) -> list[tuple[float, float]]:
+        """The times in which the guard let robots be driven: begin and end of each [s]."""
+        found = list[tuple[float, float]]()
+        events = [(e["t_ns"] / SECOND, e["state"] in ("run", "hold")) for e in self.of("guard")]
+        since = np.inf
+        for at, drives in [*events, (self.alive_s, False)]:
+            if drives:
+                since = min(since, at)
+            elif since < at:
+                found.append((since, at))
+                since = np.inf
+        return found
+
+    @cached_property
+    def killed(self) -> bool:
+        """Whether the process was killed."""
+        return any(fault.get("signal") == "KILL" for _, _, fault in self.faults)
+
+    @cached_property
+    def napped_s(self) -> float:
+        """For how long our side stood still, or a plan took [s]."""
+        own = [fault for _, _, fault in self.faults]
+        naps = [fault["for"] for fault in own if fault["fault"] in ("stopped", "asleep")]
+        return sum(naps) + sum(fault["seconds"] for fault in own if fault["fault"] == "busy")
+
+    @property
+    def alive_s(self) -> float:
+        """Time at which our side ended; the emulation goes on alone for a moment."""
+        return float(self.times[-1]) - AFTER_NS / SECOND if len(self.times) else 0.0
+
+    def sight_s(self, at_s: float) -> float:
+        """Return the age of the newest exposure that was shown at a time [s]."""
+        row = np.searchsorted(self.times, at_s) - 1
+        return float(self.unseen[row].min()) if row >= 0 else 0.0
+
     @cached_property
     def abort_s(self) -> float:
         """Time of the guard's abort; infinite without one."""
@@ -81,11 +142,6 @@ class Truth:
         driven = [i for i, (_, state) in enumerate(states) if state in ("run", "hold")]
         after = states[driven[-1] + 1 :] if driven else []
         return min(self.abort_s, after[0][0] if after else np.inf)
-
-    def active(self, at_s: float) -> bool:
-        """Return whether the guard let robots be driven at a time."""
-        before = [e["state"] for e in self.of("guard") if e["t_ns"] / SECOND <= at_s]
-        return bool(before) and before[-1] in ("run", "hold")
 
     @cached_property
     def faults(self) -> list[tuple[float, float, dict[str, Any]]]:
@@ -111,6 +167,11 @@ class Truth:
             return f"{type(error).__name__}: {error}"
 
     @property
+    def trial(self) -> TrialLog | None:
+        """The log, None if there is none that can be read."""
+        return self.log if isinstance(self.log, TrialLog) else None
+
+    @property
     def reason(self) -> str:
         """Why the trial was aborted, or the run refused; "" if it was neither."""
         if isinstance(self.log, TrialLog) and self.log.result is not None:
@@ -128,16 +189,16 @@ class Truth:
 
     @cached_property
     def accepted(self) -> Floats:
-        """Poses that our side accepted (T, N, 2) [mm], each held until the next; NaN where there is
-        none, and after the end of a log that was broken off.
+        """Poses that our side accepted (T, N, 3) [mm, rad], each held until the next; NaN where
+        there is none, and after the end of a log that was broken off.
         """
-        found = np.full((len(self.times), len(self.setup.names), 2), np.nan)
+        found = np.full((len(self.times), len(self.setup.names), 3), np.nan)
         if isinstance(self.log, TrialLog) and len(self.log.frames):
             rows = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
             mm = self.setup.metres * 1000
             for number, poses in zip(self.log.frames.tolist(), self.log.mocap, strict=True):
                 if (row := rows.get(int(number))) is not None:
-                    found[row] = poses[:, :2] * mm
+                    found[row] = poses * (mm, mm, 1.0)
             logged = np.flatnonzero(~np.isnan(found).all(axis=(1, 2)))
             last = len(found) if self.log.result is not None else int(logged.max(initial=0))
             for row in range(1, last):
@@ -147,8 +208,14 @@ class Truth:
     @cached_property
     def error(self) -> Floats:
         """Distance between a pose accepted and the true one (T, N) [mm]; 0 before the first."""
-        off = self.accepted - self.poses[:, :, :2]
+        off = self.accepted - self.poses
         return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
+
+    @cached_property
+    def turned(self) -> Floats:
+        """Angle between a heading accepted and the true one (T, N) [rad]; 0 before the first."""
+        off = np.nan_to_num(self.accepted[..., 2] - self.poses[..., 2])
+        return np.abs(np.remainder(off + np.pi, 2 * np.pi) - np.pi)
 
     @cached_property
     def depth(self) -> Floats:

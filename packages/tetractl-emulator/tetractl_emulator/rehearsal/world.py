@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from tetractl.core.setup import Setup
 from tetractl_emulator.rehearsal.participants import LabRehearsal
+from tetractl_emulator.rehearsal.schedule import PLACE
 
 LAG_MAX_S = 0.08
 """Longest time constant of a wheel that is drawn [s]."""
@@ -34,7 +35,7 @@ def world_of_day(random: Random, setup: Setup, lab: LabRehearsal) -> World:
     right = [r"from its start|turned by"] * far + [r"off its commanded|moves |turns "] * off
     emulation: dict[str, Any] = {"camera": camera, "robots": _placed(random, setup, far)}
     emulation["actuator"] = lab.actuator(random, off)
-    return World(emulation, "|".join([r"about to leave|about to enter|too close", *right]))
+    return World(emulation, "|".join([PLACE, *right]))
 
 
 def _placed(random: Random, setup: Setup, far: bool) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.lab.actuators.twist.lines import decode_command
+from tetractl.lab.actuators.twist.lines import LineCommand, decode_command, encode_command
 from tetractl.lab.cobs import Flag
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.port import PseudoPort, RobotRadio
@@ -37,11 +37,15 @@ class LineRadio(RobotRadio):
         """Take bytes that have come over the line; robots hear whole lines or none."""
         *lines, self._line = (self._line + data).split(b"\n")
         for line in lines:
-            arrives = self._timeline.now_ns + DELAY_NS + self.late_ns
+            arrives = self._timeline.now_ns + DELAY_NS + self.lateness_ns(self._random)
             for robot in self.robots:
                 if self._random.random() >= max(self.loss, robot.deaf):
                     for _ in range(1 + self.doubled):
                         self._timeline.at(arrives, lambda to=robot, line=line: _hear(to, line))
+
+    def stop_elsewhere(self, sequence: int) -> None:
+        """Pass on an emergency stop that no program of ours has sent."""
+        self.hear(encode_command(LineCommand("W", sequence, Flag.EMERGENCY_STOP)))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)

@@ -20,11 +20,11 @@ from tetractl.experiment.yaml.document import parse_document
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 
-RADIO = ("loss", "late_ns", "doubled", "_down", "speed", "noise")
+RADIO = ("loss", "late_ns", "jitter_ns", "doubled", "_down", "speed", "noise")
 RUN = ((60, 60), (60, 60))
 FIELD = ("off", "low_supply, millivolts: 9000", "hot, celsius: 85", "mute")
 PROCESS = {get_args(kind.model_fields["fault"].annotation)[0] for kind in PROCESS_FAULTS}
-ELSEWHERE = {"unplug", "stuck_port", "pushed", *PROCESS}  # of an open port, a timeline, a process
+ELSEWHERE = {"unplug", "stuck_port", "pushed", "stopped_elsewhere", *PROCESS}  # nothing to undo
 
 
 def shipped():

@@ -1,5 +1,7 @@
 """Each invariant is broken by a record in which it does not hold, and by none in which it does."""
 
+import math
+
 import pytest
 from support.paths import ROOT
 from tetractl_emulator.rehearsal.day import Day, DayPlan
@@ -29,22 +31,46 @@ def command(seconds, count, flags=1, unseen=10.0):
     return at(seconds, "command", flags=flags, wheels=wheels, unseen_ms=[unseen] * 3)
 
 
-RUN = [at(1.0, "run"), at(1.0, "guard", state="run", reason=""), command(1.0, 20)]
+DRIVES = [command(1.0 + k / 10, 20) for k in range(13)]
+BUSY = {"kind": "host busy", "strength": 0.9, "fault": "busy", "seconds": 0.8, "at": 1.0}
+GHOST = {"kind": "ghost turns", "strength": 0.9, "fault": "ghost", "robot": "green", "at": 0.1}
+GHOST |= {"by": [0, 0], "turn": 0.01}
+RUN = [at(1.0, "run"), at(1.0, "guard", state="run", reason=""), *DRIVES]
 LOST = {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "green", "at": 1.0}
 SEEN = at(2.0, "fault", phase="start", name="untracked", row=0)
+STOPS = [command(2.31 + k / 50, 0, 0) for k in range(10)]
 STOP = at(2.31, "guard", state="abort", reason="green is not tracked (0.30 s)")
+SEEN_GHOST = at(0.2, "fault", phase="start", name="ghost", row=0)
+LATER = [at(1.5, "run"), at(1.5, "guard", state="run", reason=""), command(1.5, 20)]
+
+
+def pressed(seconds):
+    return at(seconds, "fault", phase="start", name="emergency", row=0)
+
+
+def status_at(seconds, status):
+    return truth_at(seconds) | {"status": [status, 0, 0]}
+
+
+def out(beyond, together):
+    """Exposures of a green that heads out of the arena, or towards blue, and is driven."""
+    x, y, heading = (510.0, 800.0, math.pi) if beyond else (900.0, 1085.0, math.pi / 2)
+    poses = [[x, y, heading], *STARTS[1:]]
+    return [truth_at(1.0), *[truth_at(1.5 + k / 120, poses=poses) for k in range(60)]]
+
+
 KEY = {"kind": "emergency stop", "strength": 0.5, "fault": "emergency", "at": 1.0}
 
 
-def found(*events, fault=LOST, said=ERROR, code=1, left=""):
-    events = sorted([*RUN, *events], key=lambda event: event["t_ns"])
+def found(*events, fault=LOST, said=ERROR, code=1, left="", run=RUN):
+    events = sorted([*run, *events], key=lambda event: event["t_ns"])
     day = Day(DayPlan(1, {}, [fault], ""), events, code, said, None, left, 1.0)
     names = {one.name for one in violations(Truth(day, SETUP), LabLimits(), 0.25)}
     return names - {"no log"}
 
 
 def test_a_good_end_breaks_nothing():
-    assert not found(SEEN, STOP, command(2.31, 0, 0), truth_at(2.2, 180.0), truth_at(4.0))
+    assert not found(SEEN, STOP, *STOPS, truth_at(2.2, 180.0), truth_at(4.0))
 
 
 @pytest.mark.parametrize(
@@ -62,6 +88,16 @@ def test_a_good_end_breaks_nothing():
         ("exit code", [SEEN, STOP], {"code": 0}),
         ("left behind", [SEEN, STOP], {"left": "a thread"}),
         ("hangs", [SEEN, STOP], {"code": -100}),
+        ("silent", [SEEN, STOP, at(2.9, "end"), truth_at(5.0)], {"run": RUN[:6]}),
+        ("stops", [SEEN, STOP, *STOPS[:4], truth_at(4.0)], {}),
+        ("emergency not sent", [pressed(2.0), truth_at(4.0)], {"fault": KEY}),
+        ("late", [SEEN, at(2.9, "guard", state="abort", reason="")], {"fault": BUSY}),
+        ("emergency released", [status_at(2.0, 2), status_at(2.1, 0)], {}),
+        ("obeys an old command", [STOP, status_at(2.4, 0), status_at(2.5, 1)], {}),
+        ("begins in motion", [SEEN_GHOST], {"fault": GHOST, "run": LATER}),
+        ("seen too rarely", [truth_at(1.0 + k / 60, unseen=200.0) for k in range(240)], {}),
+        ("drives out", out(0.5, 0.0), {}),
+        ("drives together", out(0.0, 0.5), {}),
         (
             "emergency released",
             [at(2.0, "fault", phase="start", name="emergency", row=0), command(2.1, 0, 0)],

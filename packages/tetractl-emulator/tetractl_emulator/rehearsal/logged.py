@@ -1,0 +1,67 @@
+"""That the log says what happened: each command as it was sent, and each frame as it was shown."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from tetractl_emulator.rehearsal.sending import MUTE
+from tetractl_emulator.rehearsal.truth import RUN, Truth
+from tetractl_emulator.rehearsal.violation import Violation
+
+NOTED_S = 0.002  # from a transmission to its record: the poll of the wire
+FRAMES = 4  # frames in a row that may be missing though robots are shown
+STREAM = ("clock_jump", "clock_rate", "counter_back", "outdated", "bad_datagrams", "reordered")
+FAULTY = ("other_version", "edit_mode", "twin_id", *MUTE)  # frames that are shown, and not taken
+HIDDEN = ("untracked", "nan", "bad_quaternion")
+
+
+def logged(truth: Truth) -> Iterator[Violation]:
+    """Yield what a whole log says otherwise than it was."""
+    log = truth.trial
+    if log is None or log.result is None or log.damage is not None:
+        return
+    if not truth.met(*MUTE):
+        yield from _commands(truth)
+    numbers = log.frames
+    if len(numbers) and (np.diff(log.mocap_ns) <= 0).any():
+        yield Violation("log", 0.0, "a frame comes twice, or late")
+    rows = {int(e["frame"]): row for row, e in enumerate(truth.of("truth"))}
+    known = [(rows[n], k) for k, n in enumerate(numbers.tolist()) if n in rows]
+    if not truth.met(*STREAM, *FAULTY):
+        yield from _whole(truth, [row for row, _ in known])
+    for began, ended, fault in truth.faults:
+        if fault["fault"] in HIDDEN:
+            i = truth.setup.names.index(fault["robot"])
+            for row, k in known:
+                if began + 0.01 < truth.times[row] < ended - 0.01 and log.valid[k, i]:
+                    yield Violation("log", float(truth.times[row]), "says that it saw a robot")
+                    return
+
+
+def _commands(truth: Truth) -> Iterator[Violation]:
+    assert truth.trial is not None
+    sent = np.array([e["t_ns"] for e in truth.of("command")]) / 1e9
+    said = np.array([one.sent_ns for one in truth.trial.commands]) / 1e9
+    flags = [bool(e["flags"] & RUN) for e in truth.of("command")]
+    for at, one in zip(said.tolist(), truth.trial.commands, strict=True):
+        noted = (sent >= at) & (sent <= at + NOTED_S)
+        if not noted.any():
+            yield Violation("log", at, "has a command that was not sent")
+            return
+        if one.stops and all(run for run, fits in zip(flags, noted, strict=True) if fits):
+            yield Violation("log", at, "says stop, and robots were driven")
+            return
+    for at in sent[sent > truth.first("run")].tolist():
+        if not ((said <= at) & (said >= at - NOTED_S)).any():
+            yield Violation("log", at, "lacks a command")
+            return
+
+
+def _whole(truth: Truth, rows: list[int]) -> Iterator[Violation]:
+    """Frames are missing only where the camera showed none."""
+    for row, after in pairwise(rows):
+        shown = truth.unseen[row + 1 : after].min(axis=1) if after > row + FRAMES else np.zeros(0)
+        if (shown < 0.025).sum() >= FRAMES:
+            yield Violation("log", float(truth.times[row]), f"lacks {after - row - 1} frames")
+            return

@@ -1,0 +1,82 @@
+"""What our side sends: no drive without sight, only stops after a stop, and as often as it must."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
+from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
+from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
+
+STOPS, STOPS_S = 10, 0.25  # stops after a run, and the time of ten, 20 ms apart, and a tick
+MUTE = ("unplug", "stuck_port", "stopped", "asleep", "host_clock")  # nothing can be sent
+
+
+def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Violation]:
+    """Yield what is wrong with the commands sent."""
+    yield from _commands(truth, limits)
+    if not truth.met(*MUTE) and not truth.killed:
+        yield from _often(truth, watchdog_s)
+    yield from _robots(truth, watchdog_s)
+
+
+def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
+    """Drive commands need a new sight of each robot; after a stop only stops are sent."""
+    all_s = limits.stale + SLACK_S
+    one_s = all_s + UNTRACKED_STOP_S
+    emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
+    for command in truth.of("command"):
+        at = command["t_ns"] / 1e9
+        driven = truth.drives(command)
+        if at > emergency and not command["flags"] & EMERGENCY and at > truth.first("run"):
+            yield Violation("emergency released", at, f"flags {command['flags']}")
+            return
+        if any(driven) and at > truth.ended_s + 0.004:
+            yield Violation("drives after stop", at, f"{at - truth.ended_s:.3f} s after the stop")
+            return
+        unseen = [ms / 1000 for ms in command["unseen_ms"]]
+        blind = [u for u, drives in zip(unseen, driven, strict=False) if drives]
+        if blind and (max(blind) > one_s or min(unseen) > all_s):
+            yield Violation("drives blind", at, f"unseen for {max(blind):.3f} s")
+            return
+
+
+def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
+    """Commands feed the watchdog even if every second one is lost; ten stops follow each run, and
+    an emergency stop is sent whenever it is pressed.
+    """
+    pressed = truth.first("fault", name="emergency", phase="start")
+    flagged = [c["t_ns"] / 1e9 for c in truth.of("command") if c["flags"] & EMERGENCY]
+    sent_s = min((at for at in flagged if at > pressed - SLACK_S), default=np.inf)
+    if truth.first("run") < pressed < truth.alive_s - SLACK_S and sent_s > pressed + SLACK_S:
+        yield Violation("emergency not sent", pressed, "no latched stop in time")
+    sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
+    for since, until in truth.driven:
+        during = [since, *sent[(sent > since) & (sent < until)], min(until, truth.alive_s)]
+        gaps = np.diff(during)
+        if gaps.max() > watchdog_s / 2:
+            found = f"for {gaps.max():.3f} s"
+            yield Violation("silent", during[int(gaps.argmax())], found)
+            return
+        still = [c for c in truth.of("command") if not any(truth.drives(c))]
+        stops = [c for c in still if until - 0.004 <= c["t_ns"] / 1e9 <= until + STOPS_S]
+        if len(stops) < STOPS and until + STOPS_S < truth.alive_s:
+            yield Violation("stops", until, f"{len(stops)} in {STOPS_S} s")
+            return
+
+
+def _robots(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
+    """A robot that has latched stays latched; one that heard a stop obeys no older command."""
+    latched, stood = truth.status(2), ~truth.status(1) & ~truth.status(4)
+    if truth.met("off"):
+        return
+    for i, name in enumerate(truth.setup.names):
+        freed = np.flatnonzero(latched[:-1, i] & ~latched[1:, i])
+        if len(freed):
+            yield Violation("emergency released", float(truth.times[freed[0]]), name)
+        rows = np.flatnonzero(stood[:, i] & (truth.times > truth.ended_s + SLACK_S))
+        again = truth.status(1)[:, i]
+        for row in rows[:1]:
+            soon = again[row:] & (truth.times[row:] < truth.times[row] + watchdog_s)
+            if soon.any():
+                yield Violation("obeys an old command", float(truth.times[row]), name)

@@ -13,7 +13,8 @@ pytestmark = pytest.mark.system
 
 LATE_S = 0.05  # half of the shortest tolerance: an emulator as late as that spoils the play
 AGAIN = ("no_server", "radio_unplugged", "stream_stops")  # in both, over sockets and ports
-PROCESS = ("asleep", "disk_full", "ctrl_c", "killed", "second_run", "terminated", *AGAIN)
+SIGNALS = ("asleep", "ctrl_c", "hung_up", "killed", "quit", "terminated")
+PROCESS = ("disk_full", "second_run", *SIGNALS, *AGAIN)
 CHOSEN = [path for path in SCRIPTS if path.stem in PROCESS or camera_of(path) == "apriltag"]
 
 

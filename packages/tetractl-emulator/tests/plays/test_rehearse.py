@@ -49,15 +49,25 @@ def test_cells_are_refused(tmp_path):
     assert "cells swim undriven" in done.stderr
 
 
-def test_a_planted_defect_is_found_and_shrunk_to_one_fault(tmp_path, monkeypatch):
+def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs(
+    tmp_path, monkeypatch
+):
     plan = day.DayPlan(5, {}, [*map(dict, FAULTS)], "")
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
     monkeypatch.setattr(Guard, "_check_tracking", lambda guard: None)
     done = rehearse(tmp_path, "--days", "1")
+    (tmp_path / "two").mkdir()
+    assert rehearse(tmp_path / "two", "--days", "1", "--jobs", "2").returncode == done.returncode
     assert done.returncode == 1
     assert "late: untracked" in done.stderr
     assert done.stdout.endswith("1 days, 1 violations\n")
-    script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
+    script, other = (
+        (folder / "days" / "seed-1-day-0.yaml").read_text()
+        for folder in (tmp_path, tmp_path / "two")
+    )
+    assert script == other
+    one, two = (rows(folder)[0] for folder in (tmp_path, tmp_path / "two"))
+    assert {**one, "seconds": 0} == {**two, "seconds": 0}
     assert "untracked" in script
     assert "doubled_packets" not in script
 

@@ -1,7 +1,8 @@
 """Shrinks the plan of a day that broke an invariant to the few events that matter.
 
-A greedy delta debugger: it leaves out faults one by one, then parts of the world, then makes faults
-shorter and milder, and keeps each change after which the same invariant is still broken.
+A greedy delta debugger: it tries each fault alone, leaves out faults one by one, then parts of the
+world, then makes faults shorter and milder, and keeps each change after which the same invariant is
+still broken.
 """
 
 from collections.abc import Callable, Iterator
@@ -36,6 +37,8 @@ def shrunk(plan: DayPlan, breaks: Breaks) -> tuple[DayPlan, int]:
 
 def _smaller(plan: DayPlan) -> Iterator[DayPlan]:
     """Yield simpler plans, those that leave out most first."""
+    if len(plan.faults) > 2:
+        yield from (replace(plan, faults=[fault]) for fault in plan.faults)
     for i in range(len(plan.faults)):
         yield replace(plan, faults=[*plan.faults[:i], *plan.faults[i + 1 :]])
     if len(plan.emulation) > 1:

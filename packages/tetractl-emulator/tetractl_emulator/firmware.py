@@ -174,8 +174,9 @@ class WheelsCore(Core):
         return counts
 
     def status(self, now_ms: int) -> Status:
-        """Return the status flags that a reply would have now."""
-        return Status(self._call("status", now_ms))
+        """Return the status flags that a reply would have now; nothing changes in the core."""
+        copied = ctypes.create_string_buffer(self._core.raw, len(self._core))
+        return Status(self._library["status"](copied, now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
         """Set the battery voltage that the core reports [mV]; 0 for unknown."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
-from tetractl.cli.options import Sets, Spec, option, out_option
+from tetractl.cli.options import Sets, Spec, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
 
@@ -26,6 +26,7 @@ def rehearse(
     days: Annotated[int, option("N", "Number of days.", min=1)] = 200,
     seed: Annotated[int, option("S", "Seed of the days.", min=0)] = 1,
     first: Annotated[int, option("N", "Number of the first day; a day is drawn by it.")] = 0,
+    faults: Annotated[bool, switch("Let faults happen; without, no trial may abort.")] = True,
     jobs: Annotated[int, option("N", "Number of days played at a time.", min=1)] = 1,
     out: Annotated[
         Path | None,
@@ -70,7 +71,7 @@ def rehearse(
     rows = {row["day"]: row for row in map(json.loads, lines)}
     wanted = range(first, first + days)
     waiting = [day for day in wanted if day not in rows]
-    play = partial(rehearsed, spec, tuple(sets or ()), seed, folder)
+    play = partial(rehearsed, spec, tuple(sets or ()), seed, folder, bad=faults)
     interrupted = False
     try:
         with interrupted_once(), results.open("a") as kept, ui.progress("days") as show:
@@ -113,7 +114,9 @@ def _script_name(seed: int, day: int) -> str:
     return f"seed-{seed}-day-{day}.yaml"
 
 
-def rehearsed(spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int) -> "DayRow":
+def rehearsed(
+    spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int, bad: bool = True
+) -> "DayRow":
     """Play a day, and shrink its plan if it breaks an invariant; return what is kept of it."""
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import on_plant
@@ -138,7 +141,7 @@ def rehearsed(spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int
             found = violations(truth, lab.limits, watchdog_s)
             return row_of(day, truth, found, time.process_time() - began_s)
 
-    plan = plan_of_day(seed, day, setup, rehearsal_of(lab, setup))
+    plan = plan_of_day(seed, day, setup, rehearsal_of(lab, setup), bad)
     row = judged(plan)
     if not broken(row):
         return row

@@ -227,6 +227,12 @@ FAULTS = (
     ),
     _of_body("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
     _of_body(
+        "half_tracked",
+        "A body is not tracked in this fraction of the frames.",
+        {"share": Share},
+        missing=attrgetter("share"),
+    ),
+    _of_body(
         "jump",
         "A body's pose jumps by this distance [mm].",
         {"by": Point},

@@ -52,7 +52,8 @@ class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 
     `noise` are the standard deviations of a pose [mm, rad]; the noise is drawn from `random`.
-    Faults set the other fields: the body is not tracked; not streamed; frozen at its last pose
+    Faults set the other fields: the body is not tracked, or in a share of frames that is `missing`;
+    not streamed; frozen at its last pose
     (`repeats`); displaced by `shift` [mm], which grows by `step` [mm] per exposure, along the
     robot's own axes if `own`; turned by `turned` [rad], which grows by `turn` [rad] per exposure;
     at another `height` [mm]; its plate slipped on the robot by `plate` [mm] along the robot's axes,
@@ -67,6 +68,7 @@ class TrackedBody:
     random: Random = field(default_factory=lambda: Random(0))
     streamed: bool = True
     tracked: bool = True
+    missing: float = 0.0
     repeats: bool = False
     shift: complex = 0j
     step: complex = 0j
@@ -81,10 +83,11 @@ class TrackedBody:
 
     def expose(self, view: View) -> RigidBody:
         """Return the body as the cameras report it now; an untracked body keeps its last pose."""
-        if self.seen is None or (self.tracked and not self.repeats):
+        tracked = self.tracked and not (self.missing and self.random.random() < self.missing)
+        if self.seen is None or (tracked and not self.repeats):
             self._look(view)
         assert self.seen is not None, "it was exposed"
-        if not self.tracked:
+        if not tracked:
             return replace(self.seen, tracking_valid=False)
         return self.change(self.seen) if self.change and not self.repeats else self.seen
 

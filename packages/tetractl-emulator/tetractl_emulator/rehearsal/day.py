@@ -86,11 +86,13 @@ class Day:
         return hashlib.sha256(json.dumps(self.events).encode()).hexdigest()[:16]
 
 
-def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal) -> DayPlan:
-    """Draw the plan of a day; it depends on the seed and on the day's number alone."""
+def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool = True) -> DayPlan:
+    """Draw the plan of a day; it depends on the seed and on the day's number alone. On one that is
+    not `bad` there is no fault, and robots and wheels are as the spec allows.
+    """
     random = Random(f"{seed}-{day}")
-    faults = faults_of_day(random, setup.names, lab.kinds)
-    world = world_of_day(random, setup, lab)
+    faults = faults_of_day(random, setup.names, lab.kinds) if bad else []
+    world = world_of_day(random, setup, lab, bad)
     return DayPlan(random.randrange(2**31), world.emulation, faults, world.right, lab.kinds)
 
 

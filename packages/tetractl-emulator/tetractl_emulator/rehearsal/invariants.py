@@ -142,6 +142,9 @@ def _end(truth: Truth) -> Iterator[Violation]:
 def _reason(truth: Truth) -> Iterator[Violation]:
     """The reason names a fault that was there."""
     reason = truth.reason
+    if reason and not truth.day.plan.faults:
+        yield Violation("false alarm", min(truth.abort_s, 1e6), reason[:200])
+        return
     right = [truth.day.plan.right, *(truth.day.plan.kind(f).right for _, _, f in truth.faults)]
     if reason and not re.search("|".join(filter(None, right)) or "$.", reason, re.IGNORECASE):
         yield Violation("reason", min(truth.abort_s, 1e6), reason[:200])

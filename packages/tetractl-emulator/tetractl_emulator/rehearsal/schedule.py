@@ -85,6 +85,16 @@ class FaultRow:
     weight: float = 1.0
     start: float = 0.1  # share of the days on which it is there from the start
 
+    @property
+    def stops_s(self) -> float:
+        """The time [s] in which a strong one has to end the trial of a robot of 200 mm/s; NaN if
+        it need not.
+        """
+        if self.due is None:
+            return math.nan
+        own = self.fields(Draw(Random(1), ("one", "two"), 0.95))
+        return self.due.within_s({"fault": self.fault, **own}, 200.0)
+
 
 def _kinds() -> Iterator[FaultRow]:
     sight, moved = f"{SIGHT}|{PLACE}", f"{MOTION}|{PLACE}|{SIGHT}"
@@ -115,6 +125,8 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("edit mode", "edit_mode", "edit mode", due=after(0.1))
     for name in ("untracked", "nan", "bad_quaternion"):
         yield FaultRow(name, name, SIGHT, Draw.robot, after(0.4))
+    part = "half_tracked"
+    yield FaultRow("tracked in part", part, SIGHT, lambda d: d.robot() | _share(0.05)(d))
     yield FaultRow("pose frozen", "repeat", moved, Draw.robot, due.REPEATS)
     yield FaultRow("picture frozen", "repeat", moved, due=due.REPEATS)
     height, angle = above("height", 520, 0.4), above("angle", 0.55, 0.4)

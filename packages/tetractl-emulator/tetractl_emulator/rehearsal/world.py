@@ -28,10 +28,10 @@ class World(NamedTuple):
     right: str
 
 
-def world_of_day(random: Random, setup: Setup, lab: LabRehearsal) -> World:
-    """Draw a world for a lab."""
+def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = True) -> World:
+    """Draw a world for a lab, as its spec allows if it is not `bad`."""
     camera = lab.camera(random, False)
-    far, off = random.random() < FAR_SHARE, random.random() < OFF_SHARE
+    far, off = random.random() < FAR_SHARE * bad, random.random() < OFF_SHARE * bad
     right = [r"from its start|turned by"] * far + [r"off its commanded|moves |turns "] * off
     emulation: dict[str, Any] = {"camera": camera, "robots": _placed(random, setup, far)}
     emulation["actuator"] = lab.actuator(random, off)

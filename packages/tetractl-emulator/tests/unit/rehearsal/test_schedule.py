@@ -7,7 +7,7 @@ import pytest
 from support.paths import ROOT
 from tetractl_emulator.rehearsal.day import DayPlan, plan_of_day
 from tetractl_emulator.rehearsal.participants import rehearsal_of
-from tetractl_emulator.rehearsal.schedule import KINDS, faults_of_day
+from tetractl_emulator.rehearsal.schedule import KINDS, STRONG, faults_of_day
 from tetractl_emulator.script import script_of
 
 from tetractl.experiment.load import load_spec
@@ -16,6 +16,7 @@ NAMES = ("green", "blue", "red")
 EXPERIMENT = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
 SETUP = EXPERIMENT.setup
 LAB = rehearsal_of(EXPERIMENT.lab, SETUP)
+NAPS = ("stopped", "asleep")  # whose strength is their duration
 
 
 def test_a_day_depends_on_its_number_and_the_seed_alone():
@@ -25,20 +26,43 @@ def test_a_day_depends_on_its_number_and_the_seed_alone():
     assert one != plan_of_day(8, 12, SETUP, LAB)
 
 
-def test_every_day_is_a_valid_script_and_every_fault_is_met_often():
-    random, counts, met = Random(1), Counter(), Counter()
-    for day in range(3000):
+def test_a_day_without_faults_is_as_the_spec_allows():
+    plans = [plan_of_day(7, day, SETUP, LAB, bad=False) for day in range(300)]
+    assert not any(plan.faults or plan.off for plan in plans)
+    assert any(plan_of_day(7, day, SETUP, LAB).off for day in range(300))
+
+
+def test_every_tenth_day_is_a_valid_script():
+    for day in range(0, 3000, 10):
+        plan = plan_of_day(1, day, SETUP, LAB)
+        script = script_of(plan.script(), "optitrack", "m3pi-xbee")
+        assert len(script.faults) == len(plan.faults)
+
+
+def test_every_fault_is_drawn_often_and_its_strongest_lasts():
+    random, counts, met, strong = Random(1), Counter(), Counter(), Counter()
+    for _ in range(20_000):
         faults = faults_of_day(random, NAMES)
         counts[len(faults)] += 1
-        met.update(fault["kind"] for fault in faults)
-        if day % 10 == 0:
-            plan = plan_of_day(1, day, SETUP, LAB)
-            assert len(script_of(plan.script(), "optitrack", "m3pi-xbee").faults) == len(
-                plan.faults
-            )
-    assert counts[1] / 3000 == pytest.approx(1 / 3, abs=0.03)
+        met.update({fault["kind"] for fault in faults})
+        strong.update(f["kind"] for f in faults if f["strength"] >= STRONG)
+        lasting = [f for f in faults if f["strength"] > STRONG and f["fault"] not in NAPS]
+        assert not any("for" in fault for fault in lasting)
+    assert counts[1] / 20_000 == pytest.approx(1 / 3, abs=0.01)
     assert max(counts) == 6
-    assert min(met[kind.name] for kind in KINDS) > 15  # of 20 000 days: 100
+    assert {kind.name for kind in KINDS} == met.keys()
+    assert min(met.values()) >= 100
+    assert min(strong.values()) >= 10
+
+
+NAMED = """no_frames late_frames doubled_frames reordered freeze slow_frames half_tracked untracked
+swap ghost picture slip lifted pushed wheel_stuck weak_wheel low_battery off late_radio loss deaf
+radio_resets baud doubled_packets clock_jump clock_rate host_clock busy stopped disk_full signal
+second_run bad_bytes bad_datagrams emergency stopped_elsewhere overtaken_packets"""
+
+
+def test_the_table_has_each_fault_that_was_asked_for():
+    assert set(NAMED.split()) <= {kind.fault for kind in KINDS}
 
 
 def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():

@@ -17,6 +17,7 @@ to each bound. Lengths are in the spec's length unit.
 import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -97,7 +98,8 @@ class MotionCheck:
         """Take the time of a frame, before `disagrees` is called for its poses."""
         since_ns = self._now_ns - DELAY_NS
         times, sent = self._sent.acting(since_ns, now_ns)
-        if not sent or times[0] > since_ns or max(np.diff([*times, now_ns])) > WATCHDOG_NS:
+        gaps = (after - before for before, after in pairwise([*times, now_ns]))
+        if not sent or times[0] > since_ns or max(gaps) > WATCHDOG_NS:
             # before the first transmission, and after a silence
             sent = [*sent, np.zeros_like(self._bounds)]
         least, most = np.array(sent).swapaxes(0, 1)
@@ -121,10 +123,10 @@ class MotionCheck:
             slack = self._slack[i]
             below, above = moved[:, 1] - slack, moved[:, 2] + slack
             wrong = (moved[:, 0] < below) | (moved[:, 0] > above)
-            if len(rows := np.flatnonzero(wrong.any(axis=1))):
-                way, least, most = moved[rows[-1]]
-                found = _diagnosis(way, least, most, slack)
-                return found if self._radius else OF_CELLS.get(found, found)
+            if len(found := np.flatnonzero(wrong)):
+                way, least, most = moved[found[-1] // 3]
+                why = _diagnosis(way, least, most, slack)
+                return why if self._radius else OF_CELLS.get(why, why)
         self.seen[i] = seen
         if not past or self._now_ns - past[-1][0] >= SECOND // 20:
             past.append((self._now_ns, np.array([seen, *allowed])))

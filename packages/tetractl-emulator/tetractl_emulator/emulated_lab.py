@@ -18,6 +18,7 @@ from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Opt
 from tetractl_emulator.wires import Wires
 
 Report = Callable[[str, Facts], None]
+_as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 class Record:
@@ -35,7 +36,7 @@ class Record:
         """Append an event with its time `t_ns` and its facts."""
         if self._file is not None:
             line = {"t_ns": t_ns, "event": event, **facts}
-            self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
+            self._file.write(_as_json(line) + "\n")
 
     def flush(self) -> None:
         """Write buffered events to the file."""

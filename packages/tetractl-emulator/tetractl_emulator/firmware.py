@@ -127,10 +127,11 @@ class Core:
 
     def __init__(self, library: Library | None) -> None:
         self._library = library or load(self.name)
-        self._core = ctypes.create_string_buffer(self._library["size"]())
+        self._memory = ctypes.create_string_buffer(self._library["size"]())
+        self._core = ctypes.addressof(self._memory)
         self._reply = ctypes.create_string_buffer(self.reply_size)
         self._one, self._two = self.number(), self.number()
-        self._both = ctypes.byref(self._one), ctypes.byref(self._two)
+        self._both = ctypes.addressof(self._one), ctypes.addressof(self._two)
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """Read bytes from the radio or the serial line; return an event for each completed
@@ -175,7 +176,7 @@ class WheelsCore(Core):
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now; nothing changes in the core."""
-        copied = ctypes.create_string_buffer(self._core.raw, len(self._core))
+        copied = ctypes.create_string_buffer(self._memory.raw, len(self._memory))
         return Status(self._library["status"](copied, now_ms))
 
     def set_battery(self, battery_mv: int) -> None:

@@ -14,6 +14,7 @@ class UdpPlug(PseudoPort):
 
     def __init__(self, name: str) -> None:
         super().__init__(Path(name))
+        self.name = name  # a path would lose a stroke
         address = address_of(name)
         assert address is not None, "the section has checked the name"
         self._number = address[1]

@@ -147,14 +147,14 @@ class PluggedDevice:
 
 
 class PseudoPort:
-    """A serial port that programs open by the name `link`; `fd` is the file descriptor of the
-    emulation's end.
+    """A serial port that programs open by the name `link`, or `name` as text; `fd` is the file
+    descriptor of the emulation's end.
 
     A program can open the port exclusively, like any port; a second program is then refused.
     """
 
     def __init__(self, link: Path) -> None:
-        self.link = link
+        self.link, self.name = link, str(link)
         self.fd = -1
         # kept open, so that `fd` stays valid while no program has the port open
         self._far = -1

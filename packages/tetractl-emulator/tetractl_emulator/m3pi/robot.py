@@ -7,15 +7,17 @@ Lengths are millimetres.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.poses import Floats, Poses
+from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.motion.rolling import LAG
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 from tetractl.plant.wheel_kernel import roll
-from tetractl_emulator.firmware import RobotCore, WheelsCore
+from tetractl_emulator.firmware import RobotCore
 
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
@@ -44,6 +46,30 @@ class EmulatedBattery:
         return max(0, round(self.open_mv - self.sag_mv * load))
 
 
+class Program(Protocol):
+    """What a robot's microcontroller runs, such as a `WheelsCore`. Times are milliseconds."""
+
+    def push(self, data: bytes, now_ms: int) -> Any:
+        """Read bytes from the radio."""
+        ...
+
+    def wheels(self, now_ms: int) -> Counts:
+        """Return the present counts of both motors."""
+        ...
+
+    def status(self, now_ms: int) -> Status:
+        """Return whether it runs, is emergency-stopped or silent."""
+        ...
+
+    def take_reply(self, now_ms: int) -> bytes:
+        """Return the bytes to send now, each once."""
+        ...
+
+    def set_battery(self, battery_mv: int) -> None:
+        """Take the battery's voltage [mV]."""
+        ...
+
+
 class EmulatedRobot:
     """One robot, in a row of `EmulatedRobots`, which moves it.
 
@@ -60,7 +86,7 @@ class EmulatedRobot:
         name: str,
         index: int,
         battery: EmulatedBattery | None = None,
-        make_core: Callable[[int], WheelsCore] = RobotCore,
+        make_core: Callable[[int], Program] = RobotCore,
     ) -> None:
         self.name, self.core = name, make_core(index)
         self.index, self._make_core = index, make_core

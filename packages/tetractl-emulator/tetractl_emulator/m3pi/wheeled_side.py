@@ -1,6 +1,7 @@
 """What emulated robots on two wheels have in common, whatever reaches them: states and faults.
 
-A side of your own derives from `WheeledSide`, and makes `robots`, `wheels` and `radios`.
+A side of your own derives from `WheeledSide`, or `PortedSide`, and makes `robots`, `wheels` and
+`radios`.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +25,7 @@ from tetractl_emulator.faults import (
     settings,
     switching,
 )
-from tetractl_emulator.loop import Timeline
+from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl_emulator.port import RobotRadio
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
@@ -100,6 +101,46 @@ class WheeledSide:
         """Let the radios take and give no bytes while they are `down`."""
         for radio in self.radios:
             radio.restart(down)
+
+
+class PortedSide(WheeledSide):
+    """A `WheeledSide` whose radios each have a port, none of which is the lab's only one."""
+
+    _loop: Loop | None = None
+
+    @property
+    def port(self) -> "PortedSide":
+        """What `stuck_port` stalls: all ports."""
+        return self
+
+    def stall(self, stalled: bool) -> None:
+        """Let all ports take no bytes, or take them again."""
+        for radio in self.radios:
+            radio.port.stall(stalled)
+
+    def open(self, loop: Loop) -> dict[str, Any]:
+        """Plug in all ports; return a description and the first port's name."""
+        self._loop = loop
+        self.plugged(True)
+        ports = [radio.port.name for radio in self.radios]
+        return {"actuator": f"robots at {', '.join(ports)}", "port": ports[0]}
+
+    def close(self) -> dict[str, Any]:
+        """Unplug all ports; return how many chunks of bytes came at a wrong baud rate."""
+        self.plugged(False)
+        return {"garbled": sum(radio.garbled for radio in self.radios)}
+
+    def plugged(self, on: bool) -> None:
+        """Plug all ports in, after `open`, or unplug them; they may be unplugged twice."""
+        for radio in self.radios:
+            if on:
+                assert self._loop is not None, "open() sets the loop"
+                radio.port.plug()
+                self._loop.watch(radio.port.fd, radio.readable)
+            else:
+                if self._loop is not None:
+                    self._loop.forget(radio.port.fd)
+                radio.port.unplug()
 
 
 def robots_of_day(

@@ -14,11 +14,11 @@ from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
+from tetractl.lab.udp_port import SCHEME
 from tetractl_emulator.faults import Fault, Share
 from tetractl_emulator.firmware import TwistCore
-from tetractl_emulator.loop import Loop
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
-from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, WheeledSide, robots_of_day
+from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, PortedSide, robots_of_day
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
@@ -48,7 +48,7 @@ class TwistSettings(Model):
     """The robots whose true properties differ from the spec."""
 
 
-class EmulatedTwist(WheeledSide):
+class EmulatedTwist(PortedSide):
     """Robots that run the firmware's core, on the ports of the spec."""
 
     Settings: ClassVar[type[Model]] = TwistSettings
@@ -71,7 +71,7 @@ class EmulatedTwist(WheeledSide):
         trues = [truths.get(name) or TrueTwistRobot(name=name) for name in names]
         own = [entry(section.robots, name) for name in names]
         radii = radii_mm(stage.setup, [robot.radius_mm for robot in own])
-        self._loop, self.timeline = None, stage.timeline
+        self.timeline = stage.timeline
         self.robots = [
             EmulatedRobot(
                 name,
@@ -88,7 +88,8 @@ class EmulatedTwist(WheeledSide):
         wheels = drivetrains(np.array(gains).T, section.speed_max_mm_s)
         lags = np.array([true.lag for true in trues])
         self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
-        others = {section.port: stage.options.link or section.port}
+        serial = not section.port.startswith(SCHEME)
+        others = {section.port: stage.options.link} if serial and stage.options.link else {}
         self.radios = [
             LineRadio(
                 stage,
@@ -101,37 +102,3 @@ class EmulatedTwist(WheeledSide):
             )
             for i, port in enumerate(section.ports())
         ]
-
-    @property
-    def port(self) -> "EmulatedTwist":
-        """What `stuck_port` stalls: all ports."""
-        return self
-
-    def stall(self, stalled: bool) -> None:
-        """Let all ports take no bytes, or take them again."""
-        for radio in self.radios:
-            radio.port.stall(stalled)
-
-    def open(self, loop: Loop) -> dict[str, Any]:
-        """Plug in all ports; return a description and the first port's name."""
-        self._loop = loop
-        self.plugged(True)
-        ports = [str(radio.port.link) for radio in self.radios]
-        return {"actuator": f"robots at {', '.join(ports)}", "port": ports[0]}
-
-    def close(self) -> dict[str, Any]:
-        """Unplug all ports; return how many chunks of bytes came at a wrong baud rate."""
-        self.plugged(False)
-        return {"garbled": sum(radio.garbled for radio in self.radios)}
-
-    def plugged(self, on: bool) -> None:
-        """Plug all ports in, after `open`, or unplug them; they may be unplugged twice."""
-        for radio in self.radios:
-            if on:
-                assert self._loop is not None, "open() sets the loop"
-                radio.port.plug()
-                self._loop.watch(radio.port.fd, radio.readable)
-            else:
-                if self._loop is not None:
-                    self._loop.forget(radio.port.fd)
-                radio.port.unplug()

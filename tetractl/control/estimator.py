@@ -81,8 +81,10 @@ class StateEstimator:
         if self.estimate is None:
             return replace(self.problem, poses=poses).only(self.left)
         self.estimate = known
-        motion = {name: getattr(known, name) for name in ("a", "speed", "side", "saturation")}
-        return replace(self.problem, poses=poses, bias=bias, flow=flow, **motion).only(self.left)
+        motion = {"a": known.a, "speed": known.speed}
+        turns = {"side": known.side, "saturation": known.saturation}
+        now = replace(self.problem, poses=poses, bias=bias, flow=flow, **motion, **turns)
+        return now.only(self.left)
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""

@@ -94,9 +94,9 @@ def lab_as(kind: str | None, lab: LabSection) -> LabSection:
     """Return a lab as a plant of a kind; None, and "lab" for one that is real, change nothing."""
     if kind is None or kind == lab.type or (kind == "lab" and lab.real_time):
         return lab
-    section: type[PlantSection] = PLANTS.load(kind)
+    section: type[LabSection] = PLANTS.load(kind)
     shared = {name: value for name, value in lab if name in section.model_fields}
-    return section.model_validate(shared | {"type": kind})  # type: ignore[return-value]
+    return section.model_validate(shared | {"type": kind})
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:

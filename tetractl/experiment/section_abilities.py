@@ -29,6 +29,13 @@ class HoldsSignals(Protocol):
 
 
 @runtime_checkable
+class CountsSteps(Protocol):
+    """A controller that ends a trial after `steps_max` control steps."""
+
+    steps_max: int
+
+
+@runtime_checkable
 class Modelled(Protocol):
     """A controller or a plant that moves robots by a motion of this name."""
 

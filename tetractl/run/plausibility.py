@@ -17,6 +17,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.section_abilities import (
+    CountsSteps,
     Delaying,
     Estimating,
     HoldsSignals,
@@ -66,8 +67,9 @@ class CheckContext:
         self.margin = self.keeps.margin + self.keeps.radius if self.keeps else 0.0
         self.walls = self.keeps is not None and self.keeps.walls
         self.longest_s = self.setup.time_limit_s
-        steps_s = (getattr(control, "steps_max", math.inf) + 1) * control.period
-        self.limit = "steps_max" if steps_s <= self.longest_s * (1 + 1e-9) else "time_limit"
+        steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
+        ends = (steps_max + 1) * control.period <= self.longest_s * (1 + 1e-9)
+        self.limit = "steps_max" if ends else "time_limit"
 
     @property
     def least_total_error(self) -> float:

@@ -40,7 +40,7 @@ v [length unit/s]."""
 
 def in_rows(of: Any) -> Floats:
     """Return the PARAMETERS (N, K) in the fields of a problem or a prior."""
-    return np.column_stack([getattr(of, each.name) for each in PARAMETERS])
+    return np.column_stack([of.a, of.speed])
 
 
 class Component(NamedTuple):

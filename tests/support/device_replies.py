@@ -4,9 +4,11 @@ import inspect
 from dataclasses import astuple
 
 from tetractl.lab import cobs
+from tetractl.lab.actuators.m3pi import broadcast
+from tetractl.lab.actuators.wheel_commands import Reply
 
 
 def packed_reply(reply):
     """Return a reply's frame, including the closing byte 00."""
-    module = inspect.getmodule(type(reply))
+    module = broadcast if isinstance(reply, Reply) else inspect.getmodule(type(reply))
     return cobs.pack_fields(module._REPLY, module.REPLY, *astuple(reply))

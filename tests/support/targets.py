@@ -22,6 +22,7 @@ from tetractl.experiment.plants import Calibration, calibrated, on_plant
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee import frames as xbee
 from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, answered, encode, received
 from tetractl.lab.cobs import Flag
@@ -154,7 +155,7 @@ def serial(data: bytes) -> None:
 
 def serial_bytes() -> list[bytes]:
     command = broadcast.encode_command(broadcast.BroadcastCommand(7, Flag.RUN, ((64, -64), (1, 0))))
-    reply = packed_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
+    reply = packed_reply(Reply(1, 7, Status(0), 5100, 20, 3))
     received = [
         b"\x81\x12\x34\x5e\1" + reply,
         xbee.at_response(1, b"BD", b"\x06"),

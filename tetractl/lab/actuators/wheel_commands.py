@@ -2,13 +2,15 @@
 robots reply."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import IntFlag
+from typing import Protocol, Self
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import RobotStatus, Steer, Turn
+from tetractl.core.commands import Action, RobotStatus, Steer, Transmission, Turn
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import MM, Setup
 from tetractl.model.wheels import Drivetrains, WheelHost
@@ -23,6 +25,22 @@ class Status(IntFlag):
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
     SILENT = 4  # stopped by the watchdog
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """A robot's reply to a poll; `sequence` is copied from the command that polled it.
+
+    `battery_mv` is 0 if unknown. `received` and `rejected` count frames with a right and a wrong
+    CRC, modulo 65536.
+    """
+
+    id: int
+    sequence: int
+    status: Status
+    battery_mv: int
+    received: int
+    rejected: int
 
 
 class WheelCommands:
@@ -71,19 +89,84 @@ def radii_mm(setup: Setup, own: Sequence[float | None]) -> Floats:
     return np.array([radius if one is None else one for one in own])
 
 
-def robot_status(
-    name: str, status: Status | None, battery_mv: int = 0, warn_v: float = 0.0
-) -> RobotStatus:
-    """Return what a robot's reply says to the operator; `status` is None if it gave none."""
-    if status is None:
+class RobotLink(Protocol):
+    """The connection to robots."""
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        ...
+
+    def open(self) -> None:
+        """Open the ports."""
+        ...
+
+    def close(self) -> None:
+        """Release the ports."""
+        ...
+
+
+class WheeledActuator:
+    """Drives a setup's robots over a `link` at `rate` commands per second [Hz], see
+    `tetractl.core.protocols.Actuator`; `ask` polls them, and below `warn_v` a battery is low."""
+
+    individual = True
+    halts = True
+
+    def __init__(
+        self,
+        setup: Setup,
+        link: RobotLink,
+        ask: Callable[[float], Sequence[Reply | None]],
+        commands: WheelCommands,
+        rate: float,
+        warn_v: float,
+    ) -> None:
+        self.names, self._link, self._ask, self._commands = setup.names, link, ask, commands
+        self.period_ns, self._warn_v = round(SECOND / rate), warn_v
+
+    def __enter__(self) -> Self:
+        """Open the link."""
+        try:
+            self._link.open()
+        except BaseException:
+            self._link.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.close()
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        return self._link.failure
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Ask every robot for its battery voltage and state."""
+        found = zip(self.names, self._ask(timeout_s), strict=True)
+        return [robot_status(name, reply, self._warn_v) for name, reply in found]
+
+    def _transmission(
+        self, sent_ns: int, action: Action, speeds: Floats, moving: tuple[bool, ...]
+    ) -> Transmission:
+        """Return what was sent, by wheel speeds (2, N) [mm/s]."""
+        speed, turning = self._commands.sent(sent_ns, speeds)
+        left, right = speeds / self._commands.mm
+        return Transmission(action, sent_ns, moving, speed, turning, left, right)
+
+
+def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:
+    """Return what a robot's reply says to the operator, None if it gave none; below `warn_v` its
+    battery is low."""
+    if reply is None:
         line = f"{name} does not answer: is it on, and is its index right?"
         return RobotStatus(False, problems=(line,))
-    volts = battery_mv / 1000 or None
-    if status & Status.EMERGENCY_STOPPED:
+    volts = reply.battery_mv / 1000 or None
+    low = "" if volts is None else f"{name}'s battery is at {volts:.2f} V"
+    if reply.status & Status.EMERGENCY_STOPPED:
         line = f"{name} is emergency-stopped: switch it off and on again"
         return RobotStatus(True, volts, (line,))
     if volts is not None and volts < EMPTY_V:
-        return RobotStatus(True, volts, (f"{name}'s battery is at {volts:.2f} V: charge it",))
-    if volts is not None and volts < warn_v:
-        return RobotStatus(True, volts, (), (f"{name}'s battery is at {volts:.2f} V",))
-    return RobotStatus(True, volts)
+        return RobotStatus(True, volts, (f"{low}: charge it",))
+    return RobotStatus(True, volts, (), (low,) if volts is not None and volts < warn_v else ())

@@ -16,12 +16,11 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
     BroadcastCommand,
-    Reply,
     decode_command,
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.cobs import Flag, encode, frame_with_crc
 
 pytestmark = pytest.mark.slow

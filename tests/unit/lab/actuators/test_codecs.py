@@ -20,8 +20,8 @@ from tetractl.experiment.load import parse_spec
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, Reply
-from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.cobs import Flag
 
 ROBOTS = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))

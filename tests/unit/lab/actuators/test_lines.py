@@ -8,13 +8,12 @@ from tetractl.core.errors import WireError
 from tetractl.lab.actuators.twist.lines import (
     LINE_MAX,
     LineCommand,
-    LineReply,
     decode_command,
     decode_reply,
     encode_command,
     encode_reply,
 )
-from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.cobs import Flag
 
 numbers = st.integers(-5000, 5000)
@@ -27,7 +26,7 @@ commands = st.builds(
 )
 counts = st.integers(0, 65535)
 replies = st.builds(
-    LineReply,
+    Reply,
     st.integers(0, 31),
     st.integers(0, 255),
     st.sampled_from([Status(n) for n in range(8)]),
@@ -41,7 +40,7 @@ def test_a_line_is_as_the_page_shows_it():
     command = LineCommand("T", 17, Flag.RUN, ((0, 150, -2000), (1, 150, 1320)))
     assert encode_command(command) == b"T 17 1 0 150 -2000 1 150 1320*757A\n"
     assert encode_command(LineCommand("T", 18, Flag(0))) == b"T 18 0*767D\n"
-    reply = LineReply(1, 17, Status.RUNNING, 4987, 25, 0)
+    reply = Reply(1, 17, Status.RUNNING, 4987, 25, 0)
     assert encode_reply(reply) == b"S 1 17 1 4987 25 0*0CBB\n"
 
 

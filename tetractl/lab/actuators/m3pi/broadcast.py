@@ -15,7 +15,7 @@ from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
@@ -35,22 +35,6 @@ class BroadcastCommand:
     sequence: int
     flags: cobs.Flag
     wheels: tuple[Counts, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """A robot's reply to a poll; `sequence` is copied from the command that polled it.
-
-    `battery_mv` is 0 if unknown. `received` and `rejected` count frames with a right and a wrong
-    CRC, modulo 65536.
-    """
-
-    id: int
-    sequence: int
-    status: Status
-    battery_mv: int
-    received: int
-    rejected: int
 
 
 def encode_command(command: BroadcastCommand) -> bytes:

@@ -1,63 +1,39 @@
 """The actuator of robots on two wheels that take lines of text."""
 
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
+from tetractl.core.commands import Health, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 from tetractl.lab.actuators.twist.section import TwistSection
-from tetractl.lab.actuators.wheel_commands import WheelCommands, radii_mm, robot_status
+from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator, radii_mm
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import Drivetrains
 
 
-class TwistActuator:
+class TwistActuator(WheeledActuator):
     """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for
     `TwistLink`."""
-
-    individual = True
-    halts = True
 
     def __init__(
         self, section: TwistSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
-        self.section, self.names = section, setup.names
+        self.section = section
         self.link = TwistLink(*section.wiring(setup.names), clock, ports)
         robots = [entry(section.robots, name) for name in setup.names]
         own = [robot.radius_mm for robot in robots]
         self._radius = radii_mm(setup, own)
         self._gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
         wheels = drivetrains(self._gain, section.speed_max_mm_s)
-        self._commands = WheelCommands(setup, clock, own, wheels, round(section.delay * SECOND))
-
-    def __enter__(self) -> Self:
-        """Open the ports."""
-        try:
-            self.link.open()
-        except BaseException:
-            self.link.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.link.close()
-
-    @property
-    def period_ns(self) -> int:
-        """Time between two lines while the direction stays the same [ns]."""
-        return round(SECOND / self.section.rate)
-
-    @property
-    def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
-        return self.link.failure
+        commands = WheelCommands(setup, clock, own, wheels, round(section.delay * SECOND))
+        rest = section.rate, section.battery_warn
+        super().__init__(setup, self.link, self.link.poll, commands, *rest)
 
     def check(self) -> Health:
         """Return nothing: a port that takes lines has nothing to report."""
@@ -83,16 +59,6 @@ class TwistActuator:
         sent_ns, count = self.link.stop(emergency), len(self.names)
         return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
 
-    def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every robot for its battery voltage and state."""
-        warn_v = self.section.battery_warn
-        return [
-            robot_status(name, one.status, one.battery_mv, warn_v)
-            if one
-            else robot_status(name, None)
-            for name, one in zip(self.names, self.link.poll(timeout_s), strict=True)
-        ]
-
     def _twists(self, wheels: Floats) -> Floats:
         """Return speeds [mm/s] and turning rates [mrad/s] (2, N), as whole numbers, for wheel
         speeds (2, N) [mm/s] by (21)-(23)."""
@@ -104,13 +70,6 @@ class TwistActuator:
         """Return the wheel speeds (2, N) [mm/s] of what was sent."""
         rim = twists[1] * self._radius / 1000
         return np.array([twists[0] - rim, twists[0] + rim])
-
-    def _transmission(
-        self, sent_ns: int, action: Action, speeds: Floats, moving: tuple[bool, ...]
-    ) -> Transmission:
-        speed, turning = self._commands.sent(sent_ns, speeds)
-        left, right = speeds / self._commands.mm
-        return Transmission(action, sent_ns, moving, speed, turning, left, right)
 
 
 def drivetrains(gain: Floats, speed_max_mm_s: float) -> Drivetrains:

@@ -12,10 +12,10 @@ from tetractl.lab.actuators.twist.lines import (
     Entry,
     Kind,
     LineCommand,
-    LineReply,
     decode_reply,
     encode_command,
 )
+from tetractl.lab.actuators.wheel_commands import Reply
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports
 from tetractl.lab.udp_port import open_port
@@ -43,7 +43,7 @@ class TwistLink:
         self._clock = clock
         self._kind: Kind = kind
         self._indices, self._port_of = tuple(indices), tuple(port_of)
-        self._replies: deque[LineReply] = deque(maxlen=WAITING_MAX)
+        self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
         self._rest: dict[str, bytes] = {}
         self._sequence, make = 0, ports or open_port
         self._ports = {
@@ -76,17 +76,17 @@ class TwistLink:
         last sending [ns]. AbortError if a port has failed."""
         return self._send(Flag.EMERGENCY_STOP if emergency else Flag(0), [])
 
-    def poll(self, timeout_s: float) -> list[LineReply | None]:
+    def poll(self, timeout_s: float) -> list[Reply | None]:
         """Poll all robots until each has replied, at most TRIES times; a robot without a reply
         gives None."""
-        found, wanted = dict[int, LineReply](), set(self._indices)
+        found, wanted = dict[int, Reply](), set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
         deadline = self._clock.now() + round(timeout_s * SECOND)
         for _ in range(TRIES):
             until = min(deadline, self._send(Flag.POLL, []) + slots + SECOND // 10)
             while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
                 wait_for(self._clock, self._heard, left / SECOND)
-                found |= {reply.index: reply for reply in drained(self._replies)}
+                found |= {reply.id: reply for reply in drained(self._replies)}
                 if self.failure is not None:
                     return [found.get(index) for index in self._indices]
             if wanted <= found.keys() or self._clock.now() >= deadline:

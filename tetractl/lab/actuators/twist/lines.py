@@ -12,7 +12,7 @@ from typing import Literal
 
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 
 ROBOTS_MAX = 32
 LINE_MAX = 300  # characters without the line's end
@@ -32,18 +32,6 @@ class LineCommand:
     sequence: int
     flags: cobs.Flag
     entries: tuple[Entry, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class LineReply:
-    """A robot's reply to a poll, as `m3pi.broadcast.Reply`."""
-
-    index: int
-    sequence: int
-    status: Status
-    battery_mv: int
-    received: int
-    rejected: int
 
 
 def encode_command(command: LineCommand) -> bytes:
@@ -71,18 +59,18 @@ def decode_command(line: bytes) -> LineCommand:
     return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)
 
 
-def encode_reply(reply: LineReply) -> bytes:
+def encode_reply(reply: Reply) -> bytes:
     """Return the line of a reply, with its end."""
     return _sealed(" ".join(["S", *(str(int(number)) for number in astuple(reply))]))
 
 
-def decode_reply(line: bytes) -> LineReply:
+def decode_reply(line: bytes) -> Reply:
     """Read a reply, given without its end; WireError if it is none."""
     kind, *numbers = _numbers(line)
     if kind != "S" or len(numbers) != 6 or min(numbers) < 0:
         raise WireError("not a reply")
     index, sequence, status, *counters = numbers
-    return LineReply(index, sequence, Status(status & 7), *counters)
+    return Reply(index, sequence, Status(status & 7), *counters)
 
 
 def _sealed(text: str) -> bytes:

@@ -198,7 +198,11 @@ def _branch(bank, model, b, i, u, step, now):
             weight[twin] += math.log(1 + math.exp(chance - weight[twin]))
         elif kept < follows and chance > -math.inf:
             z, p = bank.state[b, i, kept], bank.cov[b, i, kept]
-            z[:], p[...] = state[s], cov[s]
+            for k in range(z.size):  # arrays assigned whole take seconds to compile
+                z[k] = state[s, k]
+            for k in range(SIZE):
+                for m in range(SIZE):
+                    p[k, m] = cov[s, k, m]
             source[kept], weight[kept], held[kept], until[kept] = s, chance, way, stops[s]
             if best < follows:
                 until[kept] = now + model.watchdog
@@ -331,7 +335,10 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
     unless a stop acts by any dead time, and if measurements are `noisy`, so is each equal pose.
     Returns ln of the likelihoods (B, N).
     """
-    latest = bank.tau.max()
+    latest = 0.0
+    for b in range(bank.tau.shape[0]):
+        for i in range(bank.tau.shape[1]):
+            latest = max(latest, bank.tau[b, i])
     found, off, best = np.zeros(bank.unfit.shape), np.zeros(3), np.zeros(3)
     work = np.empty((MOVED, SIZE)), np.zeros(BY.shape), np.empty(3), np.empty(3), np.empty(SIZE)
     for f in range(1, time.size):

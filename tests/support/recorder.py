@@ -39,6 +39,7 @@ class Recorder:
             frames=frames.numbers,
             mocap_ns=frames.sampled_ns,
             received_ns=frames.received_ns,
+            exposed_ns=frames.exposed_ns,
             mocap=frames.poses,
             valid=frames.valid,
             truth=frames.truth,

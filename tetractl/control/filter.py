@@ -122,6 +122,7 @@ class FilterBank:
         noise = np.empty((3, count))
         noise[:2] = prior.position_noise or USUAL.position_noise_s * np.maximum(prior.speed, 1e-9)
         noise[2] = prior.heading_noise or USUAL.heading_noise
+        noise = np.hypot(noise, np.array([prior.spread]).T)
         self._std, walk = np.zeros((2, at.SIZE, count))
         walk[:2], walk[2] = USUAL.slip * prior.speed, USUAL.walk
         parameters, (side, saturation) = enumerate(PARAMETERS), TURNING
@@ -139,7 +140,7 @@ class FilterBank:
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
         times = turns, prior.lag, prior.watchdog
-        self._model = FilterModel(in_rows(prior), noise, walk, *times, prior.sticks)
+        self._model = FilterModel(in_rows(prior), noise, walk, *times, prior.sticks, prior.coarse)
         self._sent = np.empty((2, 3 * KEPT_COMMANDS))  # send times [s], and directions [rad]
         self._when, self._u = self._sent[:, :0]
         self._last: Observation | None = None  # the last frame used
@@ -279,8 +280,8 @@ class FilterBank:
         """
         from tetractl.control.kernels.filter import place  # late: checking a spec needs no compiler
 
-        commands, time = (self._when, self._u), frame.sampled_ns / SECOND
-        place(self._bank, self._model, *commands, time, frame.poses.array(), robots)
+        given = self._when, self._u, frame.seconds, frame.poses.array(), robots
+        place(self._bank, self._model, *given)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the first to the last of some frames."""
@@ -296,7 +297,7 @@ class FilterBank:
         if not len(self._when):
             moved = (poses[1:] != poses[:-1]).any(axis=(1, 2))
             self._noisy |= bool((moved & seen[1:].any(axis=1)).any())
-        time = np.array([frame.sampled_ns / SECOND for frame in frames])
+        time = np.array([frame.seconds for frame in frames])
         given = self._when, self._u, time, poses, seen, self._noisy
         follow(self._bank, self._model, self._step, *given)
 
@@ -323,7 +324,7 @@ class FilterBank:
 
         assert self._last is not None
         found = np.empty((FOUND, len(self.prior.a)))
-        given = self._when, self._u, self._last.sampled_ns / SECOND, sent / SECOND
+        given = self._when, self._u, self._last.seconds, sent / SECOND
         dead_time, std = forecast(self._bank, self._model, self._shared, *given, found)
         x, y, heading, *motion, turn, held = found[: DRIFT.start]
         self._misfit = found[MISFIT]

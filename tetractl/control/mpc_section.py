@@ -17,7 +17,7 @@ from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
-from tetractl.core.setup import Setup
+from tetractl.core.setup import MM, Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, defaults
 from tetractl.experiment.controller import ALONE, Host, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
@@ -63,6 +63,8 @@ class PriorSection(Model):
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
         stray = REST_STRAY * float(problem.speed.mean())
+        x, y, heading = setup.sight.spread
+        mm = MM / setup.metres
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -81,6 +83,8 @@ class PriorSection(Model):
             watchdog=setup.watchdog_s,
             side_std=self.side if setup.wheel_radius is not None else 0.0,
             sticks=Sticks(*RESTS_S, stray, REST_TURN) if self.rests(setup) else Sticks(),
+            spread=(x * mm, y * mm, heading),
+            coarse=setup.sight.coarse,
         )
 
 

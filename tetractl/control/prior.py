@@ -29,7 +29,8 @@ class Prior(NamedTuple):
     radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
     robots without wheels. A robot that receives nothing for `watchdog` [s] stops. Now and then a
     robot does not do what it is sent: it `sticks`. The mean `side` is 0
-    (`tetractl.model.motion.turn_rate`).
+    (`tetractl.model.motion.turn_rate`). `spread` are what camera's grid and noise add to the
+    deviations of x, y [length unit] and heading [rad]; the poses of a `coarse` camera may repeat.
     """
 
     a: Floats
@@ -49,6 +50,8 @@ class Prior(NamedTuple):
     watchdog: float = math.inf
     side_std: float = 0.0
     sticks: Sticks = Sticks()
+    spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    coarse: bool = False
 
     @property
     def certain(self) -> bool:

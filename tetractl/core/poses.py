@@ -1,11 +1,14 @@
 """Poses of robots, camera frames, observations, and the ellipse of a covariance."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tetractl.core.clock import SECOND
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -78,7 +81,9 @@ class CameraFrame:
     `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
     are tracked bodies that are not robots. `fault` is the reason why the poses must not be used, ""
-    if there is none.
+    if there is none. If robots measure their poses themselves, `exposed_ns` (N,) are the times of
+    the poses and `sampled_ns` the latest of them; a pose that is no newer than in the frame before
+    has the same time again. It is empty if all poses are of one exposure.
     """
 
     number: int
@@ -87,6 +92,55 @@ class CameraFrame:
     poses: tuple[Pose | None, ...]
     strangers: tuple[Pose, ...] = ()
     fault: str = ""
+    exposed_ns: tuple[int, ...] = ()
+
+    def times(self, last_ns: Sequence[int]) -> tuple[int, ...]:
+        """Return the times (N,) of the poses [ns]; of robots that measure their own and are not
+        tracked, or late, those of the poses before, `last_ns` (N,).
+        """
+        if not self.exposed_ns:
+            return (self.sampled_ns,) * len(self.poses)
+        each = zip(self.poses, self.exposed_ns, last_ns, strict=True)
+        return tuple(last if pose is None else max(own, last) for pose, own, last in each)
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a camera can see of robots, as far as it is known; 0 where it is not.
+
+    A camera that measures on a grid, as robots that read a printed mat do, shows positions in steps
+    of `grid_mm` [mm] and headings in steps of `grid_rad` [rad]. `noise_mm` and `noise_rad` are
+    standard deviations of one measurement without the grid, `rate_hz` is the number of frames a
+    second.
+    """
+
+    grid_mm: float = 0.0
+    grid_rad: float = 0.0
+    noise_mm: float = 0.0
+    noise_rad: float = 0.0
+    rate_hz: float = 0.0
+
+    @property
+    def coarse(self) -> bool:
+        """Whether a pose may repeat to the last bit while its robot moves."""
+        return self.grid_mm > 0 or self.grid_rad > 0
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """The largest errors of a position [mm] and a heading [rad]."""
+        corner = self.grid_mm / math.sqrt(2)
+        return corner + 4 * self.noise_mm, self.grid_rad / 2 + 4 * self.noise_rad
+
+    @property
+    def spread(self) -> tuple[float, float, float]:
+        """Standard deviations of x, y [mm] and heading [rad], by noise and grid: the error of a
+        grid is uniform, so that its variance is a twelfth of the step's square."""
+        mm = math.hypot(self.noise_mm, self.grid_mm / math.sqrt(12))
+        return mm, mm, math.hypot(self.noise_rad, self.grid_rad / math.sqrt(12))
+
+
+UNSTATED = Sight()
+"""What is known of a camera that says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +149,9 @@ class Observation:
 
     `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
     the trial's clock; `valid` (N,) is True for robots tracked in that frame. A robot that was
-    not tracked keeps its last pose. The arrays cannot be written: they are shared with the log.
+    not tracked keeps its last pose. `exposed_ns` (N,) are the times of the poses if each has its
+    own, none of them after `sampled_ns`; else it is empty. The arrays cannot be written: they are
+    shared with the log.
     """
 
     frame: int
@@ -103,6 +159,13 @@ class Observation:
     received_ns: int
     poses: Poses
     valid: Bools
+    exposed_ns: tuple[int, ...] = ()
+
+    @property
+    def seconds(self) -> Floats:
+        """The times (N,) of the poses [s]."""
+        times = self.exposed_ns or (self.sampled_ns,) * len(self.valid)
+        return np.array(times) / SECOND
 
     def __post_init__(self) -> None:
         for each in (self.poses.x, self.poses.y, self.poses.heading, self.valid):

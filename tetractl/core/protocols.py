@@ -142,10 +142,11 @@ class Actuator(Device, Protocol):
     ) -> Transmission:
         """Steer the robots or turn them on the spot, and return what was really sent.
 
-        `poses` are the newest pose of each robot, exposed at `exposed_ns`, None for a robot that is
-        not tracked. Robots for which `moving` is false are held still; for an actuator that is not
-        `individual`, `moving` is true for all. Raises AbortError for a `Turn` of robots that cannot
-        stand still, as `halts` says.
+        `poses` are the newest pose of each robot at the time `exposed_ns`, None for a robot that is
+        not tracked; a pose measured earlier is brought to that time by the commands sent. Robots
+        for which `moving` is false are held still; for an actuator that is not `individual`,
+        `moving` is true for all. Raises AbortError for a `Turn` of robots that cannot stand still,
+        as `halts` says.
         """
         ...
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
 from tetractl.core.shape import Shape
 from tetractl.core.tour import HoldTask, LossRule
 
@@ -53,15 +53,16 @@ class Setup:
     """The constants of an experiment of N robots.
 
     `unit` is the unit of all lengths and `metres` the length of one unit [m]. `targets` (N, 2); `a`
-    (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `time_limit_s`
-    the longest time from the first command to the end, `iterations_max` the largest number of
+    (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `time_limit_s` the
+    longest time from the first command to the end, `iterations_max` the largest number of
     iterations of one search. `wheel_radius` is the distance from a wheel to a robot's centre, None
     for robots without wheels; `watchdog_s` the time without a command after which a robot stops,
     inf if it never does; `lag_s` the time constant with which wheels follow a command.
     `body_radius` is that of every robot, 0 for points. `way_points` (M, N, 2) are passed before the
     targets, by all robots together; `hold` is the task after the targets, None if the trial ends
-    there. `loss` is the rule by which a robot counts as lost and the trial goes on without it, or
-    ends; None if robots that are not tracked end the trial, by the plant, and others never do.
+    there. `sight` is what the plant's camera can see. `loss` is the rule by which a robot counts as
+    lost and the trial goes on without it, or ends; None if robots that are not tracked end the
+    trial, by the plant, and others never do.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Setup:
     watchdog_s: float = math.inf
     lag_s: float = 0.0
     body_radius: float = 0.0
+    sight: Sight = UNSTATED
 
     @property
     def legs(self) -> Floats:

@@ -136,17 +136,18 @@ class TrialRecords:
 
     Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
     (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
-    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
-    if a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, None for a
-    trial in the lab. `commands` are all commands: of the control steps, between them, and the stop;
-    `notes` are the operator messages, such as a command that did not arrive. `result` is None if
-    the run crashed or the end of the log is lost.
+    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False if
+    a robot was not tracked, and `exposed_ns` (M, N) are when each pose was measured. `truth` (M, N,
+    3) are the true poses of a simulation, None for a trial in the lab. `commands` are all commands:
+    of the control steps, between them, and the stop; `notes` are the operator messages, such as a
+    command that did not arrive. `result` is None if the run crashed or the end of the log is lost.
     """
 
     start: Start = field(repr=False)
     frames: Integers = field(repr=False)
     mocap_ns: Integers = field(repr=False)
     received_ns: Integers = field(repr=False)
+    exposed_ns: Integers = field(repr=False)
     mocap: Floats = field(repr=False)
     valid: Bools = field(repr=False)
     truth: Floats | None = field(repr=False)
@@ -167,11 +168,13 @@ class TrialRecords:
 
     def sample(self, i: int) -> Sample:
         """Return the camera frame in row `i`."""
+        own = tuple(self.exposed_ns[i].tolist())
         seen = Observation(
             int(self.frames[i]),
             int(self.mocap_ns[i]),
             int(self.received_ns[i]),
             Poses.of(self.mocap[i]),
             self.valid[i],
+            own if any(one != self.mocap_ns[i] for one in own) else (),
         )
         return Sample(seen, None if self.truth is None else Poses.of(self.truth[i]))

@@ -288,6 +288,7 @@ class Experiment(Model):
             watchdog_s=(self.wheels and self.wheels.watchdog) or math.inf,
             lag_s=self.wheels.lag if self.wheels else 0.0,
             body_radius=control.body_radius,
+            sight=self.plant.sight,
             way_points=np.array([robot.via for robot in self.robots], dtype=np.float64)
             .reshape(len(self.robots), -1, 2)
             .swapaxes(0, 1),

@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import UNSTATED, Sight
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.setup import Setup
@@ -85,6 +86,11 @@ class CameraSection(DeviceSection):
         `wake` is called after each frame. AbortError if the camera's software is not installed.
         """
         return resolve_name(self.device)(self, setup, clock, wake)
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera can see: a grid, noise, frames a second; by default nothing is known."""
+        return UNSTATED
 
     def heading_offset(self, name: str) -> float:
         """Return the angle that the camera adds to a robot's measured heading [rad]."""
@@ -212,6 +218,11 @@ class LabSection(PlantSection):
     def microscope(self) -> Microscope | None:
         """The camera, if its pictures have a known scale and place."""
         return self.camera if isinstance(self.camera, Microscope) else None
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera says that it can see."""
+        return self.camera.sight
 
     def require_devices(self) -> None:
         """Raise AbortError if the actuator's port does not exist."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import UNSTATED, Floats, Sight
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
@@ -74,6 +74,11 @@ class PlantSection(Model):
     def microscope(self) -> Microscope | None:
         """The camera, if its pictures have a known scale and place; only labs have cameras."""
         return None
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera can see, as far as its section says."""
+        return UNSTATED
 
     def require_devices(self) -> None:
         """Raise AbortError if a lab's port does not exist. No device is opened."""

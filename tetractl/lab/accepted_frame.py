@@ -15,12 +15,18 @@ class AcceptedFrame:
     accepted.
 
     `poses` (N,) are the last accepted poses, None before a robot's first. `fresh` (N,) is whether a
-    pose is from this frame; if not, the robot was not tracked or its pose was refused.
+    pose is from this frame; if not, the robot was not tracked or its pose was refused. `exposed_ns`
+    (N,) are the times of the poses if they have their own, otherwise it is empty.
     """
 
     frame: CameraFrame
     poses: tuple[Pose | None, ...]
     fresh: tuple[bool, ...]
+    exposed_ns: tuple[int, ...] = ()
+
+    def exposed(self, i: int) -> int:
+        """Return the time of the pose of robot i [ns]."""
+        return self.exposed_ns[i] if self.exposed_ns else self.frame.sampled_ns
 
     def pose(self, i: int) -> Pose | None:
         """Return the pose of robot i accepted from this frame, None if there is none."""

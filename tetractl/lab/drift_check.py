@@ -23,14 +23,16 @@ the more the commands differ: so much more uncertain is the block. Lengths are m
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
 from tetractl.lab.command_history import CommandHistory
 from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, motion
+from tetractl.model.motion.rolling import rolled
 
 BLOCK_NS = SECOND // 20
 TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)  # delays, the nominal one first
@@ -67,10 +69,18 @@ NOTHING: Found = "", ()
 
 class DriftCheck:
     """Checks N robots of wheel distance `radius` and wheels that are wrong by up to `share`; `mm`
-    is the number of millimetres per length unit of what it is given.
+    is the number of millimetres per length unit of what it is given, `sight` what the camera sees.
     """
 
-    def __init__(self, names: Sequence[str], radius: float, mm: float, share: float) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],
+        radius: float,
+        mm: float,
+        share: float,
+        sight: Sight = UNSTATED,
+    ) -> None:
+        self._noise = np.hypot(NOISE, sight.spread)
         self._names, self._mm, self._share = names, mm, share
         self._radius = radius * mm
         self.commands = CommandHistory(2, len(names))  # speeds [mm/s] and turning rates [rad/s]
@@ -83,7 +93,8 @@ class DriftCheck:
         self._fit = np.zeros((n, KNOWN))
         # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
         self._carried = np.zeros((n, 3))
-        self._last: Sequence[Pose | None] = [None] * n
+        self._last: list[tuple[Pose | None, int]] = [(None, 0)] * n
+        self._coarse = sight.coarse
         self.worst = 0.0  # the statistic, at the worst moment of the grid
         self.rest()
 
@@ -93,7 +104,8 @@ class DriftCheck:
         """
         self._then_ns = 0
         self._carried[:] = 0.0
-        self._then: list[tuple[Pose, Floats] | None] = [None] * len(self._names)
+        # each robot's pose, motion and time [ns] at the begin of the block
+        self._then: list[tuple[Pose, Floats, int] | None] = [None] * len(self._names)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
@@ -101,27 +113,46 @@ class DriftCheck:
         self._fastest = np.maximum(self._fastest, speeds)
         self.commands.sent(now_ns, np.array([speeds, turning]))
 
-    def frame(self, now_ns: int, poses: Sequence[Pose | None], seen: Floats) -> Found:
-        """Take the last accepted poses (N,) at a frame, and the robots' motion `seen` (N, 3) since
-        their rest. Return what is wrong: a text, "" if nothing is, and the robots whose poses are
-        false. Poses that repeat are left out. Wheels that may be wrong by more than STEADY, as
-        before they are calibrated, would explain any drift.
+    def frame(
+        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None], seen: Floats
+    ) -> Found:
+        """Take the last accepted poses (N,) at a frame, their `times` (N,) [ns], and the robots'
+        motion `seen` (N, 3) since their rest. Return what is wrong: a text, "" if nothing is, and
+        the robots whose poses are false. Poses that repeat are left out. Wheels that may be wrong
+        by more than STEADY, as before they are calibrated, would explain any drift.
         """
         dt_ns = now_ns - self._then_ns
-        pairs = zip(poses, self._last, strict=True)
-        poses, self._last = [now if now != last else None for now, last in pairs], poses
+        last, self._last = self._last, [*zip(poses, times, strict=True)]
+        pairs = zip(self._last, last, strict=True)
+        poses = [None if self._repeats(*pair) else pair[0][0] for pair in pairs]
         if dt_ns < BLOCK_NS or self._share > STEADY:
             return NOTHING
         moved = seen * (self._mm, self._mm, 1.0)
         if dt_ns < WATCHDOG_NS:
-            commanded = self._commanded(now_ns, dt_ns)
+            commanded = dict[tuple[int, int], Floats]()
             for i, (then, pose) in enumerate(zip(self._then, poses, strict=True)):
-                if then is not None and pose is not None:
-                    self._add(i, *then, moved[i], commanded[:, :, i], dt_ns / SECOND)
+                if then is not None and pose is not None and times[i] > then[2]:
+                    before, was, then_ns = then
+                    span = times[i], times[i] - then_ns
+                    if span not in commanded:
+                        commanded[span] = self._commanded(*span)
+                    sent = commanded[span][:, :, i]
+                    self._add(i, before, was, moved[i], sent, span[1] / SECOND)
             self._blocks += 1
         self._then_ns = now_ns
-        self._then = [p and (p, way) for p, way in zip(poses, moved, strict=True)]
+        self._then = [p and (p, way, at) for p, way, at in zip(poses, moved, times, strict=True)]
         return self._fault() if self._blocks % 2 == 0 else NOTHING
+
+    def carried(self, i: int, pose: Pose, then_ns: int, late_ns: int) -> Pose:
+        """Return a pose of robot i as it will be `late_ns` later, by the commands sent."""
+        v, w = self.commands.mean(then_ns + late_ns - TAPS_NS[0], late_ns)[:, i]
+        way, turned = v / self._mm * late_ns / SECOND, w * late_ns / SECOND
+        dx, dy = rolled(pose.heading, turned, way)
+        return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
+
+    def _repeats(self, now: tuple[Pose | None, int], last: tuple[Pose | None, int]) -> bool:
+        """Return whether a pose, with its time, is no new measurement."""
+        return now[0] == last[0] and now[1] != last[1] and not self._coarse
 
     def turns(self) -> str:
         """Return a text about robots that turn by themselves while they drive, by more than SURE
@@ -158,7 +189,7 @@ class DriftCheck:
         `seen`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
         and growth of the picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
-        total, variance = np.zeros((3, 1 + KNOWN + len(LARGEST))), 2 * NOISE**2
+        total, variance = np.zeros((3, 1 + KNOWN + len(LARGEST))), 2 * self._noise**2
         for (then_ns, then), (now_ns, now) in pairwise(seen):
             sent = self._commanded(now_ns, now_ns - then_ns)[:, :, i]
             moved = motion(then, now) * (self._mm, self._mm, 1.0)
@@ -198,7 +229,7 @@ class DriftCheck:
     def _add(self, i: int, then: Pose, was: Floats, now: Floats, sent: Floats, dt: float) -> None:
         """Add a block of robot i: its motion from `was` to `now` under the commands (TAPS, 2)."""
         x, walk = self._regressors(then, now - was + self._carried[i], sent, dt)
-        spread = np.sqrt(2 * NOISE**2 + walk)
+        spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, None]
         known = x[:, 1 : 1 + KNOWN]
         expected = known @ self._fit[i]

@@ -18,7 +18,7 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import PAUSE_S
-from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.poses import UNSTATED, CameraFrame, Pose, Sight
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
@@ -50,7 +50,7 @@ class GuardRules:
     `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) the greatest turning rates
     [rad/s]; `mm` is the number of millimetres per length unit. Robots that are not `individual` can
     only be stopped together. A run that `goes_on` continues without a lost robot, and ends when the
-    last robot is lost.
+    last robot is lost. `sight` is what the camera can see.
     """
 
     names: tuple[str, ...]
@@ -64,6 +64,7 @@ class GuardRules:
     wheel_radius: float = 0.0  # 0 for robots without wheels
     individual: bool = True
     goes_on: bool = False
+    sight: Sight = UNSTATED
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,7 @@ class Guard:
     _places: Places = field(init=False)
     culprit: Culprit = field(init=False)
     _last_frame_ns: int | None = None
+    _apart: bool = False  # whether the poses of the newest frame have times of their own
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
     _warned: set[str] = field(default_factory=set)
@@ -133,11 +135,12 @@ class Guard:
             PoseFilter(motion_limits(speed, turning))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
         ]
-        noise = NOISE_MM / mm if rules.individual else 0.0
-        self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
-        self.drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
+        sight, largest_mm = rules.sight, NOISE_MM + rules.sight.largest[0]
+        noise = largest_mm / mm if rules.individual else 0.0
+        self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise, sight, mm)
+        self.drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error, sight)
         self._swaps = SwapDetector(rules.names)
-        self._places = Places(rules.arena, rules.obstacles, limits.reaction, NOISE_MM / mm)
+        self._places = Places(rules.arena, rules.obstacles, limits.reaction, largest_mm / mm)
         self.culprit = Culprit(self.drift, mm)
 
     @property
@@ -220,7 +223,9 @@ class Guard:
                 self._warn(f"a camera frame {self._behind()} was dropped")
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
-        self._motion.frame(now)
+        times = frame.times([track.seen_ns for track in self._filters])
+        self._apart = bool(frame.exposed_ns)
+        self._motion.frame(times)
         self.culprit.see(now, frame.poses)
         fresh = list[bool]()
         gone_ns = self.rules.limits.untracked_abort * SECOND
@@ -232,12 +237,16 @@ class Guard:
                 self.lose(i, self._untracked(i, now))
             if pose is None or i in self.lost:
                 track.lost()
-            elif not track.add(pose, now, self._fault(i, pose, now)):
+            elif frame.exposed_ns and times[i] <= track.seen_ns:
+                pass  # the pose that was accepted before
+            elif not track.add(pose, times[i], self._fault(i, pose, times[i])):
                 self.jumps += 1
-            fresh.append(pose is not None and i not in self.lost and not track.refused)
-        accepted = AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
+            seen = pose is not None and i not in self.lost and not track.refused
+            fresh.append(seen and now - track.seen_ns <= UNTRACKED_STOP_S * SECOND)
+        poses = tuple(track.pose for track in self._filters)
+        accepted = AcceptedFrame(frame, poses, tuple(fresh), times if self._apart else ())
         if self._active and self.rules.individual:
-            wrong, ghosts = self.drift.frame(now, accepted.poses, self._motion.seen)
+            wrong, ghosts = self.drift.frame(now, times, accepted.poses, self._motion.seen)
             if wrong:
                 self.abort(wrong, suspect=ghosts[0] if len(ghosts) == 1 else None)
                 self._ghosts |= dict.fromkeys(ghosts, wrong)
@@ -287,8 +296,7 @@ class Guard:
             self.abort(failure)
         self._count_damaged(now_ns, damaged)
         tracked = self._tracked()
-        pairs = zip(self._filters, tracked, strict=True)
-        accepted = tuple(track.pose if ok else None for track, ok in pairs)
+        accepted = tuple(self._at_once(i) if ok else None for i, ok in enumerate(tracked))
         warnings: tuple[str, ...] = ()
         if self._active:
             silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
@@ -338,7 +346,7 @@ class Guard:
                 self._watch_pause(i, before, pose, now_ns)
             return ""
         if pose == before:  # a robot may stand, or a picture is frozen: not a motion to compare
-            return REPEATS if track.refused == REPEATS or self._motion.commanded(i) else ""
+            return REPEATS if track.refused == REPEATS or self._motion.stays(i) else ""
         if self.rules.individual:
             seen_ns, heading = self._headings.get(i, (-SECOND, 0.0))
             turned = math.remainder(pose.heading - heading, math.tau)
@@ -352,6 +360,15 @@ class Guard:
         if fault:
             self._disobedient.add(i)
         return fault
+
+    def _at_once(self, i: int) -> Pose | None:
+        """Return the accepted pose of robot i, brought to the newest frame's time if its own is
+        earlier."""
+        track = self._filters[i]
+        late_ns = (self._last_frame_ns or 0) - track.seen_ns
+        if track.pose is None or not self._apart or late_ns <= 0:
+            return track.pose
+        return self.drift.carried(i, track.pose, track.seen_ns, late_ns)
 
     def _watch_pause(self, i: int, before: Pose, pose: Pose, now_ns: int) -> None:
         since_ns, last = self._strays.get(i, (now_ns, before))

@@ -185,6 +185,9 @@ class InnerLoop:
             if frame.received_ns < frame.sampled_ns:
                 text = f"a frame received {frame.sampled_ns - frame.received_ns} ns before exposure"
                 raise WrongValueError(self._camera, "a camera", text)
+            if any(one > frame.sampled_ns for one in frame.exposed_ns):
+                text = "a pose exposed after the time of its frame"
+                raise WrongValueError(self._camera, "a camera", text)
             if (accepted := guard.see(frame)) is not None:
                 self.frames.append(accepted)
         if self._emergency.is_set() and not guard.emergency:
@@ -268,8 +271,9 @@ class InnerLoop:
 def _holdable(frame: CameraFrame, robots: int) -> bool:
     """Return whether a log can hold a camera's frame of N robots."""
     known = [(one.x, one.y, one.heading) for one in frame.poses if one is not None]
-    times = frame.number, frame.sampled_ns, frame.received_ns
-    fit = len(frame.poses) == robots and all(abs(value) <= POSE_MAX for p in known for value in p)
+    times = frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns
+    fit = len(frame.poses) == robots and len(frame.exposed_ns) in (0, robots)
+    fit &= all(abs(value) <= POSE_MAX for p in known for value in p)
     return fit and all(isinstance(one, int) and abs(one) < NEVER for one in times)
 
 

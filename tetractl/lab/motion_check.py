@@ -11,7 +11,11 @@ is wrong by up to a fraction g:
 From any time in the last WINDOW_NS until now, the displacement along the heading and the angle
 turned must lie between the integrals of these bounds; the displacement across the heading must lie
 within plus or minus the integral of e, as a rolling robot does not move sideways. A slack is added
-to each bound. Lengths are in the spec's length unit.
+to each bound. Each robot's integrals go to the time of its own pose.
+
+A pose that repeats to the last bit while every command moves its robot is not accepted, with a
+camera that measures on a grid only once the robot must have gone further than a step of the grid.
+Lengths are in the spec's length unit.
 """
 
 import math
@@ -22,7 +26,7 @@ from itertools import pairwise
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
 from tetractl.lab.command_history import CommandHistory
 
 DELAY_NS = 3 * SECOND // 10  # delay by radio, wheels and some lost commands
@@ -56,17 +60,26 @@ class MotionCheck:
     """Compares the motion of N robots, with the speeds `speeds` (N,), with their commands.
 
     `radius` is r, 0 for robots without wheels; `noise` is the largest error of a position. Both are
-    in the spec's length unit.
+    in the spec's length unit, which has `mm` millimetres. `sight` is what the camera can see.
     """
 
-    def __init__(self, speeds: Sequence[float], radius: float, noise: float) -> None:
+    def __init__(
+        self,
+        speeds: Sequence[float],
+        radius: float,
+        noise: float,
+        sight: Sight = UNSTATED,
+        mm: float = 1.0,
+    ) -> None:
         n = len(speeds)
         self._radius = radius
         way = SLACK_S * np.array(speeds) + noise
-        self._slack = np.array([way, way, np.full(n, SLACK_RAD)]).T  # (N, 3)
+        around = np.full(n, SLACK_RAD + 2 * sight.largest[1])
+        self._slack = np.array([way, way, around]).T  # (N, 3)
+        self._step = np.array([math.sqrt(2) * sight.grid_mm / mm] * 2 + [sight.grid_rad])
         # least and most of each transmission: along, across, around
         self._sent = CommandHistory(2, n, 3)
-        self._now_ns = 0
+        self._times = (0,) * n  # of the newest poses [ns]
         self._bounds = np.zeros((2, n, 3))  # bounds in force now
         self.restart()
 
@@ -77,6 +90,7 @@ class MotionCheck:
         self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start
         # per robot: times [ns], and the motion and integrals of both bounds up to then, (3, 3)
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
+        self._changed = self._allowed.copy()  # at each robot's last pose that differs
 
     def forget(self, i: int) -> None:
         """Forget the motion of robot i, which is compared again from its next pose on."""
@@ -94,29 +108,42 @@ class MotionCheck:
         middle, spread = np.array([v, 0 * v, w]).T, np.array([off, off, around]).T
         self._sent.sent(now_ns, np.array([middle - spread, middle + spread]))
 
-    def frame(self, now_ns: int) -> None:
-        """Take the time of a frame, before `disagrees` is called for its poses."""
-        since_ns = self._now_ns - DELAY_NS
+    def frame(self, times: tuple[int, ...]) -> None:
+        """Take the times (N,) of a frame's poses, before `disagrees` is called for these."""
+        spans = list(zip(self._times, times, strict=True))
+        self._allowed = self._allowed.copy()
+        for span in set(spans):
+            bounds, robots = self._between(*span), [one == span for one in spans]
+            self._bounds[:, robots] = bounds[:, robots]
+            self._allowed[:, robots] += bounds[:, robots] * ((span[1] - span[0]) / SECOND)
+        self._times = times
+
+    def _between(self, since_ns: int, now_ns: int) -> Floats:
+        """Return the bounds (2, N, 3) by all commands that may act between two times."""
+        since_ns -= DELAY_NS
         times, sent = self._sent.acting(since_ns, now_ns)
         gaps = (after - before for before, after in pairwise([*times, now_ns]))
         if not sent or times[0] > since_ns or max(gaps) > WATCHDOG_NS:
             # before the first transmission, and after a silence
             sent = [*sent, np.zeros_like(self._bounds)]
         least, most = np.array(sent).swapaxes(0, 1)
-        self._bounds = np.array([least.min(axis=0), most.max(axis=0)])
-        self._allowed = self._allowed + self._bounds * ((now_ns - self._now_ns) / SECOND)
-        self._now_ns = now_ns
+        return np.array([least.min(axis=0), most.max(axis=0)])
 
-    def commanded(self, i: int) -> bool:
-        """Return whether every command that may act now moves robot i."""
+    def stays(self, i: int) -> bool:
+        """Return whether robot i, whose pose repeats, must have moved: every command that may act
+        now moves it, and since its pose changed it has gone further than a step of the grid."""
         least, most = self._bounds[:, i]
-        return bool(np.any((least > 0.0) | (most < 0.0)))
+        gone, most_gone = self._allowed[:, i] - self._changed[:, i]
+        moves = np.any((least > 0.0) | (most < 0.0))
+        far = not self._step.any() or np.any((gone > self._step) | (most_gone < -self._step))
+        return bool(moves and far)
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
         """Return how robot i disobeyed its commands since its last consistent pose; "" if it
         obeyed, and the new pose is then the last consistent one.
         """
-        past, allowed = self._past[i], self._allowed[:, i]
+        past, allowed, now_ns = self._past[i], self._allowed[:, i], self._times[i]
+        self._changed[:, i] = allowed
         seen = self.seen[i] + motion(before, pose) if past else self.seen[i]
         if past:
             moved = np.array([seen, *allowed]) - np.array([row for _, row in past])  # (K, 3, 3)
@@ -128,9 +155,9 @@ class MotionCheck:
                 why = _diagnosis(way, least, most, slack)
                 return why if self._radius else OF_CELLS.get(why, why)
         self.seen[i] = seen
-        if not past or self._now_ns - past[-1][0] >= SECOND // 20:
-            past.append((self._now_ns, np.array([seen, *allowed])))
-        while len(past) > 1 and self._now_ns - past[0][0] > WINDOW_NS:
+        if not past or now_ns - past[-1][0] >= SECOND // 20:
+            past.append((now_ns, np.array([seen, *allowed])))
+        while len(past) > 1 and now_ns - past[0][0] > WINDOW_NS:
             past.popleft()
         return ""
 

@@ -96,6 +96,9 @@ def inspect(rig: Rig) -> Preflight:
     if not seen:
         problems.append(rig.guard.no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(seen)
+    comes_hz, own_hz = rate_hz(seen), rig.setup.sight.rate_hz
+    slow = comes_hz is not None and comes_hz < 0.8 * own_hz
+    warnings = [f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}"] if slow else []
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
@@ -107,9 +110,14 @@ def inspect(rig: Rig) -> Preflight:
     return Preflight(
         robots,
         latency_ms,
-        rate_hz(seen),
+        comes_hz,
         tuple(problems),
-        (*camera.warnings, *actuator.warnings, *((dropped(outdated),) if outdated else ())),
+        (
+            *camera.warnings,
+            *actuator.warnings,
+            *warnings,
+            *([dropped(outdated)] if outdated else []),
+        ),
         {**camera.facts, **actuator.facts} | ({EMULATED_DEVICES: emulated} if emulated else {}),
         (*camera.questions, *actuator.questions),
     )

@@ -92,10 +92,10 @@ def _not_at_rest(
     from scipy.special import stdtrit
 
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
+    known = {f.exposed(i): pose for f in window if (pose := f.pose(i)) is not None}
     seen = [
-        ((f.frame.sampled_ns - newest) / SECOND, pose.x * rig.mm, pose.y * rig.mm, pose.heading)
-        for f in window
-        if (pose := f.pose(i)) is not None
+        ((at - newest) / SECOND, pose.x * rig.mm, pose.y * rig.mm, pose.heading)
+        for at, pose in known.items()
     ]
     if not seen or -seen[-1][0] > UNTRACKED_STOP_S:
         return f"{rig.not_tracked(i)}, so it is not seen to stand", None

@@ -146,4 +146,5 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         wheel_radius=setup.wheel_radius or 0.0,
         individual=individual,
         goes_on=setup.loss is not None and not setup.loss.ends,
+        sight=setup.sight,
     )

@@ -274,7 +274,8 @@ class LabPlant:
             self._heading = poses.heading
             paths.append(poses.xy)
             times = frame.sampled_ns, frame.received_ns
-            self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
+            fresh = np.array(accepted.fresh)
+            self._newest = Observation(frame.number, *times, poses, fresh, accepted.exposed_ns)
             self._recent.append(self._newest)
             added = self._added.get(frame.sampled_ns)
             if added is not None:

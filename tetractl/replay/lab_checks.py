@@ -52,6 +52,12 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
         for i in np.flatnonzero(np.diff(values) < least):
             text = f"goes from {values[i]} to {values[i + 1]} after frame {log.frames[i]}"
             yield Difference(None, f"mocap.{name}", text)
+    own, at = log.exposed_ns, log.mocap_ns[:, None]
+    for i in np.flatnonzero(
+        (own > at).any(axis=1) | (np.diff(own, axis=0, prepend=own[:1]) < 0).any(1)
+    ):
+        text = f"in frame {log.frames[i]} a pose is later than its frame, or earlier than before"
+        yield Difference(None, "mocap.exposed_ns", text)
     for i in np.flatnonzero(log.received_ns < log.mocap_ns):
         text = f"frame {log.frames[i]} was received before its exposure"
         yield Difference(None, "mocap.received_ns", text)

@@ -30,7 +30,7 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.poses import Poses, wrap
+from tetractl.core.poses import Poses, Sight, wrap
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -427,7 +427,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
         made = Bank.start(made.tau[:, 0], mean, std, made.pitch[:, 0], follows)
     made.tau[:] = 0.1
     start = np.array([10.0, 20.0, 3.1])
-    kernel.place(made, model, np.empty(0), np.empty(0), 0.0, start[None], np.array([True]))
+    kernel.place(made, model, np.empty(0), np.empty(0), np.zeros(1), start[None], np.array([True]))
     slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0], follows)
     command = slow.branch if follows > FOLLOWS else slow.switch
     when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
@@ -439,7 +439,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
         pose[2] = math.remainder(pose[2], math.tau)
         seen = np.array([[False], [k % 7 > 0]])
         made.score[:] = 0.0
-        frames = np.array([now, until]), np.stack([0 * pose, pose])[:, None], seen
+        frames = np.array([[now], [until]]), np.stack([0 * pose, pose])[:, None], seen
         kernel.follow(made, model, 0.02, when, u, *frames, False)
         at = now
         while acts and acts[0] <= until:
@@ -523,3 +523,32 @@ def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
 
     know(["plant.dead_time=0.1"], seconds=4, rate=20, until=replaced)
     assert not any(stand)
+
+
+def test_poses_are_followed_at_their_own_times():
+    late_ns = 30_000_000
+
+    def stated(frame):
+        own = (frame.sampled_ns,) * len(frame.valid)
+        return replace(frame, sampled_ns=frame.sampled_ns + late_ns, exposed_ns=own)
+
+    how = {"settings": (*NOISY, "plant.dead_time=0.1"), "seconds": 3, "rate": 20}
+    known, apart = know(**how)[0], know(**how, altered=stated)[0]
+    for name, value in asdict(known).items():
+        assert np.array_equal(value, getattr(apart, name), equal_nan=True), name
+    taken = know(**how, altered=lambda one: replace(stated(one), exposed_ns=()))[0]
+    assert taken.dead_time - known.dead_time == pytest.approx(0.03, abs=0.01)
+
+
+def test_a_grid_is_noise_and_its_poses_may_repeat():
+    step_mm, step_rad, experiment = 1.36, math.radians(1.0), load_spec(EXPERIMENT).experiment
+    setup = replace(experiment.setup, sight=Sight(grid_mm=step_mm, grid_rad=step_rad))
+    section = experiment.controller
+    found = section.prior.of(section.problem(setup), 0.0, setup)
+    bank = FilterBank(found)
+    usual = FilterBank(found._replace(spread=(0.0, 0.0, 0.0), coarse=False))
+    more = bank._model.noise**2 - usual._model.noise**2
+    assert more[0] == pytest.approx(step_mm**2 / 12)
+    assert more[2] == pytest.approx(step_rad**2 / 12)
+    assert bank._model.coarse
+    assert not usual._model.coarse

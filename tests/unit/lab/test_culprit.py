@@ -42,7 +42,7 @@ def accused(shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, sus
         culprit.see(now, poses)
         if left > 0.3 and before:  # wheels are learnt until the fault
             way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
-            drift.frame(now, poses, way)
+            drift.frame(now, [now] * len(poses), poses, way)
         before = poses
     culprit.suspect = suspect
     return culprit.why()

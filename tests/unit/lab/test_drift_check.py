@@ -37,7 +37,7 @@ def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None, noisy=1.0):
         poses = [Pose(*map(float, row)) for row in rows]
         if before:
             way += np.array([motion(then, pose) for then, pose in zip(before, poses, strict=True)])
-            said, _ = check.frame(now, poses, way)
+            said, _ = check.frame(now, [now] * len(poses), poses, way)
             if said:
                 return said, now / SECOND
         before = poses
@@ -134,7 +134,7 @@ def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels()
             if last:
                 pairs = zip(last, seen, strict=True)
                 way = way + np.array([motion(then, pose) for then, pose in pairs])
-                check.frame(now, seen, way)
+                check.frame(now, [now] * len(seen), seen, way)
             last = seen
         rates, errors = map(np.array, check.turning())
         off.append(np.abs(rates - own)[:2] / errors[:2])

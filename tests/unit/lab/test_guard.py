@@ -391,7 +391,9 @@ def test_a_drift_is_the_same_in_every_unit():
         for now in range(0, 20 * SECOND, FRAME):
             check.sent(now, (200.0 / mm,), (1.0,))
             t, poses = now / SECOND, (Pose(0.0, 0.0, now / SECOND),)
-            check.frame(now, poses, np.array([[210.0 / mm, 3.0 / mm, 1.02]]) * t)
+            check.frame(
+                now, [now] * len(poses), poses, np.array([[210.0 / mm, 3.0 / mm, 1.02]]) * t
+            )
         worst.append(check.worst)
     assert worst[0] == pytest.approx(worst[1]) != 0.0
 

@@ -61,7 +61,7 @@ def drive(
         pose = Pose(*(shown(t, x, y, heading) if t > 0 else (x, y, heading)))
         errs = random.normal(0, noise, 3) * (NOISE_MM, NOISE_MM, NOISE_RAD)
         pose = Pose(pose.x + errs[0], pose.y + errs[1], pose.heading + errs[2])
-        check.frame(now)
+        check.frame((now,))
         if before and (said := check.disagrees(0, before, pose)):
             return said, t
         before = pose
@@ -135,7 +135,7 @@ def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
         check.sent(k * SEND, [SPEED], [0.0], 0.12)
     for now in range(19 * SEND, 2_000_000_000, FRAME):
         x = SPEED * min(now, 19 * SEND + WATCHDOG) / 1e9
-        check.frame(now)
+        check.frame((now,))
         assert before is None or check.disagrees(0, before, Pose(x, 0, 0)) == ""
         before = Pose(x, 0, 0)
 
@@ -149,7 +149,7 @@ def test_a_gap_in_the_frames_is_bridged():
     ]
     said = []
     for before, pose, t in zip([poses[0], *poses], poses, (0.5, 0.51, 0.8), strict=False):
-        check.frame(round(t * 1e9))
+        check.frame((round(t * 1e9),))
         said.append(check.disagrees(0, before, pose))
     assert said == ["", "", ""]
 
@@ -160,7 +160,7 @@ def test_a_cell_has_no_drive(radius, said):
     for now in range(FRAME, 2_000_000_000, FRAME):
         check.sent(now, [SPEED], [2.0], 0.12)
         pose = Pose(900 + 180e-9 * now, 800.0, -2e-9 * now)
-        check.frame(now)
+        check.frame((now,))
         if before and (found := check.disagrees(0, before, pose)):
             break
         before = pose

@@ -20,9 +20,9 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
     the dead times and its standard deviation [s].
 
     Poses are those at which a command sent at `sent` [s] acts on each robot, and those in which
-    lagging wheels come to rest if they then stop; they are predicted from `begin` [s] through
-    commands u (C,) [rad], sent at times when (C,) [s]. Standard deviations grow by what the test of
-    the innovations finds.
+    lagging wheels come to rest if they then stop; they are predicted from each robot's `begin` (N,)
+    [s] through commands u (C,) [rad], sent at times when (C,) [s]. Standard deviations grow by what
+    the test of the innovations finds.
     """
     count, z = len(model.parameters), np.empty(bank.state.shape[3])
     mean = doubt = 0.0
@@ -51,7 +51,7 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
         var = cov[at.BIAS, at.BIAS] + cov[at.MARKER, at.MARKER] + 2 * cov[at.BIAS, at.MARKER]
         found[7, i], found[8, i] = z[at.BIAS] + z[at.MARKER], more * math.sqrt(max(var, 0.0))
         found[9, i] = z[at.BIAS]
-        found[10, i] = _ahead(bank, model, best, i, slot, when, u, tau, begin, sent, z)
+        found[10, i] = _ahead(bank, model, best, i, slot, when, u, tau, begin[i], sent, z)
         found[11, i], found[12, i] = z[at.FLOW_X], z[at.FLOW_Y]
         found[16, i], found[18, i] = side, saturation
         found[17, i] = more * math.sqrt(max(cov[at.SIDE, at.SIDE], 0.0))

@@ -304,13 +304,14 @@ def _place(bank, b, i, model, pose):
 @compiled(**ENTRY_FAST)
 def place(bank, model, when, u, time, poses, which):
     """Set the poses of the robots `which` (N,) to those of a frame, poses (N, 3), and let them
-    follow the last of the commands u (C,), sent at `when` (C,) [s], that acts at its `time` [s].
+    follow the last of the commands u (C,), sent at `when` (C,) [s], that acts at the `time` (N,) of
+    each robot's pose [s].
     """
     for i in range(which.size):
         for b in range(bank.tau.shape[0] if which[i] else 0):
             _place(bank, b, i, model, poses[i])
             acting = when.size
-            while acting > 0 and when[acting - 1] > time - bank.tau[b, i]:
+            while acting > 0 and when[acting - 1] > time[i] - bank.tau[b, i]:
                 acting -= 1
             if acting > 0:
                 bank.next[b, i] = acting
@@ -330,9 +331,10 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
     """Predict every filter from frame to frame, and update it by the poses of each frame.
 
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (F, N, 3) are
-    measured at `time` (F,) [s]; those with `seen` (F, N) True are used, from the second frame on.
-    A frame all poses of which are those of the frame before is one that the camera has repeated,
-    unless a stop acts by any dead time, and if measurements are `noisy`, so is each equal pose.
+    measured at `time` (F, N) [s]; those with `seen` (F, N) True are used, from the second frame on,
+    unless they are no newer than in the frame before. A frame all poses of which are those of the
+    frame before is one that the camera has repeated, unless a stop acts by any dead time, and if
+    measurements are `noisy`, so is each equal pose; those of a coarse camera are measurements.
     Returns ln of the likelihoods (B, N).
     """
     latest = 0.0
@@ -341,17 +343,23 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
             latest = max(latest, bank.tau[b, i])
     found, off, best = np.zeros(bank.unfit.shape), np.zeros(3), np.zeros(3)
     work = np.empty((MOVED, SIZE)), np.zeros(BY.shape), np.empty(3), np.empty(3), np.empty(SIZE)
-    for f in range(1, time.size):
-        since, until = time[f - 1], time[f]
-        acting = when.size - 1
-        while acting >= 0 and when[acting] > since - latest:
+    for f in range(1, time.shape[0]):
+        acting, first = when.size - 1, time[f - 1, 0]
+        for i in range(1, len(model.parameters)):
+            first = min(first, time[f - 1, i])
+        while acting >= 0 and when[acting] > first - latest:
             acting -= 1
         # without noise, robots that are commanded to stand are seen at the same poses
-        frozen = len(model.parameters) > 1 and not (acting >= 0 and math.isnan(u[acting]))
+        frozen = len(model.parameters) > 1 and not model.coarse
+        frozen &= not (acting >= 0 and math.isnan(u[acting]))
         for i in range(len(model.parameters)):
             frozen &= _equal(poses[f, i], poses[f - 1, i])
         for i in range(len(model.parameters)):
+            since, until = time[f - 1, i], time[f, i]
+            if until <= since:
+                continue
             repeated = frozen or (noisy and _equal(poses[f, i], poses[f - 1, i]))
+            repeated &= not model.coarse
             used, most = seen[f, i] and not repeated, -math.inf
             for b in range(bank.tau.shape[0]):
                 if bank.score[b, i] == -math.inf:

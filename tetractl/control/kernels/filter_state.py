@@ -89,6 +89,7 @@ class FilterModel(NamedTuple):
     lag: float  # time constant with which turning rate and speed follow a direction [s]
     watchdog: float  # time without a command after which a robot stops, or inf [s]
     sticks: Sticks = Sticks()
+    coarse: bool = False  # whether poses of robots that drive may be equal
 
 
 class Bank(NamedTuple):

@@ -30,7 +30,8 @@ class Frames(NamedTuple):
     """M camera frames of N robots, stored as arrays.
 
     `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
-    (M, N); `truth` is None if no true poses are known.
+    (M, N); `truth` is None if no true poses are known. `exposed_ns` (M, N) are the times of the
+    poses, by default those of their frames.
     """
 
     numbers: Integers
@@ -39,6 +40,7 @@ class Frames(NamedTuple):
     poses: Floats
     valid: Bools
     truth: Floats | None
+    exposed_ns: Integers
 
     @classmethod
     def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
@@ -50,7 +52,9 @@ class Frames(NamedTuple):
         poses = _columns([one.poses for one in seen], robots)
         valid = np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots)
         known = _columns(truth, robots) if len(truth) == len(seen) else None
-        return cls(numbers, sampled_ns, received_ns, poses, valid, known)
+        own = [one.exposed_ns or (one.sampled_ns,) * robots for one in seen]
+        exposed_ns = np.array(own, dtype=np.int64).reshape(-1, robots)
+        return cls(numbers, sampled_ns, received_ns, poses, valid, known, exposed_ns)
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
@@ -108,7 +112,9 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
     count, truth = len(frames.numbers), frames.truth
     exact = truth is not None and truth.tobytes() == frames.poses.tobytes()
     single = None if exact or truth is None else truth.reshape(count, -1).astype(np.float32)
+    late = frames.sampled_ns[:, None] - frames.exposed_ns
     return pb.CameraFrames(
+        late=packed(late) if late.any() else None,
         times=packed(np.column_stack([frames.numbers, frames.sampled_ns, frames.received_ns])),
         poses=packed(frames.poses.reshape(count, -1)),
         valid=frames.valid.ravel().tolist(),
@@ -122,8 +128,10 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     """Decode camera frames; ValueError for another number of robots than `robots`."""
     times, poses = unpacked(message.times, 3, "<i8"), unpacked(message.poses, 3 * robots, "<f8")
     truth = poses if message.exact else unpacked(message.truth, 3 * robots, "<f4")
+    late = unpacked(message.late, robots, "<i8")
     count, (numbers, sampled_ns, received_ns) = len(times), times.T
-    if len(poses) != count or len(message.valid) != count * robots or len(truth) not in (0, count):
+    known = len(truth) in (0, count) and len(late) in (0, count)
+    if len(poses) != count or len(message.valid) != count * robots or not known:
         raise ValueError(f"arrays of camera frames do not have {count} times {robots} entries")
     return Frames(
         numbers,
@@ -132,6 +140,7 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
         poses.reshape(count, robots, 3),
         np.array(message.valid, dtype=np.bool_).reshape(count, robots),
         truth.astype(np.float64).reshape(count, robots, 3) if len(truth) == count else None,
+        np.repeat(sampled_ns[:, None], robots, axis=1) - (late if len(late) else 0),
     )
 
 
@@ -153,7 +162,7 @@ def stated(message: Message, *names: str) -> dict[str, Any]:
 def encode_observation(observation: Observation) -> pb.MocapSample:
     """Encode the camera frame on which a control step is decided."""
     return pb.MocapSample(
-        **named(observation, "frame", "sampled_ns", "received_ns", "valid"),
+        **named(observation, "frame", "sampled_ns", "received_ns", "valid", "exposed_ns"),
         **named(observation.poses, "x", "y", "heading"),
     )
 
@@ -161,7 +170,7 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
 def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
     """Decode one camera frame; ValueError for another number of robots than `robots`."""
     found = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
-    if found != {robots}:
+    if found != {robots} or len(message.exposed_ns) not in (0, robots):
         raise ValueError(f"a frame has {sorted(found)} robots instead of {robots}")
     return Observation(
         frame=message.frame,
@@ -169,6 +178,7 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
         received_ns=message.received_ns,
         poses=Poses(_floats(message.x), _floats(message.y), _floats(message.heading)),
         valid=np.array(message.valid, dtype=np.bool_),
+        exposed_ns=tuple(message.exposed_ns),
     )
 
 

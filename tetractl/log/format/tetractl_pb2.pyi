@@ -1,26 +1,29 @@
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Mapping, Optional as _Optional, Union as _Union
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class CameraFrames(_message.Message):
-    __slots__ = ("times", "poses", "valid", "truth", "exact")
+    __slots__ = ("times", "poses", "valid", "truth", "exact", "late")
     TIMES_FIELD_NUMBER: _ClassVar[int]
     POSES_FIELD_NUMBER: _ClassVar[int]
     VALID_FIELD_NUMBER: _ClassVar[int]
     TRUTH_FIELD_NUMBER: _ClassVar[int]
     EXACT_FIELD_NUMBER: _ClassVar[int]
+    LATE_FIELD_NUMBER: _ClassVar[int]
     times: bytes
     poses: bytes
     valid: _containers.RepeatedScalarFieldContainer[bool]
     truth: bytes
     exact: bool
-    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: bool = ...) -> None: ...
+    late: bytes
+    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: _Optional[bool] = ..., late: _Optional[bytes] = ...) -> None: ...
 
 class MocapSample(_message.Message):
-    __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid")
+    __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid", "exposed_ns")
     FRAME_FIELD_NUMBER: _ClassVar[int]
     SAMPLED_NS_FIELD_NUMBER: _ClassVar[int]
     RECEIVED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -28,6 +31,7 @@ class MocapSample(_message.Message):
     Y_FIELD_NUMBER: _ClassVar[int]
     HEADING_FIELD_NUMBER: _ClassVar[int]
     VALID_FIELD_NUMBER: _ClassVar[int]
+    EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
     frame: int
     sampled_ns: int
     received_ns: int
@@ -35,7 +39,8 @@ class MocapSample(_message.Message):
     y: _containers.RepeatedScalarFieldContainer[float]
     heading: _containers.RepeatedScalarFieldContainer[float]
     valid: _containers.RepeatedScalarFieldContainer[bool]
-    def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., received_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ...) -> None: ...
+    exposed_ns: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., received_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ..., exposed_ns: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class WheelCommand(_message.Message):
     __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "facing")
@@ -53,7 +58,7 @@ class WheelCommand(_message.Message):
     left: _containers.RepeatedScalarFieldContainer[float]
     right: _containers.RepeatedScalarFieldContainer[float]
     facing: float
-    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
+    def __init__(self, direction: _Optional[float] = ..., stop: _Optional[bool] = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
 
 class Search(_message.Message):
     __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")
@@ -149,7 +154,7 @@ class StepTiming(_message.Message):
     k: int
     solve_ns: int
     deadline_missed: bool
-    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: bool = ...) -> None: ...
+    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: _Optional[bool] = ...) -> None: ...
 
 class Fact(_message.Message):
     __slots__ = ("key", "value")

@@ -84,6 +84,7 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | 
         facts=contents.facts,
         frames=frames.numbers,
         received_ns=frames.received_ns,
+        exposed_ns=frames.exposed_ns,
         commands=commands,
         notes=tuple(_notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,

@@ -49,7 +49,7 @@ def check_frames(frames: Frames) -> None:
         raise ValueError("a pose is infinite")
     if frames.truth is not None:
         _within("a true pose", frames.truth, VALUE_MAX)
-    for times in (frames.numbers, frames.sampled_ns, frames.received_ns):
+    for times in (frames.numbers, frames.sampled_ns, frames.received_ns, frames.exposed_ns):
         check_times(times)
 
 

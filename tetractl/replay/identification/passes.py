@@ -156,13 +156,13 @@ def run(
         frames, seen = np.full((2, *poses.shape[1:]), np.nan), np.zeros((2, len(rows)), np.bool_)
         last = -np.inf
         for now, pose, use, fresh in zip(track.time.tolist(), poses, used, placed, strict=True):
-            time = np.array([max(last, now - 2 * UNSEEN_S), now])
+            time = np.repeat([[max(last, now - 2 * UNSEEN_S)], [now]], len(rows), axis=1)
             frames[1], seen[1], last = pose, use, now
             given = track.when, track.u, time, frames, seen, False
             likelihood += kernel.follow(bank, model, apart_s, *given)
             bank.scale[...] = 1.0
             if fresh.any():
-                kernel.place(bank, model, np.empty(0), track.u, now, pose, fresh)
+                kernel.place(bank, model, np.empty(0), track.u, time[1], pose, fresh)
             if watched:
                 weight, latest = bank.weight[middle], bank.next[middle] - 1
                 z = bank.state[middle, each, weight.argmax(axis=1)]

@@ -44,12 +44,14 @@ def test_true_poses_that_were_measured_are_not_written_again(exact):
     poses = np.random.default_rng(1).normal(1000, 300, (240, 2, 3))
     truth = poses.copy() if exact else poses + 0.2
     times = np.arange(240) * 8_333_333
-    frames = Frames(times, times, times, poses, np.ones((240, 2), bool), truth)
+    own = np.column_stack([times, times - 30_000_000 * (times > 0)])
+    frames = Frames(times, times, times, poses, np.ones((240, 2), bool), truth, own)
     message = encode_frames(frames)
     assert message.exact == exact
     assert bool(message.truth) != exact
     found = decode_frames(message, 2)
     assert np.array_equal(found.poses, poses)
+    assert np.array_equal(found.exposed_ns, own)
     assert found.truth is not None
     assert np.array_equal(found.truth, truth if exact else truth.astype(np.float32))
 

@@ -95,6 +95,9 @@ def summary(rows: Sequence[DayRow]) -> str:
     shares = ", ".join(f"{n} {how} ({n / count:.0%})" for how, n in ended.most_common())
     predicted = Counter(v[3] for row in rows for v in row["violations"][:1] if v[3])
     classes = [f"{n} days of the class '{name}', as derived" for name, n in predicted.items()]
+    small = [row["shrunk"] for row in rows if "shrunk" in row]
+    if small:
+        classes.append(f"{len(small)} shrunk, in the median to {np.median(small):g} faults")
     mean_s = sum(row["seconds"] for row in rows) / count
     a_night = f": {NIGHT_S / mean_s:.0f} days in 8 hours on one core" if mean_s else ""
     said = [shares, *classes, f"{mean_s:.2f} s of processor time a day{a_night}"]

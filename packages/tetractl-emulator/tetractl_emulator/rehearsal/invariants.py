@@ -14,8 +14,8 @@ from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.verify import differences
+from tetractl_emulator.rehearsal.depths import places
 from tetractl_emulator.rehearsal.logged import logged
-from tetractl_emulator.rehearsal.places import places
 from tetractl_emulator.rehearsal.sending import sending
 from tetractl_emulator.rehearsal.times import times
 from tetractl_emulator.rehearsal.truth import Truth

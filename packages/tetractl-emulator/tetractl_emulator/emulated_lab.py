@@ -185,6 +185,8 @@ class EmulatedLab:
             self._note("run")
             self._report("run", {})
             self.injector.happened("run")
+        elif self._ran and not self.actuator.driven:
+            self.injector.happened("stop")
         for i, body in enumerate(self.actuator.bodies):
             if self._moving[i] == body.standing:
                 self._moving[i] = not body.standing

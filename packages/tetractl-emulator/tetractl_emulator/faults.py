@@ -40,9 +40,10 @@ class Fault(Model):
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
     """Time of the fault after the event `since` [s]."""
-    since: Literal["start", "client", "run"] = "run"
+    since: Literal["start", "client", "run", "stop"] = "run"
     """Event from which `at` counts: the `start` of the emulation, the first `client` of the
-    cameras, or the first command of a `run` that moves a robot.
+    cameras, the first command of a `run` that moves a robot, or the first `stop` of all robots
+    after it, as in a pause or at the end.
     """
     duration: Positive | None = Field(default=None, alias="for")
     """Duration of the fault [s]; by default the rest of the run."""
@@ -140,8 +141,8 @@ class Injector:
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
-        """Record an event (start, client or run); when it first happens, schedule the faults whose
-        times count from it.
+        """Record an event (start, client, run or stop); when it first happens, schedule the faults
+        whose times count from it.
         """
         if what in self._since:
             return

@@ -25,6 +25,7 @@ MOTION = (
 PLACE = r"about to leave|about to enter|too close"
 CLOCK = r"server's clock|after reception|before reception"
 RADIO = r"radio|\bport\b|does not answer|battery"
+STOP_SHARE = 0.1  # of the faults that begin while robots stop, in a pause or at the end
 STRONG = 0.9
 """Strength from which on a fault lasts to the end."""
 JUMPS = above("by", 60, 0.45, alone=True)
@@ -289,8 +290,11 @@ def _fault(random: Random, kind: FaultRow, names: tuple[str, ...]) -> dict[str, 
     draw = Draw(random, names, random.random())
     fault = {"kind": kind.name, "strength": round(draw.strength, 3), "fault": kind.fault}
     fault |= kind.fields(draw)
-    if random.random() < kind.start:
+    when = random.random()
+    if when < kind.start:
         fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
+    elif when > 1 - STOP_SHARE:
+        fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
     else:
         fault["at"] = round(random.uniform(0, 11), 3)
     if not kind.at_once and "for" not in fault and draw.strength < STRONG:

@@ -17,6 +17,7 @@ def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Viol
     yield from _commands(truth, limits)
     if not truth.met(*MUTE) and not truth.killed:
         yield from _often(truth, watchdog_s)
+        yield from _repeated(truth)
     yield from _robots(truth, watchdog_s)
 
 
@@ -56,12 +57,23 @@ def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
         gaps = np.diff(during)
         if gaps.max() > watchdog_s / 2:
             found = f"for {gaps.max():.3f} s"
-            yield Violation("silent", during[int(gaps.argmax())], found)
+            yield Violation("silent", float(during[int(gaps.argmax())]), found)
             return
         still = [c for c in truth.of("command") if not any(truth.drives(c))]
         stops = [c for c in still if until - 0.004 <= c["t_ns"] / 1e9 <= until + STOPS_S]
         if len(stops) < STOPS and until + STOPS_S < truth.alive_s:
             yield Violation("stops", until, f"{len(stops)} in {STOPS_S} s")
+            return
+
+
+def _repeated(truth: Truth) -> Iterator[Violation]:
+    """Stops are repeated from half a second on, for two seconds, while one robot is not shown."""
+    sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
+    until = min(truth.ended_s + 2.0, truth.alive_s)
+    apart = truth.unseen.max(axis=1) - truth.unseen.min(axis=1) > 2 * UNTRACKED_STOP_S
+    for at in truth.times[apart & (truth.times > truth.ended_s + 0.85) & (truth.times < until)]:
+        if not ((sent > at - STOPS_S - 0.05) & (sent <= at)).any():
+            yield Violation("stops", float(at), "not repeated while a robot is not shown")
             return
 
 

@@ -9,16 +9,20 @@ from tetractl.core.plan import Outcome
 from tetractl_emulator.rehearsal.due import FRAME_S, Due, Fields
 from tetractl_emulator.rehearsal.truth import Truth
 from tetractl_emulator.rehearsal.violation import AIR_S, SLACK_S, Violation
+from tetractl_emulator.rehearsal.world import OFF
 
+OFF_S = 8.0  # twice what a wheel that is off by 17 % takes to be known
 STEADY_S = 0.3  # delay of a command, within which motion may be that of the one before
 GAP_S = 0.5  # longest time without a frame
 RESTS_S = 1.05  # longest time over which a line is fitted to poses at rest, and a frame
+STOPPING_S = 0.2  # for which stops are sent, before it is looked whether robots rest
 PLAIN_MM_S, PLAIN_RAD_S = 10.0, 0.1  # five times what counts as motion at rest
 
 
 def times(truth: Truth, stale_s: float, untracked_s: float) -> Iterator[Violation]:
     """Yield what ended too late, or began or ended in motion."""
     yield from _late(truth)
+    yield from _off(truth)
     yield from _seldom(truth, stale_s, 3.0 * untracked_s)
     yield from _at_rest(truth)
 
@@ -41,6 +45,14 @@ def _late(truth: Truth) -> Iterator[Violation]:
                 found = f"{name}: {until - since:.2f} s, allowed {within:.2f}"
                 yield Violation("late", since, found)
                 break
+
+
+def _off(truth: Truth) -> Iterator[Violation]:
+    """A wheel that is off by 17 % from the start, without another fault, is named in time."""
+    for since, until in truth.driven[:1] if OFF in truth.day.plan.right else ():
+        others = any(at < since + OFF_S for at, _, _ in truth.faults)
+        if until - since > OFF_S and not others:
+            yield Violation("late", since, f"a wheel off: {until - since:.2f} s, allowed {OFF_S}")
 
 
 def _spans(
@@ -111,7 +123,7 @@ def _at_rest(truth: Truth) -> Iterator[Violation]:
     if log is None or log.result is None or log.result.outcome == Outcome.ABORTED:
         return
     for began, ended, kind in moving:
-        if began < truth.ended_s and ended > truth.alive_s:
+        if began < truth.ended_s + STOPPING_S and ended > truth.alive_s:
             yield Violation("ends in motion", truth.alive_s, kind)
     unseen = truth.unseen[truth.times <= truth.alive_s][-1:]
     if len(unseen) and unseen.max() > GAP_S:

@@ -15,6 +15,8 @@ from tetractl_emulator.rehearsal.schedule import PLACE
 
 LAG_MAX_S = 0.08
 """Longest time constant of a wheel that is drawn [s]."""
+OFF = r"off its commanded|moves |turns "
+"""Reasons that are right if a wheel is off."""
 FAR_SHARE, OFF_SHARE = 0.02, 0.02
 """Share of the days with a robot too far from its start, and with a wheel too far off."""
 
@@ -32,7 +34,7 @@ def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = Tr
     """Draw a world for a lab, as its spec allows if it is not `bad`."""
     camera = lab.camera(random, False)
     far, off = random.random() < FAR_SHARE * bad, random.random() < OFF_SHARE * bad
-    right = [r"from its start|turned by"] * far + [r"off its commanded|moves |turns "] * off
+    right = [r"from its start|turned by"] * far + [OFF] * off
     emulation: dict[str, Any] = {"camera": camera, "robots": _placed(random, setup, far)}
     emulation["actuator"] = lab.actuator(random, off)
     return World(emulation, "|".join([PLACE, *right]))

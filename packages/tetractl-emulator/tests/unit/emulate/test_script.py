@@ -40,7 +40,7 @@ def test_every_fault_has_a_script():
         ("faults: [{fault: unplug, robot: green}]", "robot: unknown key"),
         ("faults: [{fault: unplug, at: -1}]", "must be at least 0"),
         ("faults: [{fault: unplug, at: .inf}]", "finite"),
-        ("faults: [{fault: unplug, since: tomorrow}]", "'start', 'client' or 'run'"),
+        ("faults: [{fault: unplug, since: tomorrow}]", "'start', 'client', 'run' or 'stop'"),
         ("faults: [{fault: jump, robot: green, by: [1]}]", "is missing"),
         ("faults: 3", "must be a list"),
         ("expect: 3", "must be a mapping"),

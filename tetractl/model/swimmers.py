@@ -134,7 +134,10 @@ class Swimmers:
         state = self.x, self.y, self.heading, self.phase, self.depth
         own = self.a, self.bias, self.speed, self.walk, 2 * math.pi * self.helix_hz, self.helix_um
         rows = (*state, *own, 1.0 - self.resting, *field, *drift, *edges)
-        return np.array([row + np.zeros(len(self)) for row in rows])
+        body = np.empty((len(rows), len(self)))
+        for i, row in enumerate(rows):
+            body[i] = row
+        return body
 
     def swim(
         self,

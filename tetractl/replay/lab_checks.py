@@ -145,12 +145,14 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
 
 def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
     """Return whether the final poses are those of one of the last frames or, for robots that swim
-    on after the stop, of any frame since STOP_REPEATED_NS before the stop.
+    on after the stop, of any frame since STOP_REPEATED_NS before the stop, or since the last one
+    before it if the pictures ended earlier.
     """
     if not len(log.mocap):
         return True
     rows = log.mocap[-LAST_FRAMES:]
     if log.start.plant.facts.get(HALTS) == "no":
-        rows = log.mocap[log.mocap_ns >= stop.sent_ns - STOP_REPEATED_NS]
+        before = int(log.mocap_ns[log.mocap_ns <= stop.sent_ns].max(initial=0))
+        rows = log.mocap[log.mocap_ns >= min(stop.sent_ns - STOP_REPEATED_NS, before)]
     ends = [np.ascontiguousarray(row).tobytes() for row in rows]
     return np.ascontiguousarray(final.array()).tobytes() in ends

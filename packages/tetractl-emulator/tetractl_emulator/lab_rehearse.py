@@ -5,6 +5,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import AbortError, Exit
 from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
@@ -54,15 +55,13 @@ def rehearse(
     from tetractl_emulator.rehearsal.summary import broken, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
-    if loaded.experiment.open:
-        raise UsageError("this spec's trials choose their robots; a rehearsal needs them named")
-    if lab_of(loaded.experiment, loaded.name).actuator.type == "field":
-        raise UsageError("cells swim undriven; a rehearsal needs robots that stand undriven")
     loaded.experiment.plant.require_devices()
-    kinds = rehearsal_of(lab_of(loaded.experiment, loaded.name), loaded.experiment.setup).kinds
+    lab = lab_of(loaded.experiment, loaded.name)
+    kinds = rehearsal_of(lab, loaded.experiment.setup, loaded.experiment.open).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     short = on_plant(load_spec(spec, [*(sets or ()), "controller.time_limit=1"]), "emulated")
-    with tempfile.TemporaryDirectory() as scratch:  # what it loads, no day has to load
+    # what it loads, no day has to load; no cells may have been found
+    with tempfile.TemporaryDirectory() as scratch, suppress(AbortError):
         run_trial(short, Path(scratch))
     folder = out or Path(f"rehearsal-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
@@ -123,25 +122,23 @@ def rehearsed(
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.plant.lab_plant import RigSection
     from tetractl_emulator.rehearsal.day import plan_of_day, play
-    from tetractl_emulator.rehearsal.invariants import violations
+    from tetractl_emulator.rehearsal.observe import observed
     from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.shrink import shrunk
     from tetractl_emulator.rehearsal.summary import broken, row_of
-    from tetractl_emulator.rehearsal.truth import Truth
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
     setup, lab = experiment.setup, experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
-    watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or 0.25
+    drawn = rehearsal_of(lab, setup, experiment.open)
 
     def judged(plan: "DayPlan") -> "DayRow":
         with tempfile.TemporaryDirectory() as scratch:
             played, began_s = play(spec, sets, plan, Path(scratch)), time.process_time()
-            truth = Truth(played, setup)
-            found = violations(truth, lab.limits, watchdog_s)
+            truth, found = observed(played, experiment, lab)
             return row_of(day, truth, found, time.process_time() - began_s)
 
-    plan = plan_of_day(seed, day, setup, rehearsal_of(lab, setup), bad)
+    plan = plan_of_day(seed, day, setup, drawn, bad)
     row = judged(plan)
     if not broken(row):
         return row

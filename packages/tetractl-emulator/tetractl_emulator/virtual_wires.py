@@ -42,6 +42,11 @@ class LabClock(VirtualClock):
         """Return the time on the host's clock [ns]."""
         return self._now + self.ahead_ns
 
+    @property
+    def true_ns(self) -> int:
+        """The true time [ns], which no fault of the host sets."""
+        return self._now
+
     def sleep_until(self, when: int) -> None:
         """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
         while self.stopped or self.now() < when:

@@ -17,6 +17,7 @@ from support.trials import three_robots
 from tetractl.core.commands import HALTS, PlantInfo
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Poses
 from tetractl.experiment.controller import ALONE
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
@@ -321,6 +322,20 @@ def lost(robot, since, until=100):
     valid = np.ones((100, 3), bool)
     valid[since:until, robot] = False
     return valid
+
+
+@pytest.mark.parametrize(("row", "agrees"), [(-1, True), (-20, False)])
+def test_cells_whose_pictures_ended_before_the_stop_have_the_last_poses(tmp_path, row, agrees):
+    """The stop comes 0.8 s after the last frame: 0.5 s until the trial aborts, and repeats."""
+    log = lab_log(tmp_path, lost(0, 100), 40.0, "no", 0.001)
+    stop = replace(log.stop, sent_ns=1_790_000_000)
+    result = replace(
+        log.result,
+        outcome=Outcome.ABORTED,
+        verdict=replace(log.result.verdict, final=Poses.of(log.mocap[row])),
+    )
+    found = {one.field for one in lab_differences(log, result, stop)}
+    assert ("result.final" not in found) == agrees
 
 
 @pytest.mark.parametrize("metres", [0.001, 1.0])

@@ -4,15 +4,27 @@ import json
 
 import pytest
 from support.cli import tetractl
-from support.lab_processes import SMALL, SPEC, flags
+from support.lab_processes import APRILTAG, SMALL, SPEC, flags
 from support.paths import EXAMPLES
-from tetractl_emulator.rehearsal import day
+from tetractl_emulator.rehearsal import day, shrink
+from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
+from tetractl.core.clock import SECOND
 from tetractl.lab.guard import Guard
 
 pytestmark = pytest.mark.slow
 
 FEW = flags((*SMALL, "controller.time_limit=3"))
+DISH = flags(  # a smaller dish, coarser pictures, and few cells
+    (
+        "lab.camera.um_px=4.5",
+        "arena.width=2100",
+        "arena.height=2100",
+        "robots={choose: 2, targets: [[800, 800], [1300, 1300]], a: 4, speed: 420, seconds: 4}",
+        "controller.time_limit=6",
+        "controller.accept_error=40",
+    )
+)
 
 
 def rehearse(folder, *words):
@@ -43,10 +55,38 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
     assert any(row["ended"] != "refused" for row in rows(tmp_path).values())
 
 
-def test_cells_are_refused(tmp_path):
-    done = tetractl(tmp_path, "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml")
-    assert done.returncode == 2
-    assert "cells swim undriven" in done.stderr
+def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
+    """Without pictures the field goes off; a guard whose clock stands with them is found."""
+    pytest.importorskip("cv2")
+    lost = {"kind": "no pictures", "strength": 0.95, "fault": "no_frames", "at": 6.3}
+    plan = day.DayPlan(1, {}, [lost], "", [*microscope_rows()])
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
+    rehearse = ("lab", "rehearse", EXAMPLES / "tetrahymena_dish.yaml", "--days", "1", *DISH)
+    done = tetractl(tmp_path, *rehearse, "--out", "days").ok()
+    assert done.stdout.endswith("1 days, 0 violations\n")
+    assert rows(tmp_path)[0]["reason"].startswith("no new camera frame")
+    monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
+    tick = Guard.tick
+
+    def blind(guard, now_ns, damaged=0, failure=None):
+        seen_ns = now_ns if guard._last_frame_ns is None else guard._last_frame_ns
+        return tick(guard, min(now_ns, seen_ns + SECOND // 20), damaged, failure)
+
+    monkeypatch.setattr(Guard, "tick", blind)
+    done = tetractl(tmp_path, *rehearse, "--out", "blind")
+    assert done.returncode == 1
+    assert "steers blind: unseen for" in done.stderr
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("spec", ["dish", "tags"])
+def test_days_of_pictures_break_nothing(tmp_path, spec):
+    pytest.importorskip("cv2")
+    words = (EXAMPLES / "tetrahymena_dish.yaml", *DISH)
+    if spec == "tags":
+        words = (SPEC, *flags((*APRILTAG, "controller.time_limit=3")))
+    done = tetractl(tmp_path, "lab", "rehearse", *words, "--days", "3", "--out", "days").ok()
+    assert done.stdout.endswith("3 days, 0 violations\n")
 
 
 def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs(

@@ -9,21 +9,36 @@ import math
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 from tetractl_microscope.coils.driver import DriverStatus, decode_command
-from tetractl_microscope.coils.section import FieldSection, Pair
+from tetractl_microscope.coils.section import CoilPair, CoilsSection, FieldSection, Pair
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import UsageError
-from tetractl.experiment.base import Finite, Model, Name, NonNegative
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import walls_of
-from tetractl_emulator.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
+from tetractl_emulator.faults import (
+    STUCK_PORT,
+    UNPLUG,
+    Begin,
+    Fault,
+    Share,
+    Undo,
+    fault,
+    setting,
+    settings,
+    switching,
+)
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.pictures.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
+from tetractl_emulator.rehearsal.cell_faults import DISH, SPAN_S, dish_world, field_rows
+from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 
@@ -31,9 +46,9 @@ class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
     `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set
-    `supply_mv`, `temperature_dc` (tenths of a degree Celsius) and `mute` (the driver receives but
-    does not reply), or call `switch`. `note(event, **facts)` records each command when it is read
-    from the port, before the driver receives it.
+    `supply_mv`, `temperature_dc` (tenths of a degree Celsius), `mute` (the driver receives but does
+    not reply), `late_ns` [ns] and `doubled` of what it receives, or call `switch`. `note(event,
+    **facts)` records each command when it is read from the port, before the driver receives it.
     """
 
     def __init__(
@@ -49,6 +64,7 @@ class CurrentDriver(SerialDevice):
         self.currents: Pair = (0.0, 0.0)
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
+        self.late_ns, self.doubled, self._due_ns = 0, False, 0
         self._limits = limits
         self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
         self._now_ns = timeline.now_ns
@@ -68,9 +84,16 @@ class CurrentDriver(SerialDevice):
         """Take bytes received over the line, one by one, and reply to polls, as a real driver
         does.
         """
+        if not self.late_ns and self._due_ns <= self._timeline.now_ns:
+            self._receive(data)
+            return
+        self._due_ns = max(self._due_ns, self._timeline.now_ns + self.late_ns)  # in their order
+        self._timeline.at(self._due_ns, lambda: self._receive(data))
+
+    def _receive(self, data: bytes) -> None:
         if not self.powered:
             return
-        for byte in data:
+        for byte in data * (1 + self.doubled):
             self._core.push(bytes([byte]), self._now_ms)
             reply = self._core.take_reply(self._now_ms)
             if reply and not self.mute:
@@ -130,6 +153,25 @@ def _driver_of(device: Any, fault: Any) -> CurrentDriver:
     return device.driver
 
 
+def _coils(change: Callable[[Any, CoilsSection], CoilsSection]) -> Begin:
+    """Return a function that starts a fault by a change of the true coils."""
+
+    def begin(fault: Any, device: Any) -> Undo:
+        return setting(device.dish, coils=change(fault, device.dish.coils))
+
+    return begin
+
+
+def _weak(fault: Any, coils: CoilsSection) -> CoilsSection:
+    pair: CoilPair = {"x": coils.x, "y": coils.y}[fault.axis]
+    left = pair.model_copy(update={"gain_mt_a": fault.share * pair.gain_mt_a})
+    return coils.model_copy(update={fault.axis: left})
+
+
+def _turned(fault: Any, coils: CoilsSection) -> CoilsSection:
+    return coils.model_copy(update={"rotation": coils.rotation + fault.by})
+
+
 def _row(fault: Any, device: Any) -> int:
     names = [body.name for body in device.bodies]
     if fault.cell not in names:
@@ -177,6 +219,31 @@ FAULTS = (
         cell=Name,
         by_um=(Finite, 300.0),
     ),
+    fault(
+        "late_driver",
+        "What the driver receives arrives late [s].",
+        settings(_driver_of, late_ns=lambda f: round(f.by * SECOND)),
+        by=Positive,
+    ),
+    fault(
+        "doubled_commands",
+        "The driver receives each command twice.",
+        settings(_driver_of, doubled=True),
+    ),
+    fault(
+        "bad_bytes",
+        "This fraction of the bytes on the driver's wire is changed, both ways.",
+        settings(_driver_of, noise=attrgetter("share")),
+        share=Share,
+    ),
+    fault(
+        "weak_coils",
+        "A coil pair makes this share of its field: less than 0, the other way.",
+        _coils(_weak),
+        axis=Literal["x", "y"],
+        share=Annotated[float, Field(ge=-1, le=1)],
+    ),
+    fault("turned_coils", "The coils are turned by this angle [rad].", _coils(_turned), by=Finite),
     fault("mute", "The driver receives but does not reply.", settings(_driver_of, mute=True)),
 )
 
@@ -209,6 +276,11 @@ class EmulatedField(PluggedDevice):
         self.dish = Dish(self.driver, section.coils, reference_mt, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
 
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return what rehearsals draw of driver, coils and cells."""
+        return Rehearsal([*field_rows()], dish_world, DISH, SPAN_S)
+
     @property
     def bodies(self) -> Sequence[CellBody]:
         """The cells, in the order of the setup."""
@@ -221,8 +293,9 @@ class EmulatedField(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field at the cells [mT], to be recorded as {"field_mt": [x, y]}."""
-        return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
+        """The true field at the cells [mT] and the currents [A], to be recorded."""
+        parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
+        return {name: [round(one, 5) for one in values] for name, values in parts.items()}
 
     def switch(self, on: bool) -> None:
         """Switch the driver on or off."""

@@ -10,23 +10,27 @@ from tetractl.core.clock import SECOND
 from tetractl_emulator.pictures.network_camera import BOUNDARY, EmulatedNetworkCamera, coded, part
 from tetractl_emulator.virtual_wires import LabClock
 
+WAIT = 32  # pictures that wait on the wire; further ones push out the oldest
+
 
 class MemoryCamera(EmulatedNetworkCamera):
     """A network camera without threads and sockets, and the `Feed` of the program that watches it.
 
-    Pictures travel as JPEG parts, as over HTTP.
+    Pictures travel as JPEG parts, as over HTTP; they are exposed in true time, and wait on the wire
+    while our side stands still. `on_shown(exposed_ns)` is called when one arrives undamaged.
     """
 
     live = emulated = True
     rate_hz: float | None = None
     _take: Callable[[bytes], None] | None = None
     _clock: LabClock
+    on_shown: Callable[[int], None] = staticmethod(lambda exposed_ns: None)
 
     def _open(self, port: int) -> None:
         self._port = port  # not opened
 
     def __enter__(self) -> Self:
-        self._start, self._sent = self._clock.now(), deque[tuple[int, bytes]]()
+        self._start, self._sent = self._clock.true_ns, deque[tuple[int, int, bytes]](maxlen=WAIT)
         self._clock.steps.append(self._turn)
         return self
 
@@ -58,14 +62,18 @@ class MemoryCamera(EmulatedNetworkCamera):
         self._take = None
 
     def _turn(self) -> None:
-        now, exposed = self._clock.now(), self._start + round(self.exposed * SECOND / self._rate_hz)
+        now = self._clock.true_ns
+        exposed = self._start + round(self.exposed * SECOND / self._rate_hz)
         if now >= exposed + self._half:
             self.exposed += 1
             if self.watched and not self.frozen.is_set() and self.exposed % self.every == 0:
                 jpeg = coded(self._draw(exposed), self._quality)
-                self._sent.append((exposed + self._latency, jpeg))
+                self._sent.append((exposed + self.latency_ns, exposed, jpeg))
         while self._sent and self._sent[0][0] <= now:
-            body = self.mangle(part(self._sent.popleft()[1]))
+            _, exposed, jpeg = self._sent.popleft()
+            body = self._changed(whole := part(jpeg))
             if self._take is not None:
+                if body.startswith(whole):
+                    self.on_shown(exposed)
                 for jpeg in self._parts.feed(body):
                     self._take(jpeg)

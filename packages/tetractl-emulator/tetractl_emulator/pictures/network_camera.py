@@ -24,9 +24,9 @@ class EmulatedNetworkCamera:
     `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. The
     middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera was
     entered. The picture is sent `latency_s` after the middle of the exposure, or as soon as it is
-    drawn; a busy host skips some exposures. `mangle` changes the bytes of a part before they are
-    sent; `frozen` stops exposures while it is set; only every `every`-th picture is sent. A camera
-    that `drips` sends an endless header byte by byte. Raises TetractlError if the port is in use.
+    drawn; a busy host skips some exposures. Each of `changes` changes the bytes of a part before
+    they are sent; `frozen` stops exposures while it is set; only every `every`-th picture is sent.
+    A camera that `drips` sends an endless header byte by byte. TetractlError if the port is in use.
     """
 
     def __init__(
@@ -38,17 +38,17 @@ class EmulatedNetworkCamera:
         latency_s: float = 0.0,
         quality: int = 90,
         port: int = 0,
-        mangle: Callable[[bytes], bytes] = lambda part: part,
         drips: bool = False,
     ) -> None:
-        self.mangle, self._drips = mangle, drips
+        self.changes: list[Callable[[bytes], bytes]] = []
+        self._drips = drips
         self.frozen = threading.Event()
         self.every = 1
         self.exposed = 0  # number of the last picture
         self._draw, self._clock = draw, clock
         self._rate_hz, self._quality = rate_hz, quality
         self._half = round(exposure_s * SECOND / 2)
-        self._latency = round(latency_s * SECOND)
+        self.latency_ns = round(latency_s * SECOND)
         self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
         self._closing = threading.Event()
         self._open(port)
@@ -115,7 +115,13 @@ class EmulatedNetworkCamera:
             jpeg = coded(self._draw(exposed), self._quality)
             for client in list(self._clients):
                 with suppress(queue.Full):
-                    client.put_nowait((exposed + self._latency, jpeg))
+                    client.put_nowait((exposed + self.latency_ns, jpeg))
+
+    def _changed(self, part: bytes) -> bytes:
+        """Return a part as it is sent."""
+        for change in self.changes:
+            part = change(part)
+        return part
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
         # further pictures are dropped, for a client that reads slowly
@@ -134,7 +140,7 @@ class EmulatedNetworkCamera:
                 with suppress(queue.Empty):
                     due, jpeg = mine.get(timeout=IDLE_S)
                     self._clock.sleep_until(due)
-                    answer.wfile.write(self.mangle(part(jpeg)))
+                    answer.wfile.write(self._changed(part(jpeg)))
         except OSError:
             pass  # the client has gone
         finally:

@@ -5,7 +5,8 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Literal
+from operator import attrgetter
+from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field
@@ -14,11 +15,15 @@ from tetractl_microscope.pictures.picture_section import DeviceSource, MjpegSour
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
+from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings
+from tetractl.experiment.lab_section import LabSection
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, settings
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, part
+from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.rehearsal.picture_faults import stream_rows
 from tetractl_emulator.sides import Facts, Stage
 
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
@@ -59,23 +64,46 @@ class StreamSettings(Model):
 
 
 def _freeze(fault: Any, device: Any) -> Undo:
-    device.camera.frozen.set()
-    return device.camera.frozen.clear
+    def freeze(more: int) -> None:
+        device.freezes += more  # of several faults at once, the last to end lets it go on
+        (device.camera.frozen.set if device.freezes else device.camera.frozen.clear)()
+
+    freeze(1)
+    return lambda: freeze(-1)
 
 
-def _first_again(fault: Any) -> Callable[[bytes], bytes]:
-    sent: dict[str, bytes] = {}
-    return lambda part: sent.setdefault("first", part)
+WAYS: dict[str, Callable[[bytes], bytes]] = {
+    "cut": cut_short,
+    "cut_ended": cut_before_its_end,
+    "oversized": oversized,
+    "lost": lambda part: b"",
+    "doubled": lambda part: part + part,
+}
 
 
 def _spoil(fault: Any, device: Any) -> Undo:
     chance = random.Random(device.seed)
-    ways = {"cut": cut_short, "cut_ended": cut_before_its_end, "oversized": oversized}
+    way = WAYS[fault.how]
+    return _sending(device, lambda part: way(part) if chance.random() < fault.share else part)
 
-    def spoiled(part: bytes) -> bytes:
-        return ways[fault.how](part) if chance.random() < fault.share else part
 
-    return setting(device.camera, mangle=spoiled)
+def _sending(device: Any, change: Callable[[bytes], bytes]) -> Undo:
+    """Let a function change what is sent."""
+    device.camera.changes.append(change)
+    return lambda: device.camera.changes.remove(change)
+
+
+def _repeat(fault: Any, device: Any) -> Undo:
+    sent: dict[str, bytes] = {}
+    return _sending(device, lambda part: sent.setdefault("first", part))
+
+
+def _late(fault: Any, device: Any) -> Undo:
+    def later(by_ns: int) -> None:
+        device.camera.latency_ns += by_ns
+
+    later(by_ns := round(fault.by * SECOND))
+    return lambda: later(-by_ns)
 
 
 STREAM_FAULTS = (
@@ -83,23 +111,25 @@ STREAM_FAULTS = (
     fault(
         "repeat",
         "The same picture is sent repeatedly, at the camera's rate.",
-        settings(lambda d, f: d.camera, mangle=_first_again),
+        _repeat,
         Visible.SENT,
     ),
     fault(
         "half_rate",
-        "Every second picture is left out.",
-        settings(lambda d, f: d.camera, every=2),
+        "Only every second picture, or every n-th, is sent.",
+        settings(lambda d, f: d.camera, every=attrgetter("every")),
         Visible.SENT,
+        every=(Annotated[int, Field(ge=2, le=1000)], 2),
     ),
+    fault("late_pictures", "Pictures come later by this time [s].", _late, by=Positive),
     fault(
         "bad_pictures",
-        "A fraction of the pictures is cut short, with or without an end marker, or has a header "
-        "that states 32767 x 32767 pixels.",
+        "A fraction of the pictures is cut short, with or without an end marker, has a header that "
+        "states 32767 x 32767 pixels, is lost or is sent twice.",
         _spoil,
         Visible.SENT,
         share=Share,
-        how=(Literal["cut", "cut_ended", "oversized"], "cut"),
+        how=(Literal["cut", "cut_ended", "oversized", "lost", "doubled"], "cut"),
     ),
 )
 
@@ -112,7 +142,6 @@ class StreamedCamera(ABC):
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
-    shown_ns: Sequence[int] = ()  # unknown
 
     def __init__(self, stage: Stage, settings: StreamSettings) -> None:
         section = stage.lab.camera
@@ -131,11 +160,23 @@ class StreamedCamera(ABC):
         self._port = named if port is None else port
         self._past: deque[tuple[int, Floats]] = deque(maxlen=200)
         self._watched = self._opened = False
+        self.freezes = 0  # number of present faults that stop exposures
+        self.shown_ns: list[int] = []  # unknown over HTTP
+        self._visible: dict[int, Sequence[bool]] = {}  # by the time of exposure [ns]
         self._exposures = 0
+
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return what rehearsals draw of the pictures."""
+        return Rehearsal([*stream_rows()])
 
     @abstractmethod
     def _scene(self) -> Floats:
         """Return the present scene as numbers that can be interpolated in time."""
+
+    @abstractmethod
+    def _visible_now(self) -> Sequence[bool]:
+        """Return which bodies are not covered or left out."""
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
@@ -148,7 +189,7 @@ class StreamedCamera(ABC):
         self._start_ns = loop.now() - clock.now()
         self._remember()
         self.camera: Any = (EmulatedNetworkCamera if wires.http else MemoryCamera)(
-            self._draw,
+            self._taken,
             clock,
             settings.rate,
             settings.exposure,
@@ -156,6 +197,9 @@ class StreamedCamera(ABC):
             port=self._port,
             drips=settings.drips,
         )
+        if not wires.http:
+            self.shown_ns = [0] * len(self._visible_now())
+            self.camera.on_shown = self._show
         self.camera.__enter__()
         self._opened = True
         self._expose()
@@ -176,6 +220,18 @@ class StreamedCamera(ABC):
     def _joined(self) -> None:
         """Do nothing, unless overridden; called when a client begins to watch."""
         return
+
+    def _taken(self, exposed_ns: int) -> Grey:
+        """Return the picture of an exposure; remember what it shows."""
+        self._visible[exposed_ns] = self._visible_now()
+        return self._draw(exposed_ns)
+
+    def _show(self, exposed_ns: int) -> None:
+        """Note which bodies a picture has shown to our side."""
+        for i, visible in enumerate(self._visible[exposed_ns]):
+            if visible:
+                self.shown_ns[i] = self._start_ns + exposed_ns
+        self._visible = {at: seen for at, seen in self._visible.items() if at >= exposed_ns}
 
     def _scene_at(self, t_ns: int) -> Floats:
         """Return the scene at a time [ns] on the camera's clock, interpolated between the stored
@@ -201,7 +257,7 @@ class StreamedCamera(ABC):
         """Report an exposure, and a client that begins to watch; schedule the next exposure."""
         now = self._stage.timeline.now_ns
         self._exposures += 1
-        self._stage.exposed(self._exposures, self._exposures)
+        self._stage.exposed(self._exposures, 0)  # our camera counts what comes
         self._stage.sent(self._exposures)
         if self.camera.watched and not self._watched:
             self._joined()

@@ -33,8 +33,8 @@ ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 def violations(truth: Truth, limits: LabLimits, watchdog_s: float) -> list[Violation]:
     """Return the invariants that a day has broken."""
     class_ = hidden(truth, limits)
-    found = [*sending(truth, limits, watchdog_s), *_rest(truth, limits, watchdog_s), *_end(truth)]
-    found += [*_reason(truth), *times(truth, limits.stale, limits.untracked_abort), *logged(truth)]
+    found = [*sending(truth, limits, watchdog_s), *_rest(truth, limits, watchdog_s), *ends(truth)]
+    found += [*reasons(truth), *times(truth, limits.stale, limits.untracked_abort), *logged(truth)]
     found += places(truth, limits)
     beyond = [*_space(truth, limits, watchdog_s), *_belief(truth)]
     return found + [Violation(v.name, v.at_s, v.found, class_) for v in beyond]
@@ -106,7 +106,7 @@ def _belief(truth: Truth) -> Iterator[Violation]:
             yield Violation("wrong result", float(truth.times[-1]), f"by {most:.0f} mm")
 
 
-def _end(truth: Truth) -> Iterator[Violation]:
+def ends(truth: Truth) -> Iterator[Violation]:
     """Log, exit code and what is left behind."""
     day, log = truth.day, truth.log
     killed = truth.killed
@@ -120,7 +120,7 @@ def _end(truth: Truth) -> Iterator[Violation]:
     if day.left:
         yield Violation("left behind", 0.0, day.left)
     if isinstance(log, str):
-        if log or truth.first("run") < np.inf:
+        if log or truth.began_s < np.inf:
             yield Violation("no log", 0.0, log or "none was written")
     elif log.result is None:
         expected = -9 if killed else 1
@@ -134,12 +134,12 @@ def _end(truth: Truth) -> Iterator[Violation]:
             yield Violation("verify", 0.0, str(differs[0]))
         elif log.damage is not None and not truth.met("disk_full"):
             yield Violation("damaged log", 0.0, str(log.damage))
-    refused = truth.first("run") == np.inf and truth.met("signal")  # while it waits for robots
+    refused = truth.began_s == np.inf and truth.met("signal")  # while it waits for robots
     if day.exit != expected and not (refused and day.exit == 130):
         yield Violation("exit code", 0.0, f"{day.exit}, not {expected}")
 
 
-def _reason(truth: Truth) -> Iterator[Violation]:
+def reasons(truth: Truth) -> Iterator[Violation]:
     """The reason names a fault that was there."""
     reason = truth.reason
     if reason and not truth.day.plan.faults:

@@ -23,11 +23,9 @@ def logged(truth: Truth) -> Iterator[Violation]:
         return
     if not truth.met(*MUTE):
         yield from _commands(truth)
-    numbers = log.frames
-    if len(numbers) and (np.diff(log.mocap_ns) <= 0).any():
+    if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
         yield Violation("log", 0.0, "a frame comes twice, or late")
-    rows = {int(e["frame"]): row for row, e in enumerate(truth.of("truth"))}
-    known = [(rows[n], k) for k, n in enumerate(numbers.tolist()) if n in rows]
+    known = [(row, k) for k, row in enumerate(truth.rows) if row is not None]
     if not truth.met(*STREAM, *FAULTY):
         yield from _whole(truth, [row for row, _ in known])
     for began, ended, fault in truth.faults:

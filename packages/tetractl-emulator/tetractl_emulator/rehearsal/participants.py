@@ -11,7 +11,7 @@ from typing import Any
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
-from tetractl_emulator.rehearsal.schedule import KINDS, Draw, FaultRow
+from tetractl_emulator.rehearsal.schedule import KINDS, SPAN_S, Draw, FaultRow
 from tetractl_emulator.script import Sides
 
 SectionDraw = Callable[[Random, bool], dict[str, Any]]
@@ -25,24 +25,33 @@ def _as_in_the_spec(random: Random, off: bool) -> dict[str, Any]:
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
     """A side's part: `rows` for its own faults, which replace the table's of the same fault, and
-    the draw of its `world`.
+    the draw of its `world`. An actuator of cells also names those of a dish from which trials
+    choose, `dish`, and the latest begin of a fault, `span_s` [s].
     """
 
     rows: Sequence[FaultRow] = ()
     world: SectionDraw = _as_in_the_spec
+    dish: tuple[str, ...] = ()
+    span_s: float = SPAN_S
 
 
 @dataclass(frozen=True, slots=True)
 class LabRehearsal:
-    """The rows of all faults that a lab can have, and the draws for camera and actuator."""
+    """The rows of all faults that a lab can have, and the draws for camera and actuator; the names
+    of the robots or cells that faults may name; whether robots are `placed` on their starts.
+    """
 
     kinds: Sequence[FaultRow]
     camera: SectionDraw
     actuator: SectionDraw
+    names: tuple[str, ...]
+    placed: bool
+    start_mm: float
+    span_s: float
 
 
-def rehearsal_of(lab: LabSection, setup: Setup) -> LabRehearsal:
-    """Return what a lab can be rehearsed against."""
+def rehearsal_of(lab: LabSection, setup: Setup, chosen: bool = False) -> LabRehearsal:
+    """Return what a lab can be rehearsed against; `chosen`: whether trials choose their robots."""
     sides = Sides.of(lab.camera.type, lab.actuator.type)
     camera, actuator = (
         side.rehearsal(lab, setup) if hasattr(side, "rehearsal") else Rehearsal()
@@ -53,4 +62,6 @@ def rehearsal_of(lab: LabSection, setup: Setup) -> LabRehearsal:
     kinds = [row for row in KINDS if row.fault in names]
     if len(setup.names) < 2:
         kinds = [row for row in kinds if row.fields is not Draw.robots]
-    return LabRehearsal([*own, *kinds], camera.world, actuator.world)
+    names, start_mm = actuator.dish if chosen else setup.names, lab.limits.start_mm
+    draws = camera.world, actuator.world
+    return LabRehearsal([*own, *kinds], *draws, names, not chosen, start_mm, actuator.span_s)

@@ -28,6 +28,8 @@ RADIO = r"radio|\bport\b|does not answer|battery"
 STOP_SHARE = 0.1  # of the faults that begin while robots stop, in a pause or at the end
 STRONG = 0.9
 """Strength from which on a fault lasts to the end."""
+SPAN_S = 11.0
+"""Latest begin of a fault after the first command that moves robots [s]."""
 JUMPS = above("by", 60, 0.45, alone=True)
 
 
@@ -276,17 +278,20 @@ KINDS = tuple(_kinds())
 
 
 def faults_of_day(
-    random: Random, names: tuple[str, ...], kinds: Sequence[FaultRow] = KINDS
+    random: Random,
+    names: tuple[str, ...],
+    kinds: Sequence[FaultRow] = KINDS,
+    span_s: float = SPAN_S,
 ) -> list[dict[str, Any]]:
     """Draw a day's faults as of a script; a third of the days have one, others two to six. The key
     `kind` is the name of the row; `strength` that of the draw.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
     chosen = random.choices(kinds, [kind.weight for kind in kinds], k=count)
-    return [_fault(random, kind, names) for kind in chosen]
+    return [_fault(random, kind, names, span_s) for kind in chosen]
 
 
-def _fault(random: Random, kind: FaultRow, names: tuple[str, ...]) -> dict[str, Any]:
+def _fault(random: Random, kind: FaultRow, names: tuple[str, ...], span_s: float) -> dict[str, Any]:
     draw = Draw(random, names, random.random())
     fault = {"kind": kind.name, "strength": round(draw.strength, 3), "fault": kind.fault}
     fault |= kind.fields(draw)
@@ -296,7 +301,7 @@ def _fault(random: Random, kind: FaultRow, names: tuple[str, ...]) -> dict[str, 
     elif when > 1 - STOP_SHARE:
         fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
     else:
-        fault["at"] = round(random.uniform(0, 11), 3)
+        fault["at"] = round(random.uniform(0, span_s), 3)
     if not kind.at_once and "for" not in fault and draw.strength < STRONG:
         fault["for"] = round(0.02 * 200 ** random.random(), 3)  # from 20 ms to 4 s
     return fault

@@ -21,13 +21,14 @@ PLAIN_MM_S, PLAIN_RAD_S = 10.0, 0.1  # five times what counts as motion at rest
 
 def times(truth: Truth, stale_s: float, untracked_s: float) -> Iterator[Violation]:
     """Yield what ended too late, or began or ended in motion."""
-    yield from _late(truth)
+    yield from late(truth)
     yield from _off(truth)
     yield from _seldom(truth, stale_s, 3.0 * untracked_s)
     yield from _at_rest(truth)
 
 
-def _late(truth: Truth) -> Iterator[Violation]:
+def late(truth: Truth) -> Iterator[Violation]:
+    """Yield the faults that did not end the trial in their time while robots were driven."""
     for began, ended, fault in truth.faults:
         due, name = truth.day.plan.kind(fault).due, str(fault["kind"])
         if due is None or (due.alone and truth.day.plan.off):

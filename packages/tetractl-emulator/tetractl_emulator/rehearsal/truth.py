@@ -21,6 +21,7 @@ from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
 
 RUN, EMERGENCY = 1, 2  # flags of a command
+NEAR_S = 0.02  # largest difference of the times of a picture
 
 
 @dataclass
@@ -129,6 +130,11 @@ class Truth:
         return float(self.unseen[row].min()) if row >= 0 else 0.0
 
     @cached_property
+    def began_s(self) -> float:
+        """Time from which the guard lets the controller steer; infinite if it never does."""
+        return self.first("guard", state="run")
+
+    @cached_property
     def abort_s(self) -> float:
         """Time of the guard's abort; infinite without one."""
         return self.first("guard", state="abort")
@@ -180,12 +186,30 @@ class Truth:
         said = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
         return said[1] if said else ""
 
+    @cached_property
+    def rows(self) -> list[int | None]:
+        """The exposure of each frame in the log: by its number or, as pictures have none, by its
+        time on the host's clock; None if there is no such exposure.
+        """
+        assert isinstance(self.log, TrialLog), "a log was read"
+        numbers = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
+        if any(numbers):
+            return [numbers.get(int(number)) for number in self.log.frames]
+        host = self.times.copy()
+        for began, ended, fault in self.faults:
+            if fault["fault"] == "host_clock":
+                host += fault["by"] * (self.times >= began)
+            elif fault["fault"] == "asleep":
+                host -= np.clip(self.times, began, max(began, ended)) - began
+        off = np.abs(host[:, None] - self.log.mocap_ns / SECOND)
+        nearest = zip(off.argmin(axis=0).tolist(), off.min(axis=0).tolist(), strict=True)
+        return [row if apart < NEAR_S else None for row, apart in nearest]
+
     @property
     def final(self) -> int:
         """The exposure of the last frame in the log, after which people may move robots."""
-        assert isinstance(self.log, TrialLog), "a log was read"
-        rows = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
-        return rows.get(int(self.log.frames[-1]), -1) if len(self.log.frames) else -1
+        known = [row for row in self.rows if row is not None]
+        return known[-1] if known else -1
 
     @cached_property
     def accepted(self) -> Floats:
@@ -194,10 +218,9 @@ class Truth:
         """
         found = np.full((len(self.times), len(self.setup.names), 3), np.nan)
         if isinstance(self.log, TrialLog) and len(self.log.frames):
-            rows = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
             mm = self.setup.metres * 1000
-            for number, poses in zip(self.log.frames.tolist(), self.log.mocap, strict=True):
-                if (row := rows.get(int(number))) is not None:
+            for row, poses in zip(self.rows, self.log.mocap, strict=True):
+                if row is not None:
                     found[row] = poses * (mm, mm, 1.0)
             logged = np.flatnonzero(~np.isnan(found).all(axis=(1, 2)))
             last = len(found) if self.log.result is not None else int(logged.max(initial=0))

@@ -35,15 +35,18 @@ def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = Tr
     camera = lab.camera(random, False)
     far, off = random.random() < FAR_SHARE * bad, random.random() < OFF_SHARE * bad
     right = [r"from its start|turned by"] * far + [OFF] * off
-    emulation: dict[str, Any] = {"camera": camera, "robots": _placed(random, setup, far)}
+    emulation: dict[str, Any] = {"camera": camera}
+    if lab.placed:
+        emulation["robots"] = _placed(random, setup, 1.6 * lab.start_mm * far, 0.16 * lab.start_mm)
     emulation["actuator"] = lab.actuator(random, off)
     return World(emulation, "|".join([PLACE, *right]))
 
 
-def _placed(random: Random, setup: Setup, far: bool) -> list[dict[str, Any]]:
+def _placed(random: Random, setup: Setup, far_mm: float, near_mm: float) -> list[dict[str, Any]]:
+    """Return starts that are off by up to `near_mm`, the first by `far_mm` unless that is 0."""
     placed = []
     for i, name in enumerate(setup.names):
-        off = (80.0 if far and i == 0 else random.uniform(0, 8)) / 1000 / setup.metres
+        off = (far_mm if far_mm and i == 0 else random.uniform(0, near_mm)) / 1000 / setup.metres
         angle = random.uniform(-math.pi, math.pi)
         x = setup.starts.x[i] + off * math.cos(angle)
         y = setup.starts.y[i] + off * math.sin(angle)

@@ -22,7 +22,7 @@ from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_li
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
-from tetractl_microscope.cells.section import CellsSection
+from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
@@ -55,6 +55,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self.section = section
         self._setup = setup
         self._organism = named(section.organism)
+        self._moved_um = 0.0, 0.0  # by how much knocks have moved what the pictures show
         self._tracker = CellTracker(
             section.um_px,
             known=True,
@@ -150,6 +151,8 @@ class CellCamera(PictureCamera[SeenDish]):
             self._learn(picture, exposed_ns)
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
+        (columns, rows), um_px = self._tracker.finder.light.shift_px, self.section.um_px
+        self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
         self._cells = cells
         self._now, since = exposed_ns / SECOND, self._since
         self._since = {c.track: since.get(c.track, (self._now, float(c.mean[WAY]))) for c in cells}
@@ -190,7 +193,7 @@ class CellCamera(PictureCamera[SeenDish]):
         if len(cells) < count:
             return [-1] * count
         starts = self._setup.starts.array()[:, :2]
-        places = np.array([self.section.placed(c.x, c.y, self._setup.metres) for c in cells])
+        places = np.array([self._placed(c.x, c.y) for c in cells])
         gaps = np.linalg.norm(starts[:, None] - places[None], axis=-1)
         chosen = linear_sum_assignment(gaps)[1]
         self._identities = [cells[int(j)].identity for j in chosen]
@@ -198,12 +201,19 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _pose_of(self, cell: SeenCell) -> Pose:
         """Return the pose of a cell in the spec's coordinates."""
-        x, y = self.section.placed(cell.x, cell.y, self._setup.metres)
+        x, y = self._placed(cell.x, cell.y)
         return Pose(x, y, cell.heading + self.section.rotation)
+
+    def _placed(self, x: Lengths, y: Lengths) -> tuple[Lengths, Lengths]:
+        """Return positions in the spec's coordinates, which are the dish's: a knock moves neither
+        targets nor walls.
+        """
+        off_x, off_y = self._moved_um
+        return self.section.placed(x - off_x, y - off_y, self._setup.metres)
 
     def _near_wall(self, x: Floats, y: Floats) -> Bools:
         """Return whether a wall may turn cells at positions (R,) in the picture [um]."""
-        inside = self._setup.arena.inside(*self.section.placed(x, y, self._setup.metres))
+        inside = self._setup.arena.inside(*self._placed(x, y))
         return inside < WALL_UM * 1e-6 / self._setup.metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Generic, Protocol, Self, TypeVar
 
 import cv2
+import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
@@ -46,8 +47,8 @@ class PictureCamera(ABC, Generic[S]):
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
     number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
-    is never set. `join` opens a source in memory that calls a function with each picture, without a
-    thread; None opens the spec's source.
+    is never set; a picture that repeats the one before is no frame. `join` opens a source in memory
+    that calls a function with each picture, without a thread; None opens the spec's source.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class PictureCamera(ABC, Generic[S]):
         self._size: tuple[int, ...] | None = None
         self._next: queue.Queue[tuple[int, Picture]] = queue.Queue(maxsize=1)
         self._unread = 0  # number of pictures that could not be decoded
+        self._newest: Grey | None = None
         self._number = self._skipped = 0
         self._ended = ""
         self._changed = threading.Condition()
@@ -197,6 +199,8 @@ class PictureCamera(ABC, Generic[S]):
             if grey is None or (self._size is not None and grey.shape != self._size):
                 self._unread += 1  # a picture of another size does not fit the calibration
                 return
+            if self._repeats(grey):
+                return
             seen = self._see(grey, exposed)
         except cv2.error:  # OpenCV cannot process this picture
             self._unread += 1
@@ -210,6 +214,11 @@ class PictureCamera(ABC, Generic[S]):
         with self._changed:
             self._changed.notify_all()
         self._wake()
+
+    def _repeats(self, grey: Grey) -> bool:
+        """Return whether a picture is the newest one again, noise and all, and not just black."""
+        before, self._newest = self._newest, grey
+        return before is not None and np.array_equal(before, grey) and int(np.ptp(grey)) > 0
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         if self._join is not None:

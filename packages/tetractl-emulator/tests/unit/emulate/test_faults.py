@@ -8,7 +8,7 @@ import pytest
 from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
 from support.lab_processes import emulated, turn_until
 from support.lab_specs import SPEC
-from support.paths import SCRIPTS
+from support.paths import EXAMPLES, SCRIPTS
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.faults import Injector, Visible
 from tetractl_emulator.faults import fault as kind_of
@@ -22,7 +22,33 @@ from tetractl.lab.cobs import Flag
 
 RADIO = ("loss", "late_ns", "jitter_ns", "doubled", "_down", "speed", "noise")
 RUN = ((60, 60), (60, 60))
-FIELD = ("off", "low_supply, millivolts: 9000", "hot, celsius: 85", "mute")
+FIELD = (
+    "off",
+    "low_supply, millivolts: 9000",
+    "hot, celsius: 85",
+    "mute",
+    "late_driver, by: 0.2",
+    "doubled_commands",
+    "bad_bytes, share: 0.1",
+    "weak_coils, axis: y, share: -0.5",
+    "turned_coils, by: 0.4",
+)
+STREAM = (
+    "no_frames",
+    "repeat",
+    "half_rate",
+    "half_rate, every: 7",
+    "late_pictures, by: 0.3",
+    *(f"bad_pictures, share: 1, how: {how}" for how in ("cut", "lost", "doubled")),
+)
+MICROSCOPE = (
+    *STREAM,
+    "light, share: 0.5",
+    "focus, by_um: 30",
+    "knocked, by_um: [40, 0]",
+    "bubble",
+    "untracked, cell: cell 1",
+)
 PROCESS = {get_args(kind.model_fields["fault"].annotation)[0] for kind in PROCESS_FAULTS}
 ELSEWHERE = {"unplug", "stuck_port", "pushed", "stopped_elsewhere", *PROCESS}  # nothing to undo
 
@@ -56,6 +82,7 @@ def state(lab):
     else:
         driver = actuator.driver
         parts += [driver.powered, driver.mute, driver.supply_mv, driver.temperature_dc]
+        parts += [driver.late_ns, driver.doubled, driver.noise, actuator.dish.coils]
     return repr(parts)
 
 
@@ -80,6 +107,44 @@ def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault):
     assert state(lab) != before
     undo()
     assert state(lab) == before
+
+
+@pytest.mark.parametrize("text", MICROSCOPE)
+def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
+    pytest.importorskip("cv2")
+    side, many = EXAMPLES / "tetrahymena_dish.yaml", f"faults: [{{fault: {text}}}]"
+    with virtual_lab(tmp_path, spec=side, script=many) as lab:
+        camera, (fault,) = lab.emulation.camera, lab.emulation.injector.faults
+        stream = camera.camera
+
+        def now():
+            sent = len(stream.changes), stream.latency_ns, stream.every, stream.frozen.is_set()
+            return repr((sent, camera.painter.look, camera.hidden))
+
+        before = now()
+        undo = fault.begin(camera)
+        assert now() != before
+        undo()
+        assert now() == before
+
+
+def test_pictures_are_late_lost_or_doubled_and_what_is_shown_is_known(tmp_path):
+    pytest.importorskip("cv2")
+    came = []
+    faults = "{fault: late_pictures, since: start, at: 1, by: 0.2}"
+    lost = "{fault: bad_pictures, since: start, at: 2, share: 1, how: lost}"
+    with virtual_lab(tmp_path, spec=APRILTAG_SPEC, script=f"faults: [{faults}, {lost}]") as lab:
+        camera, clock = lab.emulation.camera, lab.clock
+        latency_s = camera.camera.latency_ns / SECOND
+        camera.join(lambda jpeg: came.append(clock.now() / SECOND))
+        ages = []
+        for seconds in (0.9, 1.9, 2.9):
+            clock.sleep_until(round(seconds * SECOND))
+            ages.append(seconds - max(camera.shown_ns) / SECOND)
+    assert ages[0] == pytest.approx(latency_s, abs=0.04)
+    assert ages[1] == pytest.approx(latency_s + 0.2, abs=0.04)
+    assert ages[2] == pytest.approx(0.9 + latency_s + 0.2, abs=0.04)  # those under way are lost
+    assert max(came) < 2.01
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import pytest
 from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
 from support.lab_specs import SPEC
+from support.paths import EXAMPLES
 from tetractl_emulator.faults import UNPLUG, fault
 from tetractl_emulator.rehearsal.day import plan_of_day
 from tetractl_emulator.rehearsal.participants import Rehearsal, rehearsal_of
@@ -10,7 +11,7 @@ from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
 from tetractl_emulator.script import Sides, script_of
 from tetractl_emulator.twist.side import EmulatedTwist
 
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import load_spec, parse_spec
 
 
 def lab_of(spec):
@@ -31,6 +32,32 @@ def test_a_camera_of_pictures_has_none_of_a_motion_capture_system():
     names = {kind.fault for kind in kinds_of(APRILTAG_SPEC)}
     assert {"no_frames", "untracked", "unplug", "signal"} < names
     assert not names & {"swap", "twin_id", "ghost"}
+
+
+@pytest.mark.parametrize("name", ["tetrahymena_dish", "tetrahymena_lab", "tags"])
+def test_days_of_cells_and_of_pictures_are_valid_scripts(name):
+    """Every row is drawn; a dish from which trials choose has its own cells."""
+    loaded = parse_spec(APRILTAG_SPEC, "lab.yaml")
+    loaded = loaded if name == "tags" else load_spec(EXAMPLES / f"{name}.yaml")
+    lab, setup = loaded.experiment.lab, loaded.experiment.setup
+    drawn = rehearsal_of(lab, setup, loaded.experiment.open)
+    met = set()
+    for day in range(400):
+        plan = plan_of_day(1, day, setup, drawn)
+        met |= {fault["kind"] for fault in plan.faults}
+        if day % 4 == 0:
+            script = script_of(plan.script(), lab.camera.type, lab.actuator.type)
+            assert len(script.faults) == len(plan.faults)
+            assert bool(script.emulation.robots) == (not loaded.experiment.open)
+    assert met == {row.name for row in drawn.kinds}
+
+
+def test_cells_can_have_what_pictures_coils_and_cells_have_and_nothing_of_wheels():
+    experiment = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment
+    names = {row.name for row in rehearsal_of(experiment.lab, experiment.setup, True).kinds}
+    assert {"blurred", "knocked", "pictures late", "coils turned", "cell divides"} < names
+    assert {"killed", "suspended", "disk full", "second run"} < names
+    assert not names & {"wheel stuck", "pose frozen", "ghost turns", "radio late"}
 
 
 def test_one_robot_is_not_swapped_with_itself():

@@ -302,6 +302,9 @@ class EmulatedAprilTag(StreamedCamera):
         """Return the number of a robot's tag."""
         return entry(self._section.robots, name).tag
 
+    def _visible_now(self) -> Sequence[bool]:
+        return [robot.tag not in self.renderer.hidden for robot in self.renderer.robots]
+
     def _scene(self) -> Floats:
         mm = self._stage.mm
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])

@@ -12,7 +12,9 @@ from tetractl_microscope.cells.section import CellsSection
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
-from tetractl.experiment.base import Finite, Model, NonNegative, Positive
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import Bodies, bodies
 from tetractl_emulator.faults import Fault, Undo, Visible, fault
 from tetractl_emulator.pictures.dish.live_dish import CellBody
@@ -23,6 +25,8 @@ from tetractl_emulator.pictures.dish.picture import (
     RenderedSpeck,
 )
 from tetractl_emulator.pictures.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
+from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.rehearsal.picture_faults import microscope_rows, microscope_world
 from tetractl_emulator.sides import Body, Stage
 
 
@@ -72,6 +76,11 @@ def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
     return look.corner_um[0] + fault.by_um[0], look.corner_um[1] + fault.by_um[1]
 
 
+def _hide(fault: Any, device: Any) -> Undo:
+    device.hidden.add(fault.cell)
+    return lambda: device.hidden.discard(fault.cell)
+
+
 class EmulatedMicroscope(StreamedCamera):
     """A microscope's network camera above cells; every picture is synthetic.
 
@@ -114,6 +123,7 @@ class EmulatedMicroscope(StreamedCamera):
             Visible.EXPOSED,
             size_um=(Positive, 200.0),
         ),
+        fault("untracked", "A cell is not in the pictures.", _hide, Visible.EXPOSED, cell=Name),
     )
 
     def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
@@ -151,14 +161,23 @@ class EmulatedMicroscope(StreamedCamera):
             ),
             self.seed,
         )
-        self._hidden, self._mirrored = False, settings.mirrored
+        self._bodies = cells
+        self.hidden, self._mirrored = set[str](), settings.mirrored  # names of cells
+
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return what rehearsals draw of the microscope."""
+        return Rehearsal([*microscope_rows()], microscope_world)
 
     def hide(self, hidden: bool) -> None:
         """If `hidden`, leave all cells out of the pictures; otherwise draw them again."""
-        self._hidden = hidden
+        self.hidden = {body.name for body in self._bodies} if hidden else set()
 
     def _joined(self) -> None:
         self._dish.drop()
+
+    def _visible_now(self) -> Sequence[bool]:
+        return [body.name not in self.hidden for body in self._bodies]
 
     def _scene(self) -> Floats:
         seen = bodies(self._dish.cells)
@@ -172,6 +191,7 @@ class EmulatedMicroscope(StreamedCamera):
         there = min(len(moment.x) for moment in moments)
         moments = [Bodies(*(part[:there] for part in astuple(moment))) for moment in moments]
         cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < there)
-        shown = np.full(there, not self._hidden)
+        shown = np.ones(there, bool)
+        shown[: len(self._bodies)] = self._visible_now()
         picture = self.painter.picture(cells, moments, shown, exposed_ns / SECOND)
         return picture[:, ::-1] if self._mirrored else picture

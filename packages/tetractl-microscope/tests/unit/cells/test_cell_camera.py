@@ -9,6 +9,7 @@ from support.dish_films import film
 from support.needs_opencv import video
 from tetractl_microscope.cells.cells_health import SeenDish, dish_lines
 from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.looks import Look
 
 from tetractl.core.clock import VirtualClock
@@ -70,6 +71,40 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
     assert health.emulated  # a film shows no cells of this moment
     assert any("has ended" in line for line in health.problems)
     assert health.facts["scale"] == "2.3 um/px"
+
+
+def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
+    """From picture 50 on all that is seen is shifted, and a rim is new; what is still tells."""
+    count, (down, right) = iter(range(1000)), (6, 12)
+    made, path = dish(
+        tmp_path,
+        lambda each: np.roll(each, (down, right), (0, 1)) if next(count) >= 50 else each,
+    )
+    _, cells = camera(path, made.body[25, :, :2])
+    with cells:
+        assert cells._wait(lambda: bool(cells._ended), 120.0)
+        found = cells.frames()
+    off = [
+        (pose.x - made.body[frame.number - 1, i, 0], pose.y - made.body[frame.number - 1, i, 1])
+        for frame in found
+        if frame.number > 55
+        for i, pose in enumerate(frame.poses)
+        if pose is not None
+    ]
+    assert len(off) > 20
+    assert np.abs(np.median(off, axis=0)).max() < 6
+    assert cells._moved_um == pytest.approx((right * 2.3, -down * 2.3), abs=3)
+
+
+def test_a_picture_that_comes_again_is_no_frame(tmp_path):
+    """A camera's noise never repeats; black pictures are all alike, and are reported as black."""
+    made, path = dish(tmp_path)
+    shown = list(made.pictures())[:40]
+    _, cells = camera(path, made.body[25, :, :2])
+    for k, grey in enumerate([*shown, shown[-1], shown[-1], 0 * shown[0], 0 * shown[0]]):
+        cells._search(k, Picture(grey, (k + 2) * 33_333_333))
+    assert [frame.number for frame in cells.frames()][-4:] == [38, 39, 42, 43]
+    assert cells.damaged == 0
 
 
 def test_places_and_headings_are_in_the_specs_axes(tmp_path):

@@ -1,0 +1,128 @@
+"""Each invariant of cells is broken by a record in which it does not hold, and by none in which it
+does.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.paths import EXAMPLES
+from tetractl_emulator.rehearsal.cell_invariants import (
+    DishTruth,
+    _identity,
+    _result,
+    cell_violations,
+)
+from tetractl_emulator.rehearsal.day import Day, DayPlan
+from tetractl_emulator.rehearsal.picture_faults import microscope_rows
+
+from tetractl.core.plan import Outcome
+from tetractl.experiment.load import load_spec
+from tetractl.log.read.trial_log import TrialLog
+
+EXPERIMENT = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment
+STARTS = [[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [2.0, 2.0, 0.0]]
+DARK = {"kind": "dark", "strength": 0.5, "fault": "light", "share": 0.1, "at": 1.0}
+KEY = {"kind": "dark", "strength": 0.5, "fault": "emergency", "at": 1.0}
+ERROR = "error: trial 1: cell 1 is not tracked (0.70 s)\n"
+
+
+def at(seconds, event, **facts):
+    return {"t_ns": round(seconds * 1e9), "event": event, **facts}
+
+
+def truth_at(seconds, amperes=0.0, poses=STARTS):
+    return at(seconds, "truth", frame=0, poses=poses, currents_a=[amperes, 0.0])
+
+
+def command(seconds, flags=1, unseen=60.0):
+    currents = [500 * (flags & 1), 0]
+    return at(seconds, "command", flags=flags, currents_ma=currents, unseen_ms=[unseen] * 4)
+
+
+RUN = [
+    at(0.5, "run"),
+    command(0.5, unseen=500.0),  # the field turns before the choice
+    at(1.0, "guard", state="run", reason=""),
+    command(1.0),
+    truth_at(1.0, 0.5),
+]
+SEEN = at(2.0, "fault", phase="start", name="light", row=0)
+STOP = at(3.0, "guard", state="abort", reason="cell 1 is not tracked (0.70 s)")
+
+
+def truth_of(*events, fault=DARK, said=ERROR):
+    events = sorted([*RUN, *events], key=lambda event: event["t_ns"])
+    plan = DayPlan(1, {}, [fault], "", [*microscope_rows()])
+    return DishTruth(Day(plan, events, 1, said, None, "", 1.0), EXPERIMENT.setup)
+
+
+def found(*events, **more):
+    names = {one.name for one in cell_violations(truth_of(*events, **more), EXPERIMENT.lab)}
+    return names - {"no log"}
+
+
+def test_a_good_end_breaks_nothing():
+    assert not found(SEEN, STOP, command(2.9), command(3.0, 0), truth_at(3.0, 0.5), truth_at(3.4))
+
+
+@pytest.mark.parametrize(
+    ("name", "events", "more"),
+    [
+        ("steers blind", [SEEN, STOP, command(2.1, unseen=300.0)], {}),
+        ("steers blind", [command(0.6, unseen=700.0), SEEN, STOP], {}),
+        ("steers after stop", [SEEN, STOP, command(3.1)], {}),
+        ("field after stop", [SEEN, STOP, command(3.0), truth_at(3.4, 0.5)], {}),
+        ("field unattended", [SEEN, STOP, truth_at(1.5, 0.5)], {}),
+        ("reason", [SEEN, STOP], {"said": "error: trial 1: the moon is full\n"}),
+        (
+            "emergency released",
+            [at(2.0, "fault", phase="start", name="emergency", row=0), STOP, command(2.1, 0)],
+            {"fault": KEY},
+        ),
+    ],
+)
+def test_an_invariant_is_broken(name, events, more):
+    assert name in found(*events, **more)
+
+
+def test_pictures_that_were_late_make_the_bound_later():
+    late = {"kind": "pictures late", "strength": 0.5, "fault": "late_pictures", "by": 0.2, "at": 1}
+    assert not found(SEEN, STOP, command(2.1, unseen=450.0), fault=late)
+
+
+def logged(seconds, seen, meets=False):
+    """What is found of a log in which robot 0 was seen at `seen` [um] for so long."""
+    times = np.arange(1.0, 1.0 + seconds, 0.1)
+    near = [[1.0, 1.0, 0.0], [1.03, 1.0, 0.0], *STARTS[2:]] if meets else STARTS
+    events = [truth_at(times[1], 0.0, near), *(truth_at(t, 0.0) for t in times[2:])]
+    poses = np.array([[STARTS[0], STARTS[1], STARTS[2]]] * len(times)) * 1000
+    poses[1:, 0, :2] = seen
+    truth = truth_of(SEEN, *events)
+    setup = EXPERIMENT.setup
+    errors = np.hypot(*(poses[-1, :, :2] - setup.targets.reshape(-1, 2)).T)
+    fields = dict.fromkeys(TrialLog.__dataclass_fields__) | {
+        "start": SimpleNamespace(setup=setup),
+        "mocap_ns": np.round(times * 1e9).astype(int),
+        "mocap": poses,
+        "valid": np.ones(poses.shape[:2], bool),
+        "stop": SimpleNamespace(sent_ns=round(times[-1] * 1e9)),
+        "result": SimpleNamespace(outcome=Outcome.ARRIVED, robot_errors=errors, lost=(), reason=""),
+    }
+    vars(truth)["log"] = TrialLog(**fields)
+    return truth
+
+
+@pytest.mark.parametrize(
+    ("seconds", "seen", "meets", "expected"),
+    [
+        (6.0, (1010.0, 1000.0), False, set()),
+        (3.0, (1990.0, 1000.0), False, {("wrong result", "")}),
+        (6.0, (1000.0, 1100.0), False, {("accepts wrong", ""), ("wrong result", "")}),
+        (6.0, (1990.0, 1000.0), True, {("accepts wrong", "met"), ("wrong result", "met")}),
+    ],
+)
+def test_a_wrong_pose_is_found_unless_its_cell_has_met_the_other(seconds, seen, meets, expected):
+    truth = logged(seconds, seen, meets)
+    broken = [*_identity(truth, EXPERIMENT.lab.limits), *_result(truth)]
+    assert {(one.name, one.predicted.partition(":")[0]) for one in broken} == expected

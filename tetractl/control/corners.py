@@ -25,6 +25,8 @@ class WayOut(NamedTuple):
     share: float = 0.8  # and at most as a fraction of the present clearance
     turn_s: float = 1.5  # time of turning after which robots must have a way out
     turns: int = 4  # control steps for which a direction to turn to is kept
+    vain: int = 12  # number of turns that may lead nowhere, one after the other
+    every: int = 7  # of these, every other is to the 7th next direction of TURN_TO
     parts: int = 4  # number of moments of a signal at which the clearance is computed
     final: float = 0.2  # weight of the final clearance relative to the least on the path
 
@@ -48,16 +50,14 @@ def way_out(
 
 class Turning(NamedTuple):
     """The direction [rad] to which standing robots turn, None if they do not, and in how many
-    control steps they have turned to it."""
+    control steps they have turned, to it and to others before."""
 
     facing: float | None = None
     steps: int = 0
 
     def then(self, facing: float | None) -> "Turning":
         """Return what it is after a step in which the robots turn to `facing` [rad]."""
-        if facing is None:
-            return STILL
-        return Turning(facing, self.steps + 1 if facing == self.facing else 1)
+        return STILL if facing is None else Turning(facing, self.steps + 1)
 
 
 STILL = Turning()
@@ -72,19 +72,26 @@ def away(
     Robots that are `turning` to a direction keep it for OUT.turns steps, in which all reach it: one
     that stands nearly opposite to it hardly turns at first, and another direction might be opposite
     again. After that the turn has led nowhere: then the best way out that enters nothing comes
-    before another turn.
+    before another turn. If nothing is predicted to help, or every other turn leads nowhere, robots
+    turn to any direction, since their headings decide what is possible next; after OUT.vain turns,
+    nothing helps.
     """
     out = way_out(problem, margins, apart)
     if out is not None:
         return out, None
-    if 0 < turning.steps < OUT.turns:
+    vain, kept = divmod(turning.steps, OUT.turns)
+    if kept:
         return None, turning.facing
-    facing = None if turning.steps else turn_away(problem, margins, apart)
+    facing = None if vain else turn_away(problem, margins, apart)
     if facing is None:
         out = way_out(problem, margins, apart, 0.0)
-    if turning.steps and out is None:
+    if vain % 2 and out is None:
         facing = turn_away(problem, margins, apart)
-    return out, turn_away(problem, margins, apart, 0.0) if out is facing is None else facing
+    if not vain and out is facing is None:
+        facing = turn_away(problem, margins, apart, 0.0)
+    if out is facing is None and vain < OUT.vain:
+        facing = float(TURN_TO[OUT.every * vain % len(TURN_TO)])
+    return out, facing
 
 
 def turn_away(

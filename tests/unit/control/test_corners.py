@@ -150,4 +150,16 @@ def test_a_direction_to_turn_to_is_kept_until_the_turn_has_led_nowhere():
     assert facing is None
     np.testing.assert_array_equal(out, close)
     assert turning.then(None) == STILL
-    assert turning.then(turning.facing + 0.1).steps == 1
+
+
+def test_where_nothing_is_predicted_to_help_robots_turn_to_one_direction_after_another(monkeypatch):
+    """Regression: a trial ended in a corner at once, 4.3 m from its targets: two bodies touched."""
+    problem, margins = standing(facing_the_wall(1.1 * CIRCLE))
+    for name in ("way_out", "turn_away"):
+        monkeypatch.setattr(f"tetractl.control.corners.{name}", lambda *_: None)
+    turning, tried = STILL, []
+    while (facing := away(problem, margins, 95.0, turning)[1]) is not None:
+        turning = turning.then(facing)
+        tried.append(facing)
+    assert len(tried) == OUT.vain * OUT.turns
+    assert tried[:: OUT.turns] == list(dict.fromkeys(tried))  # each kept, none twice

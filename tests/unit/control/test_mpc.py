@@ -9,6 +9,7 @@ import pytest
 from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
+from tetractl.control.corners import OUT
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.mpc_step import StepStart
@@ -226,6 +227,7 @@ def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_doe
 
 def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
     monkeypatch.setattr("tetractl.control.corners.turn_away", lambda *_: None)
+    monkeypatch.setattr("tetractl.control.corners.OUT", OUT._replace(vain=0))
     stop, stuck, end = decisions_beside_a_wall(3)
     assert (stop.state, stuck.state) == (State.RESTING, State.STUCK)
     assert stuck.pauses

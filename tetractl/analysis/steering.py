@@ -42,7 +42,7 @@ def planner(experiment: Experiment) -> RecommendedMpc:
 
     This is the spec's `controller` if its type is mpc, otherwise mpc with the spec's period, number
     of steps and, if it has them, motion and longest sequence. The optimiser is multistart, which
-    has a tolerance; the first plan, for standing robots, has no deadline.
+    has a tolerance.
     """
     control = experiment.controller
     if isinstance(control, RecommendedMpc):

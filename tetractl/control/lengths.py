@@ -16,9 +16,8 @@ from tetractl.core.protocols import Optimizer
 GROWTH = 1.2  # ratio of successive lengths tried for a detour
 SPREAD = 1.3  # ratio of successive lengths tried at rest
 FINE = 0.05  # precision of the shortest good length, as a fraction of it
+SPREAD_WORK = 3e7  # evaluations x signals x robots after which no longer ones are tried: 0.25 s
 SIGNALS = 6  # least number of signals per robot in a plan for several robots
-THOROUGH, THOROUGH_GROWTH = 3, 1.4
-"""Number of lengths searched thoroughly if robots at rest found no good plan, and their growth."""
 
 
 def least_length(problem: Problem) -> int:
@@ -64,13 +63,11 @@ class Searcher:
         self._expired = expired
         self.found: list[Search] = []
 
-    def search(
-        self, length: int, start: Floats | None = None, thorough: bool = False
-    ) -> Search | None:
+    def search(self, length: int, start: Floats | None = None) -> Search | None:
         """Search sequences of one length; return None if the limits do not allow it."""
         if self.found and self._expired(0):
             return None
-        limits, key = Limits(None, self._expired, thorough), mix(self._key, length)
+        limits, key = Limits(None, self._expired), mix(self._key, length)
         found = self._optimizer.search(self.problem, length, start, key, limits)
         self.found.append(found)
         return found
@@ -91,7 +88,8 @@ class Searcher:
                 return False
             if good(found):
                 break
-            if length == most:
+            spent = sum(one.evaluations * one.length for one in self.found)
+            if length == most or spent * self.problem.a.size > SPREAD_WORK:
                 return False
             length, failed = min(most, max(length + 1, round(SPREAD * length))), length
         while length - failed > max(1, FINE * length):
@@ -108,34 +106,17 @@ class Searcher:
     def onward(
         self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
     ) -> bool:
-        """Search from each of `starts` until a plan is good; return whether one was found.
+        """Search from each of `starts` until a plan is good; return whether the least cost of all
+        searches was found so.
 
         The searches use `problem`, which has the same robots as the searcher's own problem, and is
-        the searcher's problem afterwards if a plan was found.
+        the searcher's problem afterwards if the least cost was found in it.
         """
-        posed, self.problem = self.problem, problem
+        posed, self.problem, before = self.problem, problem, len(self.found)
         for start in starts:
             found = self.search(len(start), start)
-            if found is None:
-                break
-            if good(found):
-                return True
-        self.problem = posed
-        return False
-
-    def thoroughly(self, problem: Problem, most: int, good_enough: float) -> None:
-        """Search up to THOROUGH growing lengths, each thoroughly, until a cost is good enough.
-
-        The searches use `problem`, which has the same robots as the searcher's own problem. The
-        searcher's problem is afterwards the one of the two in which the least cost was found.
-        """
-        robots, posed, before = len(problem.a), self.problem, len(self.found)
-        least = max(least_length(problem), 2 * SIGNALS * robots if robots > 1 else 1)
-        self.problem = problem
-        for i in range(THOROUGH):
-            length = min(most, round(least * THOROUGH_GROWTH**i))
-            found = self.search(length, thorough=True)
-            if found is None or found.cost <= good_enough or length == most:
+            if found is None or good(found):
                 break
         if min(range(len(self.found)), key=lambda i: self.found[i].cost) < before:
             self.problem = posed
+        return self.problem is problem

@@ -30,7 +30,7 @@ from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.mpc_step import Candidate, Leg, StepStart
-from tetractl.control.passage import AHEAD, LOST, TRUSTED_S, ahead, narrow, ways
+from tetractl.control.passage import AHEAD, FAR, LOST, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
@@ -47,7 +47,6 @@ from tetractl.core.plan import (
     Problem,
     Search,
     State,
-    never,
 )
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
@@ -59,6 +58,9 @@ NEXT = 2  # number of next signals of the present plan that must be safe
 UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 RESTED_S = 2.0  # least time that a plan is driven before a rest for a better one [s]
+REST_S = 1.0  # time after which the searches of a step end for standing robots [s]
+SOON, RESTS = 0.7, 10
+"""Robots rest on, up to so many steps, while no plan found is worth so much of their error."""
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 TESTED = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
@@ -69,9 +71,8 @@ class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
     Its state between two steps: the number `k` of the step, the `last` plan, the step `began` in
-    which robots began to follow plans, the direction they are `turning` to, and the `leg`.
-    `timer()`, the time [ns], is read only while the robots move: a plan for standing robots has no
-    deadline.
+    which robots began to follow plans or to rest, the direction they are `turning` to, and the
+    `leg`. `timer()`, the time [ns], is read for deadlines alone.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -115,7 +116,8 @@ class Mpc:
             step = self._step(known)
             decision = self._decide(step, observation)
             if isinstance(decision, Plan):
-                self.began = self.k if step.warm is None else self.began
+                if step.warm is None and not decision.state is self._state is State.RESTING:
+                    self.began = self.k
                 self.last, self.k = decision, self.k + 1
                 self.turning = self.turning.then(decision.facing)
                 found = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
@@ -189,7 +191,8 @@ class Mpc:
         near, key, limits = ahead(problem, way), mix(self.key, self.k), self._expired()
         found = self.optimizer.search(near, AHEAD, warm[:AHEAD], key, Limits(None, limits))
         seen = compiled_foresee(near, found.signals)
-        lost = seen.target > LOST * self.section.accept_error
+        left = float(Poses.of(way[AHEAD]).distances(problem.targets).sum())
+        lost = seen.target > LOST * self.section.accept_error + FAR * left
         lost &= (self.k - self.began) * self.section.period > TRUSTED_S
         if self.stands and (lost or self._enters(problem, found.signals)):
             return self._given(problem, State.RESTING, before=[found])
@@ -283,37 +286,30 @@ class Mpc:
             return self._given(problem, State.RESTING)
         if stood and (error <= again or not step.signals_max):
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
-        expired = self._expired() if self._moving else never
-        searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
+        searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         good_enough = self.section.optimizer.good_enough or 0.0
 
         def good(search: Search) -> bool:
             seen = compiled_foresee(searcher.problem, search.signals)
             return search.cost <= good_enough and self._safe(step, search.signals, seen)
 
-        reached = searcher.spread(least, most, good)
-        later = self._with_margins(problem, None)  # the motion will be identified by then
-        passage = self.section.collision.walls and not (reached or self._moving)
-        if passage and narrow(later, self.margins, self.setup.arena):
-            for one in (problem, later):
-                starts = ways(one, self.setup.arena, most, mix(self.key, self.k))
-                if searcher.onward(one, starts, good):
-                    plan, _ = self._best(searcher, replace(step, problem=one))
-                    return replace(plan, state=State.PASSING)
-        plan, worth = self._best(searcher, step)
-        out = self._out(searcher, plan)
-        accepted = max(good_enough, self.section.accept_error)
-        # in a corner, thorough searches take longer than a way out, and are mostly in vain
-        if not (out or reached) and min(one.cost for one in searcher.found) > accepted:
-            searcher.thoroughly(later, most, good_enough)
+        reached, passes = searcher.spread(least, most, good), False
+        if not (reached or self._moving) and self.section.collision.walls:
+            later = self._with_margins(problem, None)  # the motion will be identified by then
+            starts = ways(later, self.setup.arena, most, mix(self.key, self.k))
+            passes = searcher.onward(later, starts, good)
             step = replace(step, problem=searcher.problem)
-            plan, worth = self._best(searcher, step)
-            out = self._out(searcher, plan)
+        plan, worth = self._best(searcher, step)
+        plan = replace(plan, state=State.PASSING) if passes and plan.search.length > AHEAD else plan
+        out = self._out(searcher, plan)
         there = replace(problem, poses=Poses.of(plan.path[-1]))
-        if tight and (out or worth >= error or self._enters(there, plan.signals[-1:])):
+        if tight and (out or worth - again >= error or self._enters(there, plan.signals[-1:])):
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
+        stays = self.stands and not (reached or out or tight) and worth > SOON * error
+        if stays and self.k - self.began < RESTS:
+            return self._given(problem, State.RESTING, before=searcher.found)
         return out or plan
 
     def _best(self, searcher: Searcher, step: StepStart) -> tuple[Plan, float]:
@@ -383,7 +379,8 @@ class Mpc:
 
     def _expired(self) -> Callable[[int], bool]:
         """Return whether the deadline of the step, which begins now, has passed."""
-        end = self.timer() + round(self.section.deadline * SECOND)
+        seconds = self.section.deadline if self._moving else REST_S
+        end = self.timer() + round(seconds * SECOND)
         return lambda _: self.timer() >= end
 
     def _safe(self, step: StepStart, signals: Floats, seen: Foreseen) -> bool:

@@ -185,8 +185,8 @@ class RecommendedMpc(SearchFields):
     times coarser than the control's, and a signal can still be changed at each control step."""
     deadline: Positive = Field(default_factory=lambda given: 0.8 * given.get("period", SIGNAL_S))
     """Time after which the searches of a control step end and the best sequence so far is used [s];
-    a plan for standing robots has no deadline. The default is 80 % of the control period. In
-    virtual time the searches' work is counted, so that a simulation depends only on its seed."""
+    for standing robots it is 1 s. The default is 80 % of the control period. In virtual time the
+    searches' work is counted, so that a simulation depends only on its seed."""
     estimate: bool = True
     """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
     identified while they drive, starting from the spec's values.

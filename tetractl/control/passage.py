@@ -1,12 +1,13 @@
-"""Ways through passages that are too narrow for all robots abreast.
+"""Ways for many robots, or through passages that are too narrow for all robots abreast.
 
 A common direction moves all robots nearly alike, so that robots pass a gap one after the other, and
-hardly any random sequence of directions leads all of them through. `ways` searches a tree: each
-branch holds a direction, or lets it rotate, for a while. Of each level only the best nodes are kept
-(beam search; Lowerre, The HARPY speech recognition system, 1976), which are those with the least
-sum of the robots' ways to their targets round the obstacles. Of nodes with all robots at nearly the
-same places only the first is kept, so that the few that are kept differ. An optimiser can begin
-with the signals of a node at which all robots are near their targets.
+hardly any random sequence of directions leads many robots, or several through a gap, to targets far
+apart. `ways` searches a tree: each branch holds a direction for a while. Of each level only the
+best nodes are kept (beam search; Lowerre, The HARPY speech recognition system, 1976), which are
+those with the least sum of squares of the robots' ways to their targets round the obstacles. Of
+nodes with all robots at nearly the same places only the first is kept, so that the few that are
+kept differ. An optimiser can begin with the signals of a node at which all robots are near their
+targets, or are nearest. Nothing depends on a clock, and the number of nodes bounds the time.
 
 Such a plan is long, and small errors of the model at its beginning are large at its end. Robots
 that follow it therefore search only the next AHEAD signals again, with the places where the plan
@@ -21,27 +22,26 @@ from numpy.typing import NDArray
 
 from tetractl.control.evaluate import compiled_branches
 from tetractl.control.kernels import clearance
-from tetractl.control.margins import Margins
 from tetractl.control.rng import uniform
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.setup import Bounds
-from tetractl.model.free_space import connected
 
 Integers = NDArray[np.int64]
 
 CELLS = 90  # number of cells along the longer side of the arena
-DIRECTIONS = 24  # directions tried at each node
-RATES = np.array([0.0, -1.0, 1.0])  # of their rotation, in units of the least turning rate
-HELD = 2.4  # time for which a branch is held, in units of 1 / the least turning rate
+DIRECTIONS = 16  # directions tried at each node
+HELD_S = 0.4  # time for which a branch is held [s]
 PARTS = 2  # number of moments of a signal at which robots must be in free cells
-KEPT = 300  # number of nodes kept of each level
+KEPT = 400  # number of nodes kept of each level, times that of the robots
+LOOKED = 4  # of so many times that number, the best, the bodies' distances are computed
 ALIKE = 1.2  # nodes in the same squares are alike; their side in units of the largest v / a
 NEAR = 2.3  # sum of the ways left from which an optimiser begins, in units of the sum of all v / a
 TRIED = 6  # number of nodes of a level from which an optimiser begins
 TRIED_IN_ALL = 100  # number of nodes from which an optimiser begins, after which the search ends
 AHEAD = 20  # number of signals that are searched again
 LOST = 4.0  # miss after them with which robots rest for a new plan, in units of `accept_error`
+FAR = 0.05  # of what they have to go then, which is added to this miss
 TRUSTED_S = 1.0  # least time that a plan is driven before
 
 
@@ -62,91 +62,78 @@ class Squares:
         at = np.clip(((xy - self._low) / self.side).astype(np.int64), 0, most)
         return at[..., 1] * self.shape[1] + at[..., 0]
 
-    def ways(self, free: Bools, target: Floats) -> Floats:
-        """Return the length of a way through free cells (C,) from each to a target (2,), inf if
-        there is none; it leads from each cell to one of its eight neighbours."""
-        rows, columns = self.shape
-        found = np.full((rows + 2, columns + 2), np.inf)
-        inner = found[1:-1, 1:-1]
-        inner.flat[self.cells(target)] = 0.0
-        blocked, steps = ~free.reshape(self.shape), (self.side, np.sqrt(2) * self.side)
-        while True:
-            before, far = inner.copy(), found.copy()
-            for y, x in np.ndindex(3, 3):
-                near = far[y : y + rows, x : x + columns] + steps[abs((y - 1) * (x - 1))]
-                np.minimum(inner, near, out=inner)
-            inner[blocked] = np.inf
-            if (inner == before).all():
-                return inner.ravel().copy()
+    def ways(self, free: Bools, targets: Floats) -> Floats:
+        """Return the lengths (N C,) of ways through free cells (C,) from each to each of the
+        targets (N, 2), inf if there is none; they lead from a cell to one of its eight
+        neighbours."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import dijkstra  # slow to import, and seldom needed
 
-
-def narrow(problem: Problem, margins: Margins, arena: Bounds) -> bool:
-    """Return whether any robot has to pass a place on every way to its target that has no room for
-    all robots side by side, at the separation that the problem asks for."""
-    if not len(problem.obstacles.rows):
-        return False
-    grid, row = Squares(arena), (len(problem.a) - 1) / 2 * problem.separation
-    room = margins.room(grid.centres[:, :1], grid.centres[:, 1:], 0.0)
-    free: Bools = (room >= row).reshape(grid.shape)
-
-    def around(point: Floats) -> Bools:
-        """Return the cells to which a robot near an obstacle comes by moving away from it."""
-        gap = np.hypot(*(grid.centres - point).T)
-        lacks = max(0.0, row - float(room[grid.cells(point)]))
-        return (gap <= 1.5 * (lacks + grid.side)).reshape(grid.shape)
-
-    ends = zip(problem.poses.xy, problem.targets, strict=True)
-    return any(not (connected(around(start), free) & around(end)).any() for start, end in ends)
+        free[self.cells(targets)] = True
+        n = np.arange(len(free)).reshape(self.shape)
+        beside = [(n[:, 1:], n[:, :-1]), (n[1:], n[:-1])]
+        across = [(n[1:, 1:], n[:-1, :-1]), (n[1:, :-1], n[:-1, 1:])]
+        ends = zip(*beside, *across, strict=True)
+        one, other = (np.concatenate([cells.ravel() for cells in end]) for end in ends)
+        both = free[one] & free[other]
+        one, other = one[both], other[both]
+        length = np.hypot(*(self.centres[one] - self.centres[other]).T)
+        graph = coo_array((length, (one, other)), shape=(len(free), len(free))).tocsr()
+        return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
 
 
 def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Floats]:
     """Yield up to TRIED_IN_ALL sequences of up to `most` signals that lead all robots near their
-    targets, about the shortest first. `key` seeds the first direction of each level."""
-    grid, least = Squares(arena), float(problem.a.min())
-    gaps, count = np.empty((problem.obstacles.count, len(grid.centres))), len(problem.a)
+    targets, about the shortest first, and at last the one that leads nearest. `key` seeds the first
+    direction of each level."""
+    grid, count = Squares(arena), len(problem.a)
+    gaps = np.empty((problem.obstacles.count, len(grid.centres)))
     x, y = grid.centres.T.copy()
     clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x, y, gaps)
     free = gaps.min(axis=0, initial=np.inf) > -grid.side / 2
-    left = np.concatenate([grid.ways(free, target) for target in problem.targets])
+    left = grid.ways(free, problem.targets)
     own = np.arange(count) * len(grid.centres)
     one, other = np.triu_indices(count, 1)
     side = ALIKE * float((problem.speed / problem.a).max())
     near = NEAR * float((problem.speed / problem.a).sum())
     factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
-    held = max(1, round(HELD / (least * problem.period)))
+    held, kept = max(1, round(HELD_S / problem.period)), max(1, KEPT // count)
+    times = np.zeros(PARTS * held), problem.period / PARTS
     nodes, tree = problem.poses.array()[None], list[tuple[Integers, Floats]]()
-    known, tried = np.empty(0, dtype=np.int64), 0
+    known, tried, nearest = np.empty(0, dtype=np.int64), 0, (np.inf, 0)
     for level in range(most // held):
         first = uniform(key, 2 * count + level, 1)
-        towards = wrap(2 * np.pi / DIRECTIONS * (np.arange(DIRECTIONS) + first))
-        found = []
-        starts, towards = nodes.repeat(DIRECTIONS, axis=0), np.tile(towards, len(nodes))
-        for rate in RATES * least:
-            turns = problem.period * rate * np.arange(held)
-            times = np.repeat(turns, PARTS), problem.period / PARTS
-            path = compiled_branches(problem, starts, towards, *times)[1:]
-            ways_left = left[grid.cells(path[..., :2]) + own]
-            apart = np.hypot(*(path[:, :, one, :2] - path[:, :, other, :2]).transpose(3, 0, 1, 2))
-            clear = np.isfinite(ways_left).all(axis=(0, 2))
-            clear &= apart.min(axis=(0, 2), initial=np.inf) > problem.separation
-            signals = wrap(towards[clear, None] + turns)
-            whence = np.flatnonzero(clear) // DIRECTIONS
-            found.append((path[-1, clear], signals, whence, ways_left[-1, clear].sum(axis=1)))
-        ends, signals, whence, total = map(np.concatenate, zip(*found, strict=True))
-        squares = np.floor(ends[..., :2].reshape(-1, 2 * count) / side).astype(np.int64)
+        around = wrap(2 * np.pi / DIRECTIONS * (np.arange(DIRECTIONS) + first))
+        starts, towards = nodes.repeat(DIRECTIONS, axis=0), np.tile(around, len(nodes))
+        path = compiled_branches(problem, starts, towards, *times)[1:]
+        ways_left = left[grid.cells(path[..., :2]) + own]
+        total = (ways_left[-1] ** 2).sum(axis=1)
+        squares = np.floor(path[-1, ..., :2].reshape(-1, 2 * count) / side).astype(np.int64)
         alike, order = (squares * factors).sum(axis=1), np.argsort(total, kind="stable")
+        order = order[np.isfinite(ways_left.sum(axis=(0, 2)))[order]]
         best = order[np.sort(np.unique(alike[order], return_index=True)[1])]
-        best = best[~np.isin(alike[best], known)][:KEPT]
+        best = best[~np.isin(alike[best], known)][: LOOKED * kept]
+        x, y = np.moveaxis(path[:, best, :, :2], -1, 0).copy()
+        apart = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
+        clear = (apart > problem.separation).all(axis=(0, 2))
+        gaps = np.empty((problem.obstacles.count, x.size))
+        clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x.ravel(), y.ravel(), gaps)
+        clear &= (gaps > 0).all(axis=0).reshape(x.shape).all(axis=(0, 2))
+        best = best[clear][:kept]
         if not len(best):
-            return
+            break
         known = np.append(known, alike[best])
-        nodes, total = ends[best], total[best]
-        tree.append((whence[best], signals[best]))
+        nodes = path[-1, best]
+        tree.append((best // DIRECTIONS, towards[best]))
+        total = ways_left[-1, best].sum(axis=1)
+        nearest = min(nearest, (float(total[0]), level))
         for node in range(min(int((total[:TRIED] < near).sum()), TRIED_IN_ALL - tried)):
-            yield _sequence(tree, node)
+            yield _sequence(tree, node, held)
             tried += 1
         if tried == TRIED_IN_ALL:
             return
+    if tree and not tried:
+        yield _sequence(tree[: nearest[1] + 1], 0, held)
 
 
 def ahead(problem: Problem, way: Floats) -> Problem:
@@ -154,10 +141,10 @@ def ahead(problem: Problem, way: Floats) -> Problem:
     return replace(problem, targets=np.ascontiguousarray(way[AHEAD, :, :2]))
 
 
-def _sequence(tree: list[tuple[Integers, Floats]], node: int) -> Floats:
+def _sequence(tree: list[tuple[Integers, Floats]], node: int, held: int) -> Floats:
     """Return the signals that lead to a node of the last level."""
     parts = []
-    for whence, signals in reversed(tree):
-        parts.append(signals[node])
+    for whence, towards in reversed(tree):
+        parts.append(towards[node])
         node = int(whence[node])
-    return np.concatenate(parts[::-1])
+    return np.repeat(parts[::-1], held)

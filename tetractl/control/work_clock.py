@@ -51,7 +51,7 @@ class _Counted:
 
         counted = limits
         if limits.timed:
-            counted = Limits(limits.evaluations, expired, limits.thorough)
+            counted = Limits(limits.evaluations, expired)
         found = self.optimizer.search(problem, length, warm, key, counted)
         spent(found.evaluations)
         return found

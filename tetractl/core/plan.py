@@ -108,13 +108,11 @@ class Limits:
     """The limits of one search.
 
     `evaluations` bounds the cost evaluations, None for no bound. Once `expired(spent)`, given the
-    evaluations spent so far, is true, a search returns the best sequence so far. With `thorough`,
-    set while the robots stand still, the search may take seconds.
+    evaluations spent so far, is true, a search returns the best sequence so far.
     """
 
     evaluations: int | None = None
     expired: Callable[[int], bool] = never
-    thorough: bool = False
 
     @property
     def timed(self) -> bool:

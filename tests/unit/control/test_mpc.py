@@ -1,5 +1,6 @@
 """The recommended controller: which candidate is chosen, and the states it leads to."""
 
+import itertools
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -166,6 +167,9 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, the
     assert rest.state is State.RESTING
     assert rest.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
     controller.estimator.sent(Command(Stop(), 300_000_000, (True,) * 3))
+    controller.optimizer = Scripted(
+        {length: 0.0 if length > 17 else 500.0 for length in range(100)}
+    )
     decision = step(controller, near(total), now=1_000_000_000)
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
@@ -231,7 +235,7 @@ def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
     stop, stuck, end = decisions_beside_a_wall(3)
     assert (stop.state, stuck.state) == (State.RESTING, State.STUCK)
     assert stuck.pauses
-    assert len(stuck.searches) > 1  # the log holds them
+    assert stuck.evaluations > 1000  # the log holds them
     assert end is Outcome.NO_BETTER_PLAN
 
 
@@ -336,11 +340,11 @@ def at_rest(poses, cost, left_s=2.0):
 def test_robots_come_nearer_to_targets_that_they_cannot_reach_any_more(left_s):
     plan, search = at_rest(STARTS, 500.0, left_s)
     assert plan.state is State.DRIVING
-    assert {length for length, _ in lengths(search)} == {round(left_s / 0.2)}
+    assert max(length for length, _ in lengths(search)) == round(left_s / 0.2)
 
 
-@pytest.mark.parametrize(("cost", "drives"), [(170.0, True), (195.0, False)])
-def test_they_end_where_no_plan_leads_nearer_by_what_an_attempt_costs(cost, drives):
+@pytest.mark.parametrize(("cost", "drives"), [(195.0, True), (205.0, False)])
+def test_they_end_where_no_plan_leads_nearer(cost, drives):
     assert (at_rest(near(200.0), cost)[0] is Outcome.NO_BETTER_PLAN) != drives
 
 
@@ -355,3 +359,26 @@ def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
     step = StepStart(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
     assert step.allows(51, 0.0) and step.signals_max == 12
+
+
+def resting(look_s=0.0):
+    """A controller of robots that rest, of which the best plan takes 5 % off the error; each look
+    at the timer takes so long."""
+    search = Scripted(dict.fromkeys(range(100), 2500.0))
+    controller = mpc(spec(collision=RESTS, horizon_max=60, time_limit=40.2), 99, search)
+    looks = itertools.count(step=round(look_s * 1e9))
+    controller.timer = lambda: next(looks)
+    return controller
+
+
+def test_robots_rest_on_and_search_again_up_to_ten_times_while_no_plan_leads_far():
+    controller, sent = resting(), Command(Stop(), 0, (True,) * 3)
+    found = [controller.plan(seen(now=k * 550_000_000), sent if k else None) for k in range(11)]
+    assert [plan.state for plan in found] == [State.RESTING] * 10 + [State.DRIVING]
+    assert len({plan.generator for plan in found}) == 11  # other random numbers each time
+
+
+@pytest.mark.parametrize(("look_s", "searches"), [(0.0, 3), (0.6, 2), (1.1, 1)])
+def test_searches_for_standing_robots_end_after_a_second(look_s, searches):
+    plan = resting(look_s).plan(seen())
+    assert len(plan.searches) == searches + 1  # and the rest itself

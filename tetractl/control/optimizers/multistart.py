@@ -7,47 +7,24 @@ are far fewer misses (two coordinates per robot) than signals: Levenberg-Marquar
 sequence, in a few dozen steps. Global decisions, such as the side on which to pass an obstacle, are
 made by random starts and selection: each round draws many smooth sequences, evaluates them in one
 vectorised rollout and polishes only the best.
-
-A thorough search hops: it repeatedly moves one of the best few sequences at random, polishes it,
-and keeps it if it is better (basin hopping; Wales and Doye, J. Phys. Chem. A 101 (1997)). For
-arbitrary starts and targets, most random sequences end in a corner between walls, obstacles and
-other robots, and hops from nearly good sequences find good ones.
 """
 
 import math
 from threading import get_ident
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import require_finite
-from tetractl.control.curves import bearing, interpolate
-from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search, StopReason
-from tetractl.core.poses import Floats, wrap
+from tetractl.core.poses import Floats
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
 ENDED = (None, StopReason.TARGET, StopReason.EVALUATIONS, None)
 """Why a search ended, by what its kernel returns; None if all rounds are done."""
-
-
-class Hops(NamedTuple):
-    """A thorough search: how it hops, and how each hop is polished."""
-
-    most: int = 1000  # number of hops for up to 3 robots; for N robots times (N / 3)^2
-    work: float = 1e9  # limit of evaluations x signals x robots: some seconds
-    pool: int = 6  # number of sequences from which hops start
-    steps: int = 60  # as `Multistart.steps`
-    patience: int = 12  # as `Multistart.patience`
-    least_change: float = 0.15  # smallest change of signals [rad]
-    most_change: float = 1.5  # largest change [rad]
-    hit: float = 0.25  # cost of a position left in an obstacle, over the fastest robot's step
-
-
-HOPS = Hops()
 
 
 class Multistart(OptimizerSection):
@@ -112,10 +89,7 @@ class Multistart(OptimizerSection):
         its steps: f of the paper's equation (8) plus the depths inside obstacles.
         """
         progress = _PolishedProgress(self, problem, length, warm, limits)
-        if limits.thorough:
-            progress.hop(key)
-        else:
-            progress.run(key, self._rounds(problem, length) if warm is None else 1)
+        progress.run(key, self._rounds(problem, length) if warm is None else 1)
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
@@ -144,25 +118,22 @@ class _PolishedProgress(Progress):
         growth = section.growth(problem)
         self.patience = round(section.patience * growth)
         steps = round(section.steps * growth)
-        if limits.thorough:
-            self.patience, steps = HOPS.patience, HOPS.steps
-            self.hops = round(HOPS.most * max(1.0, (len(problem.a) / 3) ** 2))
         count, particles = min(section.polished, section.particles), section.particles
         knots = min(round(section.knots * growth), length)
         self.laid = levenberg.lay_out_polish(problem, length), rollout.lay_out(problem, particles)
         self.work = multistart.workspace(
             get_ident(), count, particles, knots, length, steps, section.rounds
         )
-        self.work.begin(np.empty((0, length)) if warm is None or limits.thorough else warm[None])
+        self.work.begin(np.empty((0, length)) if warm is None else warm[None])
         # iterations between two looks at the deadline
         each = len(self.laid[0].room.residual) * len(problem.a) * length
         self.look = max(1, multistart.BETWEEN_LOOKS // each) if limits.timed else 0
 
-    def run(self, key: int, rounds: int, slack: float = Multistart.slack) -> None:
+    def run(self, key: int, rounds: int) -> None:
         """Polish the starts with which `work` begins, and those of `rounds` that are scattered."""
         kernels, section, limits, work = self.kernels, self.section, self.limits, self.work
-        warm = np.empty(0) if self.warm is None or limits.thorough else self.warm
-        search = section.tolerance, slack * self.step, self.patience
+        warm = np.empty(0) if self.warm is None else self.warm
+        search = section.tolerance, section.slack * self.step, self.patience
         most = 2**62 if limits.evaluations is None else limits.evaluations
         # a look is given the evaluations with which the search would end then, so that a rerun of
         # the search can end at the same look
@@ -187,49 +158,3 @@ class _PolishedProgress(Progress):
                 break
             look = -1  # ends the polish under way
         self.best, self.cost = work.best.copy(), float(work.costs[0])
-
-    def hop(self, key: int) -> None:
-        """Polish randomly changed copies of the best sequences until one is good enough.
-
-        A change ("hop") adds a random curve to all signals or to a span of them, or removes one
-        signal and inserts another elsewhere. The pool is ordered by each sequence's merit after
-        the polish, which includes the depths in obstacles, plus a cost for each position that is
-        still in an obstacle.
-        """
-        pool: list[tuple[float, Floats]] = []
-        work, length, middle = self.work, self.length, bearing(self.problem)
-        for number in range(self.hops):
-            if self.evaluations * length * len(self.problem.a) > HOPS.work:
-                break
-            draws = uniform(mix(key, number), 0, length + 8)
-            start = _moved(pool, draws, length, middle)
-            if number == 0 and self.warm is not None:
-                start = self.warm
-            work.go_on(start[None])
-            self.run(key, 0, self.section.slack * 30 ** draws[7])
-            if self.ended:
-                break
-            hits = work.costs[1] // self.problem.obstacle_weight
-            merit = work.merits[work.at[self.kernels.STEPS]] + HOPS.hit * self.step * hits
-            pool.append((float(merit), work.signals.copy()))
-            pool.sort(key=lambda one: one[0])
-            del pool[HOPS.pool :]
-
-
-def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle: float) -> Floats:
-    """Return a randomly changed copy of a sequence of the pool; see `_PolishedProgress.hop`."""
-    which, way, size, count, first, second = draws[:6]
-    knots = 2 * draws[8:] - 1
-    if len(pool) < HOPS.pool:
-        curve = interpolate(knots[: 2 + int(count * (length - 2)), None], length)[:, 0]
-        return wrap(middle + np.pi * curve)
-    base = pool[int(which * len(pool))][1]
-    size = HOPS.least_change * (HOPS.most_change / HOPS.least_change) ** size
-    curve = size * interpolate(knots[: 2 + int(count * length / 3), None], length)[:, 0]
-    one, other = int(first * length), int(second * length)
-    if way < 1 / 3:
-        span = np.arange(length)
-        curve[(span < min(one, other)) | (span > max(one, other))] = 0.0
-    elif way < 2 / 3:
-        base = np.insert(np.delete(base, one), other, np.pi * (2 * draws[6] - 1))
-    return wrap(base + curve)

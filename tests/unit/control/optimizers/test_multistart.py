@@ -153,21 +153,3 @@ def test_eight_robots_are_led_to_their_targets():
         Multistart(grows=grows).search(problem, 120, None, 1, Limits()) for grows in (False, True)
     ]
     assert [search.cost <= 1 for search in found] == [False, True]
-
-
-@pytest.mark.parametrize("key", range(3))
-def test_a_thorough_search_leads_robots_from_anywhere_to_anywhere(key):
-    """Four robots to places of their own in 2.4 m: no search without hops finds a plan."""
-    spec = load_spec(ROOT / "experiments/benchmark/anywhere.yaml").experiment
-    problem, optimizer = spec.controller.problem(spec.setup), Multistart()
-    found = optimizer.search(problem, 134, None, key, Limits(thorough=True))
-    assert found.stopped == "target"
-    costs = evaluate(problem, found.signals[None])
-    assert (costs.total[0] <= 1e-3, costs.obstacle[0]) == (True, 0)
-    assert optimizer.search(problem, 134, None, key, Limits()).cost > 100
-
-
-def test_a_thorough_search_keeps_to_its_limit_of_evaluations():
-    problem = replace(reference_problem(), targets=np.full((3, 2), 1e5))
-    found = Multistart().search(problem, 60, None, 1, Limits(3000, thorough=True))
-    assert (found.stopped, found.evaluations <= 3000) == ("evaluations", True)

@@ -45,10 +45,10 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
     if kind is not None and not of_lab(kind):
         lab = experiment.lab if experiment.plant.simulated else experiment.plant
         updated = {"plant": _with_defaults(kind), "lab": lab}
-        return replace(loaded, experiment=experiment.model_copy(update=updated))
+        return replace(loaded, experiment=_with(experiment, **updated))
     folder = loaded.path.parent if loaded.path else Path()
     lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
-    loaded = replace(loaded, experiment=experiment.model_copy(update={"plant": lab, "lab": None}))
+    loaded = replace(loaded, experiment=_with(experiment, plant=lab, lab=None))
     for loc, message in section_contradictions(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(loc)} {message}")
     if lab.calibration is None:
@@ -58,6 +58,14 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
     experiment = calibrated(loaded.experiment, text, str(path))
     attached = attach(loaded.attached, path, text)
     return replace(loaded, experiment=experiment, attached=attached)
+
+
+def _with(experiment: Experiment, **updated: Any) -> Experiment:
+    """Return an experiment with other sections, whose setup is computed again: it has the sight of
+    the plant's camera."""
+    copied = experiment.model_copy(update=updated)
+    vars(copied).pop("setup", None)
+    return copied
 
 
 def _with_defaults(kind: str) -> PlantSection:

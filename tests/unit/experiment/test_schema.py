@@ -20,7 +20,7 @@ COMMITTED = EXPERIMENTS / "experiment.schema.json"
 @pytest.fixture
 def packages():
     """What is committed is of all packages."""
-    for name in ("tetractl_emulator", "tetractl_microscope"):
+    for name in ("tetractl_emulator", "tetractl_microscope", "tetractl_toio"):
         pytest.importorskip(name)
 
 

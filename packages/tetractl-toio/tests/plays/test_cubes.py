@@ -1,0 +1,85 @@
+"""Emulated cubes: a run in which nothing goes wrong, and what stops one, in virtual time."""
+
+import json
+
+import pytest
+from support.cli import tetractl
+from support.lab_processes import SMALL, flags
+from tetractl_toio.emulated.cube import CubeProgram
+from tetractl_toio.messages import Characteristic, encode_motor, encode_notify, pack
+
+from tetractl.log.read.reader import read_trial
+
+pytestmark = pytest.mark.slow
+FEW = flags((*(one for one in SMALL if not one.startswith("lab")), "controller.deadline=60"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a new spec of three cubes."""
+    place = tmp_path_factory.mktemp("cubes")
+    tetractl(place, "init", "cubes", "--lab", "--robots", "toio").ok()
+    return place
+
+
+def run(folder, out, *words):
+    return tetractl(folder, "run", "cubes.yaml", "--plant", "emulated", "--out", out, *FEW, *words)
+
+
+def faults(*rows):
+    listed = ", ".join(f"{{{row}}}" for row in rows)
+    return ("--set", f"plant.faults={{about: a test, faults: [{listed}]}}")
+
+
+def test_a_run_reads_the_mat_and_verifies(folder):
+    done = run(folder, "well", "--trials", "2", "--set", "plant.record=truth").ok()
+    assert "2 of 2 trials valid" in done.stdout
+    tetractl(folder, "verify", "well").ok()
+    trial = read_trial(folder / "well" / "trial-000.mcap")
+    assert trial.origin.value == "emulated lab"
+    turned = trial.mocap[:, :, :2] / 1.36  # whole units of the mat
+    assert abs(turned - turned.round()).max() < 1e-6
+    assert len(set(trial.exposed_ns[-1].tolist())) > 1, "each cube has a time of its own"
+    lines = (folder / "truth" / "truth-000.jsonl").read_text().splitlines()
+    events = [json.loads(line) for line in lines]
+    assert any(event["event"] == "command" and any(event["drives"]) for event in events)
+
+
+@pytest.mark.parametrize(
+    ("row", "why"),
+    [
+        ("fault: untracked, robot: blue, at: 0.5", "blue is not tracked"),
+        ("fault: no_frames, at: 0.5", "no new camera frame"),
+        ("fault: unplug, at: 0.5", "is gone"),
+        ("fault: 'off', robot: red, at: 0.5", "red is not tracked"),
+        ("fault: wheel_stuck, robot: green, wheel: both, at: 0.2", "green "),
+    ],
+)
+def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
+    done = run(folder, tmp_path / "out", "--trials", "1", *faults(row))
+    assert done.returncode == 1, done.stderr
+    trial = read_trial(tmp_path / "out" / "trial-000.mcap")
+    assert trial.result is not None and why in trial.result.reason, trial.result
+
+
+def test_a_lab_of_cubes_is_checked(folder):
+    done = tetractl(folder, "lab", "check", "cubes.yaml", "--plant", "emulated", "--json").ok()
+    found = json.loads(done.stdout)
+    assert found["ready"]
+    assert all(robot["answers"] for robot in found["robots"])
+
+
+def test_a_cube_obeys_until_its_command_ends_and_ignores_what_it_should():
+    cube = CubeProgram()
+    cube.push(pack(Characteristic.MOTOR, encode_motor(20, -7, 250)), 1000)
+    assert (cube.wheels(1000), cube.wheels(1249), cube.wheels(1250)) == ((20, 0), (20, 0), (0, 0))
+    cube.push(pack(Characteristic.MOTOR, encode_motor(20, 20, 250)), 2000)
+    cube.push(pack(Characteristic.MOTOR, b"\x02\x01\x01\x14\x01\x01\x14\x19"), 2010)
+    assert cube.wheels(2100) == (20, 20)
+    cube.set_battery(4400)
+    asked = pack(Characteristic.BATTERY) + pack(Characteristic.CONFIGURATION, encode_notify(10))
+    cube.push(asked, 0)
+    answers = cube.take_reply(0)
+    assert answers.startswith(pack(Characteristic.BATTERY, b"\x00"))
+    assert answers.endswith(pack(Characteristic.CONFIGURATION, b"\x98\x00\x00"))
+    assert cube.notifies and cube.take_reply(0) == b""

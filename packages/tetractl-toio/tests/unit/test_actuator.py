@@ -1,0 +1,82 @@
+"""What the actuator sends to cubes, on ports in memory."""
+
+import numpy as np
+import pytest
+from support.cli import tetractl
+from tetractl_toio.messages import SPEED_MIN, WHEEL_MM_S, Characteristic, Unpacker, decode_motor
+
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import Steer
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Pose
+from tetractl.experiment.load import load_spec
+from tetractl.lab.serial_port import SerialPort
+
+
+class Wire(SerialPort):
+    """A port that keeps what is written to it; one of a name in `broken` takes nothing."""
+
+    written: dict
+    broken: set
+
+    def open(self, alone=True):
+        self.written[self._name] = Unpacker(), []
+
+    def write(self, data):
+        if self._name in self.broken:
+            raise self._fail("is gone")
+        unpacker, messages = self.written[self._name]
+        messages += unpacker.feed(data)
+        return self._clock.now()
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def cubes(tmp_path):
+    """An actuator of three cubes, and its ports."""
+    tetractl(tmp_path, "init", "cubes", "--lab", "--robots", "toio").ok()
+    experiment = load_spec(tmp_path / "cubes.yaml").experiment
+    made = type("Made", (Wire,), {"written": {}, "broken": set()})
+    from tetractl_toio.actuator import ToioActuator
+
+    clock = VirtualClock()
+    return ToioActuator(experiment.lab.actuator, experiment.setup, clock, made), made
+
+
+def motors(wire, name):
+    return [decode_motor(d) for c, d in wire.written[name][1] if c == Characteristic.MOTOR]
+
+
+def test_slow_wheels_get_their_mean_speed_though_they_cannot_turn_slowly(cubes):
+    actuator, _ = cubes
+    wished = np.array([[3.0, -15.0, 80.0], [117.0, 15.0, 80.0]])  # mm/s
+    sent = np.array([actuator.units(wished) for _ in range(400)])
+    np.testing.assert_allclose(sent.mean(axis=0) * WHEEL_MM_S, wished, atol=0.1)
+    assert set(np.unique(np.abs(sent[:, 0, 0]))) == {0, SPEED_MIN}
+    slow = np.abs(sent[sent != 0]).min()
+    assert slow == SPEED_MIN
+    fast = actuator.units(np.array([[400.0, 0, 0], [200.0, 0, 0]]))
+    assert fast[:, 0].tolist() == [106, 53]  # 300 mm/s at most, on the same curve
+    assert not fast[:, 1:].any() and not actuator.units(np.zeros((2, 3))).any()
+
+
+def test_a_direction_becomes_motor_commands_that_end_by_themselves(cubes):
+    actuator, wire = cubes
+    with actuator:
+        sent = actuator.send(Steer(0.9), [Pose(0.0, 0.0, 0.0)] * 3, (True, True, False), 0)
+    (first,), (stood,) = motors(wire, "toio-M0p"), motors(wire, "toio-C3P")
+    assert (first[2], stood) == (250, (0, 0, 250))
+    np.testing.assert_allclose([sent.left[0], sent.right[0]], np.array(first[:2]) * WHEEL_MM_S)
+    assert first[1] > first[0] >= 0
+
+
+def test_a_stop_reaches_the_other_cubes_when_one_is_gone(cubes):
+    actuator, wire = cubes
+    with actuator:
+        wire.broken.add("toio-M0p")
+        with pytest.raises(AbortError, match="toio-M0p of the cube is gone"):
+            actuator.stop()
+        assert motors(wire, "toio-a9R") == motors(wire, "toio-C3P") == [(0, 0, 250)]
+        assert "is gone" in actuator.failure

@@ -1,0 +1,71 @@
+"""Messages against the examples of the published specification, and against the maker's library."""
+
+import pytest
+from tetractl_toio import messages
+from tetractl_toio.messages import Characteristic, Reading
+
+from tetractl.core.errors import WireError
+
+POSITION = bytes.fromhex("01 c502 7f01 3201 bc02 8201 3201")  # the specification's example
+DRIVE = bytes.fromhex("02 01 01 64 02 02 14 0a")  # left forward 100, right backward 20, 100 ms
+
+
+def test_the_examples_of_the_specification_are_read_and_written():
+    assert messages.decode_reading(POSITION) == Reading(709, 383, 306)
+    assert messages.decode_reading(b"\x03") is None
+    assert messages.decode_reading(bytes.fromhex("02 00003800 1500")) is None  # a card
+    assert messages.encode_motor(100, -20, 100) == DRIVE
+    assert messages.decode_motor(DRIVE) == (100, -20, 100)
+    assert messages.decode_motor(b"\x01" + DRIVE[1:7]) == (100, -20, 0)
+    assert messages.encode_notify(10) == bytes.fromhex("18 00 01 00")
+    assert messages.encode_missed(100) == bytes.fromhex("19 00 0a")
+    assert not messages.refused(bytes.fromhex("98 00 00"))
+    assert messages.refused(bytes.fromhex("98 00 01"))
+    assert Characteristic.ID.uuid == "10b20101-5b3b-4571-9508-cf3efcd7bbae"
+    assert Characteristic.CONFIGURATION.uuid == "10b201ff-5b3b-4571-9508-cf3efcd7bbae"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [b"", b"\x01", POSITION[:-1], POSITION + b"\0", b"\x05", POSITION[:5] + b"\xff" + POSITION[6:]],
+)
+def test_other_readings_are_refused(wrong):
+    with pytest.raises(WireError, match="no reading"):
+        messages.decode_reading(wrong)
+
+
+@pytest.mark.parametrize("at, value", [(0, 3), (1, 0), (1, 2), (2, 0), (5, 3), (4, 1)])
+def test_motor_commands_that_a_cube_ignores_are_refused(at, value):
+    with pytest.raises(WireError):
+        messages.decode_motor(DRIVE[:at] + bytes([value]) + DRIVE[at + 1 :])
+    with pytest.raises(ValueError, match="motor speeds"):
+        messages.encode_motor(116, 0, 250)
+
+
+def test_messages_cross_a_port_in_any_pieces():
+    stream = b"".join(messages.pack(Characteristic.ID, one) for one in (POSITION, b"\x03", b""))
+    for size in (1, 3, len(stream)):
+        unpacker = messages.Unpacker()
+        pieces = [stream[i : i + size] for i in range(0, len(stream), size)]
+        found = [one for piece in pieces for one in unpacker.feed(piece)]
+        assert found == [(1, POSITION), (1, b"\x03"), (1, b"")]
+
+
+def test_the_makers_library_reads_and_writes_the_same():
+    """toio.py of PyPI, the second witness."""
+    ids = pytest.importorskip("toio.cube.api.id_information", reason="toio-py is not installed")
+    motor = pytest.importorskip("toio.cube.api.motor")
+    setting = pytest.importorskip("toio.cube.api.configuration")
+    for reading in (Reading(45, 455, 0), Reading(709, 383, 306), Reading(65_535, 0, 359)):
+        theirs = ids.IdInformation.is_my_data(bytearray(messages.encode_reading(reading)))
+        assert (theirs.center.point.x, theirs.center.point.y) == (reading.x, reading.y)
+        assert theirs.center.angle == reading.angle
+    missed = ids.IdInformation.is_my_data(bytearray(messages.encode_reading(None)))
+    assert isinstance(missed, ids.PositionIdMissed)
+    for left, right, duration in ((100, -20, 100), (0, 0, 250), (-115, 8, 2550)):
+        assert messages.encode_motor(left, right, duration) == bytes(
+            motor.MotorControl(left, right, duration)
+        )
+    always = setting.NotificationCondition.Always
+    assert messages.encode_notify(10) == bytes(setting.SetIdNotification(10, always))
+    assert messages.encode_missed(10) == bytes(setting.SetIdMissedNotification(10))

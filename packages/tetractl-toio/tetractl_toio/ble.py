@@ -1,0 +1,128 @@
+"""A cube at this computer's Bluetooth adapter, by bleak, as a port. Never tried with a cube."""
+
+import asyncio
+import threading
+from contextlib import suppress
+from typing import Any
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import AbortError
+from tetractl.lab.serial_port import Heard, SerialPort
+from tetractl_toio.messages import SERVICE, Characteristic, Unpacker, pack
+
+FIND_S = 10.0  # longest search for a cube
+CONNECT_S = 20.0  # longest time until it is connected and notifies
+NOTIFYING = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
+
+
+def is_cube(wanted: str, name: str | None, address: str) -> bool:
+    """Return whether an advertisement is that of the cube `wanted`: an address, or a name, such as
+    `toio-M0p` or only its last three letters."""
+    letters = wanted.rpartition("-")[2]
+    return (
+        wanted.casefold() == address.casefold()
+        or letters in (name or "").replace("(toio Core Cube)", "").strip().split("-")[1:]
+    )
+
+
+class BluetoothPort(SerialPort):
+    """The cube `name`; see SerialPort, whose `baud` has no meaning here."""
+
+    def __init__(
+        self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+    ) -> None:
+        super().__init__(name, baud, device, clock, heard, hint)
+        self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
+        self._client: Any = None
+        self._ended = asyncio.Event()
+        self._unpacker = Unpacker()
+
+    def open(self, alone: bool = True) -> None:
+        """Find the cube and connect; AbortError if that fails."""
+        self._thread.start()
+        if not self._ready.wait(CONNECT_S) or self.failure:
+            self.close()
+            raise AbortError(self.failure or f"{self._device} does not answer", self._hint)
+
+    def write(self, data: bytes) -> int:
+        """Pass on messages as writes without response, or as reads; return the time when the system
+        was asked to [ns]."""
+        if self.failure or self._client is None:
+            raise AbortError(self.failure or f"{self._device} is not connected", self._hint)
+        for number, payload in self._unpacker.feed(data):
+            call = self._pass(Characteristic(number), payload)
+            asyncio.run_coroutine_threadsafe(call, self._loop)
+        return self._clock.now()
+
+    def set_baud(self, baud: int) -> None:
+        """Do nothing: Bluetooth has no baud rate."""
+
+    def close(self) -> None:
+        """Disconnect and end the thread; may be called twice, never raises."""
+        self._closing.set()
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._ended.set)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+    def _read(self) -> None:
+        with suppress(Exception):
+            self._loop.run_until_complete(self._serve())
+        self._loop.close()
+
+    async def _serve(self) -> None:
+        try:
+            await self._connected()
+        except ImportError:
+            self._fail("needs bleak: pip install bleak")
+        except FileNotFoundError:
+            self._fail("cannot be connected: this computer's Bluetooth service does not run")
+        except Exception as error:  # bleak's backends raise what their systems do
+            self._fail(f"cannot be connected: {str(error) or type(error).__name__}")
+        finally:
+            self._ready.set()
+
+    async def _connected(self) -> None:
+        from bleak import BleakClient, BleakScanner
+
+        found = await BleakScanner.find_device_by_filter(
+            lambda device, seen: is_cube(
+                self._name, seen.local_name or device.name, device.address
+            ),
+            timeout=FIND_S,
+            service_uuids=[SERVICE],
+        )
+        if found is None:
+            self._fail(f"was not found within {FIND_S:g} s")
+            return
+        async with BleakClient(found, disconnected_callback=self._gone) as client:
+            for kind in NOTIFYING:
+                await client.start_notify(kind.uuid, lambda _, data, k=kind: self._take(k, data))
+            self._client = client
+            self._ready.set()
+            await self._ended.wait()
+            self._client = None
+
+    async def _pass(self, kind: Characteristic, payload: bytes) -> None:
+        client = self._client
+        if client is None:
+            return
+        try:
+            if payload:
+                with_answer = kind is Characteristic.CONFIGURATION
+                await client.write_gatt_char(kind.uuid, payload, response=with_answer)
+            else:
+                self._take(kind, await client.read_gatt_char(kind.uuid))
+        except Exception as error:  # as above
+            self._lost(str(error) or type(error).__name__)
+
+    def _take(self, kind: Characteristic, data: bytearray | bytes) -> None:
+        self._heard(pack(kind, bytes(data)), self._clock.now())
+
+    def _gone(self, _: Any) -> None:
+        if not self._closing.is_set():
+            self._lost("disconnected")
+
+    def _lost(self, why: str) -> None:
+        self._fail(f"is gone: {why}")
+        self._heard(b"", self._clock.now())

@@ -1,0 +1,121 @@
+"""Cubes on a mat as a `Camera`: each cube measures its own pose, at a time of its own."""
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from typing import Self
+
+from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.commands import Health
+from tetractl.core.errors import AbortError, WireError
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import entry
+from tetractl.lab.serial_port import Ports
+from tetractl_toio.cubes import HINT, CubesLink
+from tetractl_toio.messages import (
+    DURATION_MS,
+    Characteristic,
+    Reading,
+    decode_reading,
+    encode_missed,
+    encode_notify,
+)
+from tetractl_toio.section import ToioCameraSection
+
+FIRST_S = 3.0  # longest time until every cube has reported
+
+
+class ToioCamera:
+    """Tracks the setup's robots by their own readings; see `tetractl.core.protocols.Camera`.
+    `ports` is for `CubesLink`.
+
+    A frame has all readings since the one before; of a cube without a new reading the last one,
+    with its old time.
+    """
+
+    def __init__(
+        self,
+        section: ToioCameraSection,
+        setup: Setup,
+        clock: Clock,
+        wake: Callable[[], None] = lambda: None,
+        ports: Ports | None = None,
+    ) -> None:
+        self.section, self.names, self.damaged = section, setup.names, 0
+        self._clock, self._wake, self._mm = clock, wake, setup.metres * 1000
+        cubes = [entry(section.robots, name).cube for name in setup.names]
+        self._link = CubesLink(clock, cubes, ports, self._heard)
+        self._lock = threading.Lock()
+        self._poses: list[Pose | None] = [None] * len(setup.names)
+        self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
+        self._number, self._told = 0, False
+
+    def __enter__(self) -> Self:
+        """Connect; return once every cube has reported. AbortError names those that have not."""
+        try:
+            self._link.open()
+            for cube in self._link.cubes:
+                for setting in (encode_notify(DURATION_MS), encode_missed(DURATION_MS)):
+                    self._link.send(cube, Characteristic.CONFIGURATION, setting)
+            if not wait_for(self._clock, lambda: min(self._read_ns) >= 0, FIRST_S):
+                silent = [n for n, at in zip(self.names, self._read_ns, strict=True) if at < 0]
+                raise AbortError(f"no message came from {', '.join(silent)}", HINT)
+        except BaseException:
+            self._link.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.close()
+
+    def check(self) -> Health:
+        """Return which robots do not see the mat."""
+        off = [n for n, pose in zip(self.names, self._poses, strict=True) if pose is None]
+        problems = tuple(
+            f"{name} does not see the mat: is it on it, and clean below?" for name in off
+        )
+        return Health(problems, emulated=self._link.emulated)
+
+    def frames(self) -> list[CameraFrame]:
+        """Return a frame if a cube has reported since the last call."""
+        with self._lock:
+            told, self._told = self._told, False
+            poses, times = tuple(self._poses), tuple(self._read_ns)
+        newest = max(times)
+        if not told or min(times) < 0:
+            return []
+        self._number += 1
+        own = times if len(set(times)) > 1 else ()
+        sampled = tuple(self._sampled(at) for at in own)
+        now = self._clock.now()
+        return [CameraFrame(self._number, self._sampled(newest), now, poses, exposed_ns=sampled)]
+
+    def _sampled(self, at_ns: int) -> int:
+        return max(0, at_ns - round(self.section.latency * SECOND))
+
+    def _heard(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
+        if characteristic != Characteristic.ID:
+            return
+        try:
+            reading = decode_reading(data)
+        except WireError:
+            self.damaged += 1
+            return
+        with self._lock:
+            self._poses[i] = None if reading is None else self._pose(reading)
+            self._read_ns[i], self._told = at_ns, True
+        self._wake()
+
+    def _pose(self, reading: Reading) -> Pose:
+        """Return a reading in the spec's coordinates, whose y axis points up."""
+        unit = self.section.unit_mm / self._mm
+        x, y = reading.x - self.section.origin[0], self.section.origin[1] - reading.y
+        return Pose(x * unit, y * unit, -math.remainder(math.radians(reading.angle), math.tau))
+
+
+def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> Reading:
+    """Return what a cube reads at a pose x, y [mm], heading [rad] in the spec's coordinates."""
+    x, y, heading = pose
+    angle = round(math.degrees(-heading)) % 360
+    return Reading(origin[0] + round(x / unit_mm), origin[1] - round(y / unit_mm), angle)

@@ -1,0 +1,132 @@
+"""The connections of one run to its cubes, which its camera and its actuator share: a cube takes
+one connection only.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import AbortError
+from tetractl.lab.serial_port import Heard, Ports, SerialPort
+from tetractl.lab.udp_port import SCHEME, open_port
+from tetractl_toio.messages import Characteristic, Unpacker, pack, refused
+
+HINT = "the cubes stop by themselves; are they on and charged, and does no other program use them?"
+SPEED = 1_000_000  # bits a second of Bluetooth Low Energy
+Listener = Callable[[int, bytes, int], None]
+"""Takes characteristic, data and time of arrival [ns] of a notification, in a port's thread."""
+
+
+class Cubes:
+    """Connections to cubes by their names. Times are ns on `clock`."""
+
+    def __init__(self, clock: Clock, ports: Ports) -> None:
+        self._ports = ports
+        self.emulated = False  # whether a cube has said so
+        self._clock, self._users = clock, 0
+        self._links: dict[str, SerialPort] = {}
+        self._listeners: dict[str, list[Listener]] = {}
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why a cube cannot be reached any more; None if all can."""
+        return next((link.failure for link in self._links.values() if link.failure), None)
+
+    def listen(self, cube: str, listener: Listener) -> None:
+        """Call `listener` for each notification of a cube."""
+        self._listeners.setdefault(cube, []).append(listener)
+
+    def open(self, cubes: Sequence[str]) -> None:
+        """Connect to the cubes that are not connected yet; AbortError if that fails."""
+        self._users += 1
+        for cube in cubes:
+            if cube not in self._links:
+                link = self._ports(cube, SPEED, "the cube", self._clock, self._heard(cube), HINT)
+                self._links[cube] = link
+                link.open()
+
+    def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
+        """Write to a cube, or ask for a value without data; return the time [ns]; AbortError if it
+        cannot be reached."""
+        return self._links[cube].write(pack(characteristic, data))
+
+    def close(self) -> bool:
+        """Disconnect if the last user closes, and return whether it did; never raises."""
+        self._users -= 1
+        if self._users == 0:
+            for link in self._links.values():
+                link.close()
+        return self._users == 0
+
+    def _heard(self, cube: str) -> Heard:
+        unpacker = Unpacker()
+
+        def heard(data: bytes, at_ns: int) -> None:
+            for characteristic, payload in unpacker.feed(data):
+                if characteristic == Characteristic.EMULATED:
+                    self.emulated = True
+                if characteristic == Characteristic.CONFIGURATION and refused(payload):
+                    self._links[cube].failure = f"cube {cube} refuses a setting: {payload.hex()}"
+                for listener in self._listeners.get(cube, ()):
+                    listener(characteristic, payload, at_ns)
+
+        return heard
+
+
+_RUNS: dict[Clock, Cubes] = {}
+"""The connections of each run while they are open, by its clock: what its devices share."""
+
+
+class CubesLink:
+    """What one device has of the connections of the run with this clock: those to `cubes`, of whose
+    notifications `heard` takes each cube's place, characteristic, data and time."""
+
+    def __init__(
+        self,
+        clock: Clock,
+        cubes: Sequence[str],
+        ports: Ports | None,
+        heard: Callable[[int, int, bytes, int], None],
+    ) -> None:
+        self.cubes, self._clock, self._ports, self._heard = cubes, clock, ports, heard
+        self._run: Cubes | None = None
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why a cube cannot be reached any more; None if all can."""
+        return None if self._run is None else self._run.failure
+
+    @property
+    def emulated(self) -> bool:
+        """Whether a cube has said that it is emulated."""
+        return self._run is not None and self._run.emulated
+
+    def open(self) -> None:
+        """Connect; AbortError if that fails."""
+        self._run = _RUNS.setdefault(self._clock, Cubes(self._clock, self._ports or make_port))
+        for i, cube in enumerate(self.cubes):
+            self._run.listen(cube, partial(self._heard, i))
+        self._run.open(self.cubes)
+
+    def close(self) -> None:
+        """Leave the connections; may be called twice, never raises."""
+        run, self._run = self._run, None
+        if run is not None and run.close():
+            del _RUNS[self._clock]
+
+    def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
+        """Write to a cube, as `Cubes.send`."""
+        if self._run is None:
+            raise AbortError(f"cube {cube} is not connected", HINT)
+        return self._run.send(cube, characteristic, data)
+
+
+def make_port(
+    name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+) -> SerialPort:
+    """Return the port to a cube, not yet opened: UDP to an emulated one, else Bluetooth."""
+    if name.startswith(SCHEME):
+        return open_port(name, baud, device, clock, heard, hint)
+    from tetractl_toio.ble import BluetoothPort
+
+    return BluetoothPort(name, baud, device, clock, heard, hint)

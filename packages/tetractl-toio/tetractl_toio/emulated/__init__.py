@@ -1,0 +1,1 @@
+"""The emulated side of toio cubes, for tetractl-emulator."""

@@ -1,0 +1,150 @@
+"""One emulated cube: what its program does with messages, and its connection; no I/O.
+
+A Bluetooth connection has an event every `interval`: then the cube hears what was written since the
+event before, and passes on what it has notified. How a real cube's program does this is not known.
+"""
+
+import random
+from collections.abc import Sequence
+from typing import Any
+
+from tetractl_emulator.m3pi.robot import EmulatedRobot
+from tetractl_emulator.port import PseudoPort, RobotRadio
+from tetractl_emulator.sides import Stage
+
+from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import WireError
+from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.model.wheels import Counts
+from tetractl_toio.cubes import SPEED
+from tetractl_toio.messages import SPEED_MIN, Characteristic, Unpacker, decode_motor, pack
+
+RUN, STOP = 1, 2  # flags of a command in the record: a cube knows no further stop than 0 and 0
+EMPTY_MV, FULL_MV = 4400, 5100  # guess: of the emulated battery
+
+
+class CubeProgram:
+    """The program of a cube: motor commands and settings in, motor speeds and answers out."""
+
+    def __init__(self, _index: int = 0) -> None:
+        self._unpacker, self._answers = Unpacker(), b""
+        self._speeds: Counts = (0, 0)
+        self._ends_ms: int | None = None
+        self.notifies = False  # whether it reports its reading
+        self.charge = 100
+
+    def push(self, data: bytes, now_ms: int) -> None:
+        """Take messages; those that a cube ignores change nothing."""
+        for characteristic, payload in self._unpacker.feed(data):
+            if characteristic == Characteristic.MOTOR:
+                self._motor(payload, now_ms)
+            elif characteristic == Characteristic.BATTERY and not payload:
+                self._answers += pack(Characteristic.BATTERY, bytes([self.charge]))
+            elif characteristic == Characteristic.CONFIGURATION and payload[:1] in (
+                b"\x18",
+                b"\x19",
+            ):
+                self.notifies = True
+                answer = bytes([0x80 | payload[0], 0, 0])
+                self._answers += pack(Characteristic.EMULATED, EMULATED_NAME.encode())
+                self._answers += pack(Characteristic.CONFIGURATION, answer)
+
+    def wheels(self, now_ms: int) -> Counts:
+        """Return the motor speeds that act now."""
+        if self._ends_ms is not None and now_ms >= self._ends_ms:
+            self._speeds, self._ends_ms = (0, 0), None
+        return self._speeds
+
+    def status(self, now_ms: int) -> Status:
+        """Return whether a motor is driven; a cube has no further states."""
+        return Status.RUNNING if any(self.wheels(now_ms)) else Status(0)
+
+    def take_reply(self, now_ms: int) -> bytes:
+        """Return the answers since the last call."""
+        answers, self._answers = self._answers, b""
+        return answers
+
+    def set_battery(self, battery_mv: int) -> None:
+        """Take the battery's voltage [mV]; the charge is given in steps of 10 %."""
+        share = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
+        self.charge = max(0, min(100, 10 * round(10 * share)))
+
+    def _motor(self, payload: bytes, now_ms: int) -> None:
+        try:
+            left, right, duration_ms = decode_motor(payload)
+        except WireError:
+            return
+        left, right = (speed if abs(speed) >= SPEED_MIN else 0 for speed in (left, right))
+        self._speeds, self._ends_ms = (left, right), now_ms + duration_ms if duration_ms else None
+
+
+class Connection(RobotRadio):
+    """The connection to one cube, with events every `interval_ns` from `phase_ns` on. `robots` are
+    all cubes of the setup, of which it reaches `robot`."""
+
+    def __init__(
+        self,
+        stage: Stage,
+        port: PseudoPort,
+        robot: EmulatedRobot,
+        robots: Sequence[EmulatedRobot],
+        interval_ns: int,
+        phase_ns: int,
+        loss: float,
+        seed: int,
+    ) -> None:
+        super().__init__(stage.timeline, port, SPEED, stage.note)
+        self.robot, self.loss, self._robots = robot, loss, robots
+        self._random, self._interval_ns = random.Random(seed), interval_ns
+        self._written, self._noted = list[bytes](), list[tuple[bytes, Any]]()
+        self._witnessing, self._heard_ns = Unpacker(), 0
+        self._timeline.at(self._timeline.now_ns + phase_ns, self._event)
+
+    def hear(self, data: bytes) -> None:
+        """Take bytes that a program has written; the cube hears them at the next event."""
+        self._written += [data] * (1 + self.doubled)
+
+    def notify(self, message: bytes, passed: Any) -> None:
+        """Pass on a message of the cube at the next event; `passed` is called then."""
+        self._noted.append((message, passed))
+
+    def stop_elsewhere(self, sequence: int) -> None:
+        """Do nothing: a cube takes one connection."""
+
+    def poll_answers(self) -> None:
+        """Do nothing: answers are sent at the connection's events."""
+
+    def _event(self) -> None:
+        written, self._written = self._written, []
+        noted, self._noted = self._noted, []
+        chance, now_ns = self._random, self._timeline.now_ns
+        for data in written:
+            if chance.random() >= max(self.loss, self.robot.deaf):
+                # a connection keeps the order of what it passes on
+                self._heard_ns = max(self._heard_ns, now_ns + self.late_ns)
+                self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
+        if self.port.fd >= 0 and not self._down and self.robot.powered:
+            for message, passed in noted:
+                if chance.random() >= self.loss:
+                    self.port.write(message)
+                    passed()
+            if answer := self.robot.answer():
+                self.port.write(answer)
+        self._timeline.at(now_ns + self._interval_ns, self._event)
+
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        left, right, _ = decode_motor(sealed)
+        drives = [robot is self.robot and bool(left or right) for robot in self._robots]
+        return {"flags": RUN if left or right else STOP, "motors": [left, right], "drives": drives}
+
+    def _witness(self, data: bytes) -> None:
+        """Record motor commands as they are written."""
+        for characteristic, payload in self._witnessing.feed(data):
+            if characteristic == Characteristic.MOTOR:
+                self._note_commands([payload])
+
+
+def ns(seconds: float) -> int:
+    """Return a time [s] in whole milliseconds, as ns."""
+    return round(seconds * SECOND / MILLISECOND) * MILLISECOND

@@ -1,0 +1,150 @@
+"""The emulated camera of type `toio`: cubes that read the mat and report over their connections."""
+
+from collections.abc import Sequence
+from operator import attrgetter
+from random import Random
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+from tetractl_emulator.faults import Fault, Undo, Visible, fault, setting, settings
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.sides import Body, Facts, Stage
+
+from tetractl.core.clock import MILLISECOND
+from tetractl.core.errors import SpecError
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model, Name, Point
+from tetractl.experiment.lab_section import LabSection
+from tetractl_toio.camera import placed
+from tetractl_toio.emulated.cube import ns
+from tetractl_toio.emulated.side import ConnectedCube
+from tetractl_toio.messages import Characteristic, Reading, encode_reading, pack
+from tetractl_toio.section import ToioCameraSection
+
+LEFT, RIGHT, TOP, BOTTOM = 45, 955, 45, 455  # the print of toio Collection's mat, both sides
+
+
+class MatSettings(Model):
+    """Properties of the readings that differ from the spec."""
+
+    notify: Annotated[float, Field(ge=0.01, le=1)] = 0.01
+    """Time between two readings of a cube [s]."""
+
+
+class Eye:
+    """What one cube reads: nothing while `hidden`, the last reading while `frozen`, another place
+    while `shift` [mm] is not 0."""
+
+    hidden, frozen, carried = False, False, False
+    shift: tuple[float, float] = (0.0, 0.0)
+    last: Reading | None = None
+
+
+def _eye(device: Any, own: Any) -> Eye:
+    return device.eyes[device.names.index(own.robot)]
+
+
+def _freeze(_: Any, device: Any) -> Undo:
+    undos = [setting(eye, frozen=True) for eye in device.eyes]
+
+    def undo() -> None:
+        for each in undos:
+            each()
+
+    return undo
+
+
+SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
+FAULTS = (
+    fault("no_frames", "No cube reports.", settings(lambda d, f: d, silent=True), SENT),
+    fault("freeze", "All cubes report the same again and again.", _freeze, SENT),
+    fault(
+        "untracked",
+        "A cube does not see the mat.",
+        settings(_eye, hidden=True),
+        EXPOSED,
+        robot=Name,
+    ),
+    fault(
+        "jump",
+        "A cube reads another place, away by this distance [mm].",
+        settings(_eye, shift=attrgetter("by")),
+        EXPOSED,
+        robot=Name,
+        by=Point,
+    ),
+)
+
+
+class EmulatedMat:
+    """The mat below emulated cubes. Reports that are passed on in the same millisecond, once each
+    cube has reported, are the frame of a program that reads them each millisecond.
+    """
+
+    Settings: ClassVar[type[Model]] = MatSettings
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
+
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return that readings are as in the spec."""
+        return Rehearsal()
+
+    def __init__(self, stage: Stage, settings: MatSettings, bodies: Sequence[Body]) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, ToioCameraSection), "the camera's section has the type toio"
+        self.cubes = [body for body in bodies if isinstance(body, ConnectedCube)]
+        if len(self.cubes) != len(bodies):
+            raise SpecError("a camera of type toio is emulated with an actuator of type toio only")
+        self.names, self.eyes = stage.setup.names, [Eye() for _ in bodies]
+        self.join, self.silent = stage.wires.ports, False
+        self.shown_ns = [0] * len(bodies)
+        self._stage, self._section, self._exposures = stage, section, 0
+        self._reported, self._frame, self._turn = [False] * len(bodies), 0, -1
+        self._every_ns = ns(settings.notify)
+        self._random = Random(stage.options.seed)
+
+    def open(self, loop: Loop) -> Facts:
+        """Let the cubes read the mat from now on, each at its own time."""
+        for i in range(len(self.cubes)):
+            start_ns = self._stage.timeline.now_ns + self._random.randrange(self._every_ns)
+            self._stage.timeline.at(start_ns, lambda i=i: self._read(i))
+        return {"camera": f"{len(self.cubes)} cubes on a mat"}
+
+    def close(self) -> Facts:
+        """Return the number of reports."""
+        return {"frames": self._exposures}
+
+    def hide(self, hidden: bool) -> None:
+        """If `hidden`, let no cube see the mat, as while they are carried."""
+        for eye in self.eyes:
+            eye.carried = hidden
+
+    def _read(self, i: int) -> None:
+        timeline, cube, eye = self._stage.timeline, self.cubes[i], self.eyes[i]
+        timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
+        if cube.program.notifies and not self.silent:
+            if not eye.frozen:
+                eye.last = self._reading(cube, eye)
+            message = pack(Characteristic.ID, encode_reading(eye.last))
+            seen, at_ns = eye.last is not None, timeline.now_ns
+            cube.connection.notify(message, lambda: self._passed(i, seen, at_ns))
+
+    def _reading(self, cube: ConnectedCube, eye: Eye) -> Reading | None:
+        x, y = cube.x + eye.shift[0], cube.y + eye.shift[1]
+        origin, unit = self._section.origin, self._section.unit_mm
+        found = placed((x, y, cube.heading), origin, unit)
+        printed = LEFT <= found.x <= RIGHT and TOP <= found.y <= BOTTOM
+        return None if eye.hidden or eye.carried or not printed else found
+
+    def _passed(self, i: int, seen: bool, at_ns: int) -> None:
+        """Record a report that has been passed on."""
+        self._exposures += 1
+        self._reported[i] = True
+        turn = -(-self._stage.timeline.now_ns // MILLISECOND)
+        self._frame += all(self._reported) and turn != self._turn
+        self._turn = turn
+        self._stage.exposed(self._exposures, self._frame)
+        if seen and not self.eyes[i].frozen:
+            self.shown_ns[i] = max(self.shown_ns[i], at_ns)
+        self._stage.sent(self._exposures)

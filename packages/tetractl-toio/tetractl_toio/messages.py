@@ -1,0 +1,137 @@
+"""The messages of a cube, as its maker publishes them, and how a port carries them.
+
+A cube has characteristics that are written, read or notify; integers are little-endian. Source:
+toio Core Cube Specification 2.4.0, https://toio.github.io/toio-spec/en/docs/ble_communication_overview.
+"""
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+from tetractl.core.errors import WireError
+
+SERVICE = "10b20100-5b3b-4571-9508-cf3efcd7bbae"
+SPEED_MAX = 115
+"""Largest motor speed that a cube takes."""
+SPEED_MIN = 8
+"""Least motor speed at which its wheels turn."""
+WHEEL_MM_S = 4.3 / 60 * math.pi * 12.5
+"""Speed of a wheel of 12.5 mm for one unit of motor speed, 4.3 revolutions a minute [mm/s]."""
+RADIUS_MM = 13.3
+"""Distance from a wheel to the cube's centre [mm]: its wheels are 26.6 mm apart."""
+MAT_MM = 1.36
+"""A unit of the mat's coordinates [mm]."""
+POSITION, MISSED = 0x01, 0x03
+DURATION_MS = 10  # unit of a motor command's duration and of a notification interval
+
+
+class Characteristic(IntEnum):
+    """A cube's characteristic: the part of its UUID that differs from the service's."""
+
+    EMULATED = 0x00  # none of a real cube: an emulated one sends its name
+    ID = 0x01
+    MOTOR = 0x02
+    BATTERY = 0x08
+    CONFIGURATION = 0xFF
+
+    @property
+    def uuid(self) -> str:
+        """The UUID of the characteristic."""
+        return f"{SERVICE[:6]}{self:02x}{SERVICE[8:]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a cube reads from the mat: coordinates of its centre, and its angle [degrees], 0 along x
+    and clockwise, where y points down."""
+
+    x: int
+    y: int
+    angle: int
+
+
+def decode_reading(data: bytes) -> Reading | None:
+    """Return the reading in a notification of `ID`, None if the cube sees no mat.
+
+    WireError for other data; a card that is not the mat counts as none.
+    """
+    if len(data) == 13 and data[0] == POSITION:
+        x, y, angle = struct.unpack_from("<HHH", data, 1)
+        if angle <= 360:
+            return Reading(x, y, angle)
+    elif (len(data), data[:1]) in ((1, b"\x03"), (1, b"\x04"), (7, b"\x02")):
+        return None
+    raise WireError(f"no reading of a mat: {data.hex()}")
+
+
+def encode_reading(reading: Reading | None) -> bytes:
+    """Return the notification of a reading; the sensor's own place is given as the centre."""
+    if reading is None:
+        return bytes([MISSED])
+    place = (reading.x, reading.y, reading.angle)
+    return struct.pack("<BHHHHHH", POSITION, *place, *place)
+
+
+def encode_motor(left: int, right: int, duration_ms: int) -> bytes:
+    """Return the command that drives both motors at speeds, negative for backward, and stops them
+    after a duration [ms]."""
+    if max(abs(left), abs(right)) > SPEED_MAX or not 10 <= duration_ms <= 2550:
+        raise ValueError(f"motor speeds {left}, {right} for {duration_ms} ms")
+    wheels = [(i, 1 if speed >= 0 else 2, abs(speed)) for i, speed in ((1, left), (2, right))]
+    return bytes([0x02, *wheels[0], *wheels[1], duration_ms // DURATION_MS])
+
+
+def decode_motor(data: bytes) -> tuple[int, int, int]:
+    """Return left and right speed, and the duration [ms], 0 for no limit, of a motor command.
+
+    WireError for data that a cube ignores: of another length, with values out of range, or twice
+    the same motor.
+    """
+    if (len(data), data[:1]) not in ((8, b"\x02"), (7, b"\x01")):
+        raise WireError(f"no motor command: {data.hex()}")
+    speeds: dict[int, int] = {}
+    for motor, way, speed in (data[1:4], data[4:7]):
+        if motor not in (1, 2) or way not in (1, 2) or motor in speeds:
+            raise WireError(f"a motor command that a cube ignores: {data.hex()}")
+        speeds[motor] = speed if way == 1 else -speed
+    return speeds[1], speeds[2], DURATION_MS * data[7] if len(data) == 8 else 0
+
+
+def encode_notify(interval_ms: int) -> bytes:
+    """Return the setting that makes a cube notify its reading at intervals [ms], changed or not."""
+    return bytes([0x18, 0, interval_ms // DURATION_MS, 0])
+
+
+def encode_missed(after_ms: int) -> bytes:
+    """Return the setting after which time off the mat a cube says so [ms]."""
+    return bytes([0x19, 0, after_ms // DURATION_MS])
+
+
+def refused(data: bytes) -> bool:
+    """Return whether a notification of `CONFIGURATION` says that one of these settings failed."""
+    return len(data) == 3 and data[0] in (0x98, 0x99) and data[2] != 0
+
+
+def pack(characteristic: Characteristic, data: bytes = b"") -> bytes:
+    """Return what is passed to a port: the characteristic, the number of bytes, and these.
+
+    Without bytes it asks the cube for the characteristic's present value.
+    """
+    return bytes([characteristic, len(data)]) + data
+
+
+class Unpacker:
+    """Cuts what a port passes on into messages."""
+
+    def __init__(self) -> None:
+        self._left = b""
+
+    def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Yield characteristic and data of each message that is complete."""
+        self._left += data
+        while len(self._left) >= 2 and len(self._left) >= 2 + self._left[1]:
+            end = 2 + self._left[1]
+            message, self._left = self._left[:end], self._left[end:]
+            yield message[0], message[2:]

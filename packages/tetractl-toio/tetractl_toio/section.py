@@ -1,0 +1,101 @@
+"""The sections of the spec for toio cubes: `type: toio` of camera and actuator."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from tetractl.core.poses import Sight
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import NonNegative, Positive
+from tetractl.experiment.lab_section import ActuatorSection, CameraSection, RobotPart, mismatches
+from tetractl.experiment.yaml.problems import Loc
+from tetractl.lab.udp_port import SCHEME, address_of
+from tetractl_toio.messages import MAT_MM, RADIUS_MM, WHEEL_MM_S
+
+MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge=0, le=65_535)]]
+
+
+class CubeOfCamera(RobotPart):
+    """A robot's entry in the camera's section."""
+
+    cube: str = Field(min_length=3, max_length=100)
+    """The cube: its name, such as toio-M0p, or its Bluetooth address."""
+
+
+class CubeOfActuator(CubeOfCamera):
+    """A robot's entry in the actuator's section."""
+
+    left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the left wheel over its nominal speed."""
+    right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the right wheel over its nominal speed."""
+
+
+class ToioCameraSection(CameraSection):
+    """toio cubes that read their poses from a printed mat, and report them over Bluetooth."""
+
+    device: ClassVar[str] = "tetractl_toio.camera:ToioCamera"
+    type: Literal["toio"]
+    origin: MatPoint = (45, 455)
+    """The spec's origin in the mat's coordinates, whose y axis points down; by default the lower
+    left corner of the side with the ring of toio Collection's mat."""
+    unit_mm: Positive = MAT_MM
+    """Length of a unit of the mat's coordinates [mm]."""
+    latency: NonNegative = Field(default=0.005, le=0.2)
+    """Time from a cube's reading until its message arrives [s]."""
+    robots: tuple[CubeOfCamera, ...] = Field(min_length=1, max_length=16)
+    """One entry for each robot of the spec."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the place and text of each problem with robots and cubes."""
+        yield from mismatches(self.robots, setup.names, ("cube",))
+        yield from _addresses(self.robots)
+
+    @property
+    def sight(self) -> Sight:
+        """The mat's grid: whole units and whole degrees."""
+        return Sight(grid_mm=self.unit_mm, grid_rad=math.radians(1))
+
+    def bounds(self) -> dict[str, str]:
+        """Return the mat's scale, for display."""
+        return {"mat": f"{self.unit_mm:g} mm a unit, origin at {self.origin[0]}, {self.origin[1]}"}
+
+
+class ToioSection(ActuatorSection):
+    """toio cubes, driven over Bluetooth; each command stops by itself after 250 ms."""
+
+    device: ClassVar[str] = "tetractl_toio.actuator:ToioActuator"
+    type: Literal["toio"]
+    rate: float = Field(default=20.0, ge=10, le=50, allow_inf_nan=False)
+    """Commands to each cube per second [Hz]."""
+    delay: float = Field(default=0.02, ge=0, le=0.2, allow_inf_nan=False)
+    """Time from the sending of a command until the wheels follow it [s]."""
+    radius_mm: Positive = Field(default=RADIUS_MM, le=100)
+    """Distance r from a wheel to the cube's centre [mm]."""
+    speed_max_mm_s: Positive = Field(default=300.0, le=320)
+    """Largest wheel speed that is sent [mm/s]."""
+    battery_warn: float = Field(default=20.0, ge=0, le=100)
+    """A warning is printed for a cube below this charge [%]."""
+    robots: tuple[CubeOfActuator, ...] = Field(min_length=1, max_length=16)
+    """One entry for each robot of the spec."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the place and text of each problem with robots and cubes."""
+        yield from mismatches(self.robots, setup.names, ("cube",))
+        yield from _addresses(self.robots)
+
+    def bounds(self) -> dict[str, str]:
+        """Return the cubes, the rate and the largest wheel speed, for display."""
+        cubes = ", ".join(robot.cube for robot in self.robots)
+        return {
+            "cubes": f"{cubes}, {self.rate:g} commands per second each",
+            "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s, {WHEEL_MM_S:.2f} mm/s a unit",
+        }
+
+
+def _addresses(robots: Sequence[CubeOfCamera]) -> Iterator[tuple[Loc, str]]:
+    for i, robot in enumerate(robots):
+        if robot.cube.startswith(SCHEME) and address_of(robot.cube) is None:
+            yield ("robots", i, "cube"), f"must be {SCHEME}HOST:PORT"

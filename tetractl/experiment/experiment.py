@@ -1,9 +1,9 @@
 """The experiment: a spec with everything that a batch of trials depends on."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -263,6 +263,12 @@ class Experiment(Model):
         or the rule by which each trial chooses its own.
         """
         return self.chosen.model_copy(update={"found": False}) if self.chosen else self.robots
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy; its `setup` is made again, as it depends on the plant."""
+        found = super().model_copy(update=update, deep=deep)
+        found.__dict__.pop("setup", None)
+        return found
 
     @cached_property
     def setup(self) -> Setup:

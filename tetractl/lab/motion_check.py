@@ -76,7 +76,9 @@ class MotionCheck:
         way = SLACK_S * np.array(speeds) + noise
         around = np.full(n, SLACK_RAD + 2 * sight.largest[1])
         self._slack = np.array([way, way, around]).T  # (N, 3)
-        self._step = np.array([math.sqrt(2) * sight.grid_mm / mm] * 2 + [sight.grid_rad])
+        steps = np.array([math.sqrt(2) * sight.grid_mm / mm] * 2 + [sight.grid_rad])
+        late = np.column_stack([SLACK_S * np.array(speeds)] * 2 + [np.full(n, SLACK_RAD)])
+        self._coarse, self._step = sight.coarse, steps + late  # (N, 3)
         # least and most of each transmission: along, across, around
         self._sent = CommandHistory(2, n, 3)
         self._times = (0,) * n  # of the newest poses [ns]
@@ -131,11 +133,13 @@ class MotionCheck:
 
     def stays(self, i: int) -> bool:
         """Return whether robot i, whose pose repeats, must have moved: every command that may act
-        now moves it, and since its pose changed it has gone further than a step of the grid."""
+        now moves it, and since its pose changed it has gone further than a step of the grid and
+        the slack."""
         least, most = self._bounds[:, i]
         gone, most_gone = self._allowed[:, i] - self._changed[:, i]
         moves = np.any((least > 0.0) | (most < 0.0))
-        far = not self._step.any() or np.any((gone > self._step) | (most_gone < -self._step))
+        step = self._step[i]
+        far = not self._coarse or np.any((gone > step) | (most_gone < -step))
         return bool(moves and far)
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.labs import fake_lab
+from support.paths import ROOT
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
@@ -13,8 +14,11 @@ from tetractl.core.commands import Note, Steer
 from tetractl.core.poses import CameraFrame, Pose, Sight
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.guard import Guard, GuardRules, GuardState
-from tetractl.lab.motion_check import REPEATS
+from tetractl.lab.motion_check import REPEATS, SLACK_S
 
 MS = 1_000_000
 MAT = Sight(grid_mm=1.36, grid_rad=math.radians(1.0), rate_hz=100.0)
@@ -108,7 +112,8 @@ def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
     while not mat.guard.refused[0]:
         mat.go(0.01)
     assert mat.guard.refused[0] == REPEATS
-    step_ms = 1000 * math.sqrt(2) * 1.36 / (60.0 * (1 - LabLimits().wheel_error))
+    way_mm = math.sqrt(2) * 1.36 + SLACK_S * RULES.speeds[0]
+    step_ms = 1000 * way_mm / (60.0 * (1 - LabLimits().wheel_error))
     assert step_ms - 20 < (mat.now - began) / MS < step_ms + 30
     assert mat.go(0.5).state is GuardState.ABORT
 
@@ -177,3 +182,11 @@ def test_a_pose_that_is_later_than_its_frame_stops_the_robots():
     lab.plant.rig.loop.step()
     assert "a pose exposed after the time of its frame" in lab.plant.rig.guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
+
+
+def test_the_setup_of_another_plant_has_the_sight_of_its_camera(monkeypatch):
+    """Regression: the setup of the simulation was kept, and verify computed other decisions."""
+    loaded = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml")
+    assert loaded.experiment.setup.sight == Sight()
+    monkeypatch.setattr(OptitrackSection, "sight", MAT)
+    assert on_plant(loaded, "lab").experiment.setup.sight == MAT

@@ -267,7 +267,7 @@ class Experiment(Model):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy; its `setup` is made again, as it depends on the plant."""
         found = super().model_copy(update=update, deep=deep)
-        found.__dict__.pop("setup", None)
+        vars(found).pop("setup", None)
         return found
 
     @cached_property

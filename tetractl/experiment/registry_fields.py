@@ -131,3 +131,6 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
             for mark in about.metadata:  # finds text fields with the name of a kind
                 if isinstance(inner, str) and isinstance(mark, KindName):
                     yield mark.registry, inner
+                own = isinstance(mark, KindSection) and mark.registry not in SPEC_REGISTRIES
+                if own and isinstance(inner, Model):  # a registry that a package brings
+                    yield mark.registry, dict(inner)["type"]

@@ -1,5 +1,4 @@
-"""Registries of what a film's command names: figures of cells, and organisms; and the
-folder of examples."""
+"""Registries of figures of cells, picture sources and organisms; and the folder of examples."""
 
 from pathlib import Path
 
@@ -21,6 +20,16 @@ CELL_FIGURES = Registry(
         "velocities": "tetractl_microscope.figures.cells:velocities_figure",
         "linearity": "tetractl_microscope.figures.cells:linearity_figure",
     },
+)
+PICTURE_SOURCES = Registry(
+    "tetractl.picture_sources",
+    {
+        "device": "tetractl_microscope.pictures.picture_section:DeviceSource",
+        "file": "tetractl_microscope.pictures.picture_section:FileSource",
+        "mjpeg": "tetractl_microscope.pictures.picture_section:MjpegSource",
+        "micromanager": "tetractl_microscope.pictures.picture_section:MicroManagerSource",
+    },
+    "tetractl_microscope.pictures.picture_section:PictureSource",
 )
 ORGANISMS = Registry(
     "tetractl.organisms",

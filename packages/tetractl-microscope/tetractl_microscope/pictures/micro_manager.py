@@ -87,7 +87,7 @@ class MicroManagerFeed(Feed):
     levels or, for a colour camera, the mean of red, green and blue.
     """
 
-    def __init__(self, source: MicroManagerSource, clock: Clock) -> None:
+    def __init__(self, source: MicroManagerSource, clock: Clock, timeout_s: float) -> None:
         try:
             core = import_module("pymmcore").CMMCore
         except ModuleNotFoundError as error:

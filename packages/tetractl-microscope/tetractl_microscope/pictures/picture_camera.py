@@ -19,7 +19,7 @@ from tetractl.core.worker import IDLE_S, WAITING_MAX, drained
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl_microscope.pictures.picture_section import PictureSection
-from tetractl_microscope.pictures.source import decoded, open_feed
+from tetractl_microscope.pictures.source import decoded
 
 Join = Callable[[Callable[[bytes], None]], Feed]
 """Opens a source in memory, which calls a function with each picture, a JPEG file."""
@@ -101,7 +101,7 @@ class PictureCamera(ABC, Generic[S]):
         if self._join is not None:
             self._feed = self._join(self._take)
         else:
-            self._feed = feed = open_feed(self._source.source, self._clock, patience)
+            self._feed = feed = self._source.source.open(self._clock, patience)
             self._threads = [
                 threading.Thread(target=self._read, args=(feed,), name="pictures", daemon=True),
                 threading.Thread(target=self._find, name="finding", daemon=True),

@@ -3,20 +3,45 @@
 OpenCV is imported only if the camera is built.
 """
 
-from typing import Annotated, Literal
+from pkgutil import resolve_name
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from tetractl.core.clock import Clock
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import CameraSection
+from tetractl.experiment.registry_fields import KindSection
+from tetractl_microscope.pictures.feed import Feed
+from tetractl_microscope.registries import PICTURE_SOURCES
 
 PIXELS_MAX = 8192  # longest side of a picture [px]
 Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
 
 
-class DeviceSource(Model):
+class PictureSource(Model):
+    """Where pictures come from; each kind is a class in the registry of picture sources."""
+
+    type: Any  # the source's name, a Literal in each subclass
+    feed: ClassVar[str]
+    """The class of the open source, a `Feed`, as "module:class": called with (source, clock,
+    timeout_s) and imported only when the source is opened."""
+
+    @property
+    def shown(self) -> str:
+        """The source for display, such as its address."""
+        return str(self.type)
+
+    def open(self, clock: Clock, timeout_s: float) -> Feed:
+        """Open the source, waiting up to `timeout_s` [s] for what answers; AbortError if that
+        fails."""
+        return resolve_name(self.feed)(self, clock, timeout_s)
+
+
+class DeviceSource(PictureSource):
     """A camera connected to this computer, opened by OpenCV."""
 
+    feed: ClassVar[str] = "tetractl_microscope.pictures.source:DeviceFeed"
     type: Literal["device"]
     index: int = Field(default=0, ge=0, le=63)
     """Number of the camera: 0 for /dev/video0."""
@@ -28,27 +53,50 @@ class DeviceSource(Model):
     """Rate of pictures [Hz]."""
     format: Literal["MJPG", "YUYV"] = "MJPG"
     """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
+    exposure: Positive | None = None
+    """Time of exposure in the camera's own unit, in Video4Linux 0.1 ms; by default the camera
+    chooses it, and lowers its rate in dim light."""
+    gain: NonNegative | None = None
+    """Gain in the camera's own unit; by default the camera chooses it."""
+
+    @property
+    def shown(self) -> str:
+        """The camera's number."""
+        return f"camera {self.index}"
 
 
-class FileSource(Model):
+class FileSource(PictureSource):
     """A video file, played once at its own rate."""
 
+    feed: ClassVar[str] = "tetractl_microscope.pictures.source:FileFeed"
     type: Literal["file"]
     path: str = Field(min_length=1, max_length=500)
     """Path of the video file, absolute or relative to the working directory."""
 
+    @property
+    def shown(self) -> str:
+        """The path."""
+        return self.path
 
-class MjpegSource(Model):
+
+class MjpegSource(PictureSource):
     """A network camera: JPEG pictures in one endless HTTP answer (multipart/x-mixed-replace)."""
 
+    feed: ClassVar[str] = "tetractl_microscope.pictures.source:MjpegFeed"
     type: Literal["mjpeg"]
     url: str = Field(pattern=r"^http://[^\s/?#@]+(/[^\s]*)?$", max_length=500)
     """Address of the stream, such as http://192.168.1.30:8080/stream."""
 
+    @property
+    def shown(self) -> str:
+        """The address."""
+        return self.url
 
-class MicroManagerSource(Model):
+
+class MicroManagerSource(PictureSource):
     """A microscope's camera through Micro-Manager; not tested with a real camera."""
 
+    feed: ClassVar[str] = "tetractl_microscope.pictures.micro_manager:MicroManagerFeed"
     type: Literal["micromanager"]
     config: str = Field(min_length=1, max_length=500)
     """The configuration file that Micro-Manager's wizard wrote. Its device adapters are taken from
@@ -56,16 +104,16 @@ class MicroManagerSource(Model):
     another. A field with a slash or backslash is refused; the camera alone is enough.
     """
 
-
-Source = Annotated[
-    DeviceSource | FileSource | MjpegSource | MicroManagerSource, Field(discriminator="type")
-]
+    @property
+    def shown(self) -> str:
+        """The configuration file."""
+        return self.config
 
 
 class PictureSection(CameraSection):
     """A camera that searches the pictures of its `source`."""
 
-    source: Source
+    source: Annotated[PictureSource, KindSection(PICTURE_SOURCES)]
     """Source of the pictures."""
     latency: NonNegative = 0.05
     """Time from exposure to arrival of a picture [s]; sources do not report it."""
@@ -79,8 +127,4 @@ class PictureSection(CameraSection):
     @property
     def source_name(self) -> str:
         """Name of the source for display, such as its address."""
-        match self.source:
-            case DeviceSource(index=index):
-                return f"camera {index}"
-            case FileSource(path=name) | MjpegSource(url=name) | MicroManagerSource(config=name):
-                return name
+        return self.source.shown

@@ -8,7 +8,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import assert_never
 from urllib.parse import urlsplit
 
 import cv2
@@ -25,30 +24,11 @@ from tetractl_microscope.pictures.picture_section import (
     PIXELS_MAX,
     DeviceSource,
     FileSource,
-    MicroManagerSource,
     MjpegSource,
-    Source,
 )
 
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
-
-
-def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
-    """Open a source, waiting up to `timeout_s` for a network camera; AbortError if that fails."""
-    match source:
-        case DeviceSource():
-            return DeviceFeed(source, clock)
-        case FileSource():
-            return FileFeed(source, clock)
-        case MjpegSource():
-            return MjpegFeed(source, clock, timeout_s)
-        case MicroManagerSource():
-            from tetractl_microscope.pictures.micro_manager import MicroManagerFeed
-
-            return MicroManagerFeed(source, clock)
-        case _:
-            assert_never(source)
 
 
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
@@ -92,7 +72,7 @@ class _CaptureFeed(Feed):
 class DeviceFeed(_CaptureFeed):
     """A camera at this computer, opened by OpenCV; not tested with a real camera."""
 
-    def __init__(self, source: DeviceSource, clock: Clock) -> None:
+    def __init__(self, source: DeviceSource, clock: Clock, timeout_s: float) -> None:
         self.rate_hz = source.rate
         self._name, self._clock = f"camera {source.index}", clock
         system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
@@ -108,6 +88,20 @@ class DeviceFeed(_CaptureFeed):
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, source.height)
         capture.set(cv2.CAP_PROP_FPS, source.rate)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # so that no old pictures wait in the buffer
+        if source.exposure is not None:
+            capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # by hand
+        for what, prop, value in (
+            ("exposure", cv2.CAP_PROP_EXPOSURE, source.exposure),
+            ("gain", cv2.CAP_PROP_GAIN, source.gain),
+        ):
+            if value is not None and not (
+                capture.set(prop, value) and abs(capture.get(prop) - value) <= 0.01 * value + 0.5
+            ):
+                capture.release()
+                raise AbortError(
+                    f"{self._name} does not take {what} {value:g}: it has {capture.get(prop):g}",
+                    "its limits: v4l2-ctl --list-ctrls",
+                )
         width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if (width, height) != (source.width, source.height):
@@ -134,7 +128,7 @@ class FileFeed(_CaptureFeed):
     live = False
     emulated = True  # robots in a film cannot be steered
 
-    def __init__(self, source: FileSource, clock: Clock) -> None:
+    def __init__(self, source: FileSource, clock: Clock, timeout_s: float) -> None:
         self._path, self._clock = source.path, clock
         if not Path(source.path).is_file():
             raise AbortError(f"there is no file {source.path}", "see lab.camera.source.path")

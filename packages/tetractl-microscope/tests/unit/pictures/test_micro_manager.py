@@ -12,7 +12,6 @@ pytest.importorskip("cv2")
 
 from tetractl_microscope.pictures.feed import SourceEndedError
 from tetractl_microscope.pictures.picture_section import MicroManagerSource
-from tetractl_microscope.pictures.source import open_feed
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
@@ -77,7 +76,7 @@ def feed(monkeypatch, tmp_path):
         monkeypatch.setitem(sys.modules, "pymmcore", SimpleNamespace(CMMCore=made))
         (tmp_path / "scope.cfg").write_text(text)
         source = MicroManagerSource(type="micromanager", config=str(tmp_path / "scope.cfg"))
-        return open_feed(source, VirtualClock(), 1.0)
+        return source.open(VirtualClock(), 1.0)
 
     return opened
 
@@ -106,7 +105,7 @@ def test_what_keeps_it_from_opening_is_one_line(feed, monkeypatch):
     opened = sys.modules["pymmcore"]
     monkeypatch.setitem(sys.modules, "pymmcore", None)
     with pytest.raises(AbortError, match="pymmcore") as caught:
-        open_feed(MicroManagerSource(type="micromanager", config="scope.cfg"), VirtualClock(), 1.0)
+        MicroManagerSource(type="micromanager", config="scope.cfg").open(VirtualClock(), 1.0)
     assert "tetractl-microscope[micro-manager]" in caught.value.hint
     monkeypatch.setitem(sys.modules, "pymmcore", opened)
     monkeypatch.delenv("MICROMANAGER_PATH")

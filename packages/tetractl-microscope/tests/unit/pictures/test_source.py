@@ -4,17 +4,26 @@ import socket
 import struct
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Annotated
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL.JpegImagePlugin import JpegImageFile
+from pydantic import TypeAdapter, ValidationError
 from support.needs_opencv import cv2
 from support.tag_scene import film, jpeg
 from tetractl_microscope.pictures.feed import Picture, SourceEndedError
-from tetractl_microscope.pictures.picture_section import DeviceSource, FileSource, MjpegSource
-from tetractl_microscope.pictures.source import decoded, open_feed
+from tetractl_microscope.pictures.picture_section import (
+    DeviceSource,
+    FileSource,
+    MjpegSource,
+    PictureSection,
+    PictureSource,
+)
+from tetractl_microscope.pictures.source import decoded
+from tetractl_microscope.registries import PICTURE_SOURCES
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
@@ -28,7 +37,7 @@ def test_a_film_plays_at_its_own_rate(tmp_path):
     source = FileSource(**film(tmp_path / "film.avi", [PICTURE] * 5, rate=20.0))
     clock = VirtualClock()
     clock.sleep_until(3 * SECOND)
-    feed = open_feed(source, clock, 1.0)
+    feed = source.open(clock, 1.0)
     assert feed.rate_hz == pytest.approx(20.0)
     assert feed.emulated  # a film shows no robot that could be steered
     times = [feed.read().received_ns for _ in range(5)]
@@ -40,11 +49,11 @@ def test_a_film_plays_at_its_own_rate(tmp_path):
 
 def test_no_file_and_no_film_are_told_apart(tmp_path):
     with pytest.raises(AbortError, match="there is no file"):
-        open_feed(FileSource(type="file", path=str(tmp_path / "no.avi")), VirtualClock(), 1.0)
+        FileSource(type="file", path=str(tmp_path / "no.avi")).open(VirtualClock(), 1.0)
     text = tmp_path / "text.avi"
     text.write_text("no film")
     with pytest.raises(AbortError, match="not a video that OpenCV can read"):
-        open_feed(FileSource(type="file", path=str(text)), VirtualClock(), 1.0)
+        FileSource(type="file", path=str(text)).open(VirtualClock(), 1.0)
 
 
 class Capture:
@@ -61,8 +70,11 @@ class Capture:
 
     def set(self, what, value):
         self.settings[what] = value
+        return True
 
     def get(self, what):
+        if what in (cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_GAIN):
+            return min(self.settings[what], 100)
         return self.size[0] if what == cv2.CAP_PROP_FRAME_WIDTH else self.size[1]
 
     def grab(self):
@@ -81,7 +93,7 @@ DEVICE = DeviceSource(type="device", index=2, width=640, height=480, rate=30)
 
 def test_a_device_is_set_up_read_and_released(monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
-    feed = open_feed(DEVICE, VirtualClock(), 1.0)
+    feed = DEVICE.open(VirtualClock(), 1.0)
     assert Capture.last.settings[cv2.CAP_PROP_FPS] == 30
     assert not feed.emulated
     assert Capture.last.settings[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
@@ -103,7 +115,7 @@ def test_a_device_that_cannot_be_used_says_so(monkeypatch, attribute, value, lin
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
     monkeypatch.setattr(Capture, attribute, value)
     with pytest.raises(AbortError, match=line):
-        open_feed(DEVICE, VirtualClock(), 1.0)
+        DEVICE.open(VirtualClock(), 1.0)
 
 
 def answering(status, kind, body=b""):
@@ -136,7 +148,7 @@ def answering(status, kind, body=b""):
 def test_an_answer_that_is_no_stream_is_told(status, kind):
     server, source = answering(status, kind)
     with pytest.raises(AbortError, match=f"is not an MJPEG stream: it answers {status}"):
-        open_feed(source, VirtualClock(), 5.0)
+        source.open(VirtualClock(), 5.0)
     server.server_close()
 
 
@@ -144,13 +156,13 @@ def test_nobody_answers():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]  # free again after this block
     with pytest.raises(AbortError, match=r"does not answer: .*refused"):
-        open_feed(MjpegSource(type="mjpeg", url=f"http://127.0.0.1:{port}"), VirtualClock(), 5.0)
+        MjpegSource(type="mjpeg", url=f"http://127.0.0.1:{port}").open(VirtualClock(), 5.0)
 
 
 def test_a_stream_is_read_to_its_end():
     part = b"--b\r\nContent-Type: image/jpeg\r\n\r\n" + jpeg(PICTURE) + b"\r\n"
     server, source = answering(200, 'multipart/x-mixed-replace; boundary="b"', 3 * part + b"--b--")
-    feed = open_feed(source, VirtualClock(), 5.0)
+    feed = source.open(VirtualClock(), 5.0)
     assert not feed.emulated  # though it is on loopback
     assert all(decoded(feed.read()).shape == PICTURE.shape for _ in range(3))
     with pytest.raises(SourceEndedError, match="closed the stream"):
@@ -216,3 +228,26 @@ def test_bytes_behind_the_end_marker_are_no_damage():
 
 def cv2grey(content):
     return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+
+
+def test_exposure_and_gain_of_a_device_are_set_or_refused(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    DEVICE.model_copy(update={"exposure": 80.0, "gain": 5.0}).open(VirtualClock(), 1.0)
+    found = Capture.last.settings
+    assert (found[cv2.CAP_PROP_EXPOSURE], found[cv2.CAP_PROP_GAIN]) == (80.0, 5.0)
+    assert found[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
+    with pytest.raises(AbortError, match="camera 2 does not take exposure 200: it has 100"):
+        DEVICE.model_copy(update={"exposure": 200.0}).open(VirtualClock(), 1.0)
+    assert Capture.last.released
+
+
+def test_a_source_of_another_package_is_found_by_its_name(monkeypatch):
+    monkeypatch.setitem(PICTURE_SOURCES.builtin, "still", "support.still_source:Still")
+    mark = next(m for m in PictureSection.model_fields["source"].metadata)
+    source = TypeAdapter(Annotated[PictureSource, mark]).validate_python(
+        {"type": "still", "grey": 9}
+    )
+    assert (decoded(source.open(VirtualClock(), 1.0).read()) == 9).all()
+    assert source.shown == "still"
+    with pytest.raises(ValidationError, match="unknown type"):
+        TypeAdapter(Annotated[PictureSource, mark]).validate_python({"type": "stil"})

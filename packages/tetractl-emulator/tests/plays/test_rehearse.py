@@ -78,6 +78,12 @@ def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     assert "steers blind: unseen for" in done.stderr
 
 
+def test_cells_that_another_program_tracks_are_refused(tmp_path):
+    done = tetractl(tmp_path, "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml")
+    assert done.returncode == 2
+    assert "only cells that our own camera finds" in done.stderr
+
+
 @pytest.mark.system
 @pytest.mark.parametrize("spec", ["dish", "tags"])
 def test_days_of_pictures_break_nothing(tmp_path, spec):

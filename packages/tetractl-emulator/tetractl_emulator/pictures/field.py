@@ -293,9 +293,14 @@ class EmulatedField(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field at the cells [mT] and the currents [A], to be recorded."""
+        """The true field at the cells [mT], the currents [A] and x, y, heading of cells that were
+        born since the beginning [mm, rad], to be recorded.
+        """
         parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
-        return {name: [round(one, 5) for one in values] for name, values in parts.items()}
+        found = {name: [round(one, 5) for one in values] for name, values in parts.items()}
+        born = range(len(self._bodies), len(self.dish.cells))
+        daughters = [CellBody("", self.dish, row) for row in born]
+        return found | {"born": [[d.x, d.y, d.heading] for d in daughters]}
 
     def switch(self, on: bool) -> None:
         """Switch the driver on or off."""

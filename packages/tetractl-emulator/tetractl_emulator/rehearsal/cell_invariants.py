@@ -31,8 +31,10 @@ class DishTruth(Truth):
 
     @cached_property
     def poses(self) -> Floats:
-        """True poses of all cells at the exposures (T, M, 3) [mm, rad]."""
-        return np.array([e["poses"] for e in self.of("truth")])
+        """True poses of all cells at the exposures (T, M, 3) [mm, rad]; NaN before one is born."""
+        rows = [[*e["poses"], *e.get("born", ())] for e in self.of("truth")]
+        most = max(map(len, rows), default=0)
+        return np.array([[*row, *[[np.nan] * 3] * (most - len(row))] for row in rows])
 
     @cached_property
     def currents(self) -> Floats:
@@ -81,7 +83,7 @@ class DishTruth(Truth):
         other = int(np.nan_to_num(self.apart_um[frame, robot], nan=np.inf).argmin())
         way = self.poses[: self.seen[frame] + 1]
         apart = way[:, own, :2] - way[:, other, :2]
-        met = own != other and 1000 * np.hypot(*apart.T).min() < MET_UM
+        met = own != other and 1000 * np.nanmin(np.hypot(*apart.T)) < MET_UM
         return "met: names are sure to 90 %" if met else ""
 
 
@@ -179,4 +181,4 @@ def _speed_um(truth: DishTruth, own: int) -> float:
     """Return the greatest speed of a cell [um/s]."""
     way = np.diff(truth.poses[:, own, :2], axis=0)
     swum = np.hypot(way[:, 0], way[:, 1]) / np.diff(truth.times)
-    return 1000 * float(np.quantile(swum, 0.9))
+    return 1000 * float(np.nanquantile(swum, 0.9))

@@ -86,6 +86,14 @@ def test_an_invariant_is_broken(name, events, more):
     assert name in found(*events, **more)
 
 
+def test_a_cell_that_was_born_is_one_of_the_dish():
+    later = {**truth_at(2.0), "born": [[1.5, 1.5, 0.0]]}
+    poses = truth_of(later).poses
+    assert poses.shape == (2, 5, 3)
+    assert np.isnan(poses[0, 4]).all()
+    assert poses[1, 4, 0] == 1.5
+
+
 def test_pictures_that_were_late_make_the_bound_later():
     late = {"kind": "pictures late", "strength": 0.5, "fault": "late_pictures", "by": 0.2, "at": 1}
     assert not found(SEEN, STOP, command(2.1, unseen=450.0), fault=late)

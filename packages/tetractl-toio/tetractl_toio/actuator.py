@@ -18,6 +18,7 @@ from tetractl_toio.messages import SPEED_MAX, SPEED_MIN, WHEEL_MM_S, Characteris
 from tetractl_toio.section import ToioSection
 
 WATCHDOG_MS = 250
+TRIES = 5  # number of questions: messages may be lost
 EMPTY = 10  # charge below which a cube would soon stop [%]
 
 
@@ -79,10 +80,13 @@ class ToioActuator(WheeledActuator):
         return self._drive(Stop(), np.zeros((2, count)), (False,) * count)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every cube for its charge."""
-        for cube in self.link.cubes:
-            self.link.send(cube, Characteristic.BATTERY)
-        wait_for(self._clock, lambda: None not in self._charge, timeout_s)
+        """Ask every cube for its charge, again if a message is lost."""
+        for _ in range(TRIES):
+            for cube, known in zip(self.link.cubes, self._charge, strict=True):
+                if known is None:
+                    self.link.send(cube, Characteristic.BATTERY)
+            if wait_for(self._clock, lambda: None not in self._charge, timeout_s / TRIES):
+                break
         return [self._status(*each) for each in zip(self.names, self._charge, strict=True)]
 
     def _drive(self, action: Action, units: Floats, moving: tuple[bool, ...]) -> Transmission:

@@ -23,7 +23,7 @@ from tetractl_toio.messages import (
 )
 from tetractl_toio.section import ToioCameraSection
 
-FIRST_S = 3.0  # longest time until every cube has reported
+FIRST_S, TRIES = 3.0, 5  # longest time until every cube has reported, and number of requests
 
 
 class ToioCamera:
@@ -55,10 +55,7 @@ class ToioCamera:
         """Connect; return once every cube has reported. AbortError names those that have not."""
         try:
             self._link.open()
-            for cube in self._link.cubes:
-                for setting in (encode_notify(DURATION_MS), encode_missed(DURATION_MS)):
-                    self._link.send(cube, Characteristic.CONFIGURATION, setting)
-            if not wait_for(self._clock, lambda: min(self._read_ns) >= 0, FIRST_S):
+            if not any(self._begun() for _ in range(TRIES)):
                 silent = [n for n, at in zip(self.names, self._read_ns, strict=True) if at < 0]
                 raise AbortError(f"no message came from {', '.join(silent)}", HINT)
         except BaseException:
@@ -68,6 +65,13 @@ class ToioCamera:
 
     def __exit__(self, *_: object) -> None:
         self._link.close()
+
+    def _begun(self) -> bool:
+        """Make every cube report, and return whether all do; messages may be lost."""
+        for cube in self._link.cubes:
+            for setting in (encode_notify(DURATION_MS), encode_missed(DURATION_MS)):
+                self._link.send(cube, Characteristic.CONFIGURATION, setting)
+        return wait_for(self._clock, lambda: min(self._read_ns) >= 0, FIRST_S / TRIES)
 
     def check(self) -> Health:
         """Return which robots do not see the mat."""

@@ -62,8 +62,12 @@ def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
     assert trial.result is not None and why in trial.result.reason, trial.result
 
 
-def test_a_lab_of_cubes_is_checked(folder):
-    done = tetractl(folder, "lab", "check", "cubes.yaml", "--plant", "emulated", "--json").ok()
+@pytest.mark.parametrize("lost", [0.0, 0.4])
+def test_a_lab_of_cubes_is_checked_though_messages_are_lost(folder, lost):
+    """Regression: a charge that was asked for once, and lost, was a cube that does not answer."""
+    script = f"plant.faults={{about: a test, emulation: {{actuator: {{loss: {lost}}}}}}}"
+    check = ("lab", "check", "cubes.yaml", "--plant", "emulated", "--json", "--set", script)
+    done = tetractl(folder, *check).ok()
     found = json.loads(done.stdout)
     assert found["ready"]
     assert all(robot["answers"] for robot in found["robots"])

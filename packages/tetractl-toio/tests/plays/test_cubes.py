@@ -4,14 +4,13 @@ import json
 
 import pytest
 from support.cli import tetractl
-from support.lab_processes import SMALL, flags
 from tetractl_toio.emulated.cube import CubeProgram
 from tetractl_toio.messages import Characteristic, encode_motor, encode_notify, pack
 
 from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.slow
-FEW = flags((*(one for one in SMALL if not one.startswith("lab")), "controller.deadline=60"))
+FEW = ("--set", "controller.time_limit=2")
 
 
 @pytest.fixture(scope="module")

@@ -168,8 +168,9 @@ def held(known: Estimate | None, truth: Truth) -> Row:
             row |= {f"{name}_of": 0, f"{name}_held": 0, f"{name}_squares": 0.0}
             continue
         lives = truth["lives"] if value.ndim else np.True_
-        off = ((value - truth[name]) / std)[lives]
-        inside, squares = int((np.abs(off) <= 1.96).sum()), float((off**2).sum())
+        off, std = (value - truth[name])[lives], std[lives]
+        inside = int((np.abs(off) <= 1.96 * std).sum())  # what is known for sure has no deviation
+        squares = float(((off[std > 0] / std[std > 0]) ** 2).sum())
         row |= {f"{name}_of": off.size, f"{name}_held": inside, f"{name}_squares": squares}
     return row
 

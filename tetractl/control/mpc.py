@@ -307,7 +307,8 @@ class Mpc:
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
-        stays = self.stands and not (reached or out or tight) and worth > SOON * error
+        stays = self.stands and not (reached or out) and worth > SOON * error
+        stays = stays and step.allows(least, PAUSE_S + self.section.period)  # time for it then
         if stays and self.k - self.began < RESTS:
             return self._given(problem, State.RESTING, before=searcher.found)
         return out or plan

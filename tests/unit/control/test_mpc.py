@@ -378,6 +378,13 @@ def test_robots_rest_on_and_search_again_up_to_ten_times_while_no_plan_leads_far
     assert len({plan.generator for plan in found}) == 11  # other random numbers each time
 
 
+def test_robots_do_not_rest_on_where_no_time_is_left_for_the_plan_after_it():
+    """Regression: a trial of 3 s with targets farther away than that ended without driving."""
+    controller = resting()
+    controller.time.limit_s = 3.0
+    assert controller.plan(seen()).state is State.DRIVING
+
+
 @pytest.mark.parametrize(("look_s", "searches"), [(0.0, 3), (0.6, 2), (1.1, 1)])
 def test_searches_for_standing_robots_end_after_a_second(look_s, searches):
     plan = resting(look_s).plan(seen())

@@ -10,75 +10,26 @@ the spec's length unit, times ns on the run's clock.
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import PAUSE_S
-from tetractl.core.poses import UNSTATED, CameraFrame, Pose, Sight
-from tetractl.core.setup import Bounds
-from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.experiment.lab_section import UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.culprit import Culprit
+from tetractl.lab.damage_count import DamageCount
 from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.motion_check import REPEATS, STILL, MotionCheck
 from tetractl.lab.places import Places
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
 NOISE_MM = 2.0  # largest error of a pose
-
-
-class GuardState(StrEnum):
-    """The guard's states."""
-
-    PREFLIGHT = "preflight"
-    READY = "ready"
-    RUN = "run"
-    HOLD = "hold"
-    ABORT = "abort"
-
-
-@dataclass(frozen=True, slots=True)
-class GuardRules:
-    """The spec's `limits`, and the properties of robots and arena that the guard needs.
-
-    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) the greatest turning rates
-    [rad/s]; `mm` is the number of millimetres per length unit. Robots that are not `individual` can
-    only be stopped together. A run that `goes_on` continues without a lost robot, and ends when the
-    last robot is lost. `sight` is what the camera can see.
-    """
-
-    names: tuple[str, ...]
-    speeds: tuple[float, ...]
-    turning: tuple[float, ...]
-    arena: Bounds
-    limits: LabLimits
-    obstacles: tuple[Shape, ...] = ()  # each grown by the radius of a body
-    mm: float = 1.0
-    silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
-    wheel_radius: float = 0.0  # 0 for robots without wheels
-    individual: bool = True
-    goes_on: bool = False
-    sight: Sight = UNSTATED
-
-
-@dataclass(frozen=True, slots=True)
-class Ruling:
-    """The decision of a tick: which robots may move, `moving` (N,), and the accepted `poses` (N,).
-
-    A pose is None if the robot is not tracked. `reason` is why the run was aborted, "" otherwise.
-    """
-
-    state: GuardState
-    moving: tuple[bool, ...]
-    poses: tuple[Pose | None, ...]
-    reason: str = ""
-    warnings: tuple[str, ...] = ()
+DAMAGED_MAX = 20  # number of damaged pictures or datagrams within a second
 
 
 @dataclass(slots=True)
@@ -112,7 +63,7 @@ class Guard:
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _ahead: bool = True
-    _damaged: deque[tuple[int, int]] = field(default_factory=deque)
+    _damaged: DamageCount = field(default_factory=DamageCount)
     _late: int = 0
     _disobedient: set[int] = field(default_factory=set)  # robots that disobeyed in the newest frame
     _ghosts: dict[int, str] = field(default_factory=dict)  # robots refused for good, and why
@@ -294,7 +245,8 @@ class Guard:
         self.awake(now_ns)
         if failure:
             self.abort(failure)
-        self._count_damaged(now_ns, damaged)
+        if (recent := self._damaged.recent(now_ns, damaged)) > DAMAGED_MAX and self._active:
+            self.abort(f"{recent} damaged camera frames within a second")
         tracked = self._tracked()
         accepted = tuple(self._at_once(i) if ok else None for i, ok in enumerate(tracked))
         warnings: tuple[str, ...] = ()
@@ -444,11 +396,3 @@ class Guard:
                 before = math.hypot(now.x - other_now.x, now.y - other_now.y)
                 if min(gap, before) * rules.mm < limits.separation_mm and gap <= before:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
-
-    def _count_damaged(self, now_ns: int, total: int) -> None:
-        """Abort if too many pictures or datagrams within a second could not be read."""
-        self._damaged.append((now_ns, total))
-        while self._damaged and self._damaged[0][0] < now_ns - SECOND:
-            self._damaged.popleft()
-        if (within := total - self._damaged[0][1]) > 20 and self._active:
-            self.abort(f"{within} damaged camera frames within a second")

@@ -22,7 +22,8 @@ from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.device_abilities import HearsDirections
-from tetractl.lab.guard import Guard, GuardState, Ruling
+from tetractl.lab.guard import Guard
+from tetractl.lab.guard_records import GuardState, Ruling
 
 IDLE_S = 0.01
 STOP_S = 1.0

@@ -12,7 +12,8 @@ from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.device_abilities import SettlesRobots, TracksCells
-from tetractl.lab.guard import Guard, GuardRules
+from tetractl.lab.guard import Guard
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 

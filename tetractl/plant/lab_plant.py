@@ -34,7 +34,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.candidates import free_candidates, turn_field
 from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, TracksCells
-from tetractl.lab.guard import GuardState
+from tetractl.lab.guard_records import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import LONGER, REST_NS, drifting_robots, wait_for_rest

@@ -14,7 +14,8 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.guard import Guard, GuardRules, GuardState
+from tetractl.lab.guard import Guard
+from tetractl.lab.guard_records import GuardRules, GuardState
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab import inner_loop
-from tetractl.lab.guard import GuardState
+from tetractl.lab.guard_records import GuardState
 
 
 @pytest.fixture

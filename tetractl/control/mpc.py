@@ -304,7 +304,8 @@ class Mpc:
         out = self._out(searcher, plan)
         there = replace(problem, poses=Poses.of(plan.path[-1]))
         if tight and (out or worth - again >= error or self._enters(there, plan.signals[-1:])):
-            return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
+            state = State.RESTING if holds else State.STUCK  # with its searches, for the log
+            return self._given(problem, state, before=searcher.found)
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
         stays = self.stands and not (reached or out) and worth > SOON * error
@@ -352,7 +353,7 @@ class Mpc:
         seen = compiled_foresee(problem, signals)
         found = given_search(problem, signals, seen)
         plan = make_plan([*before, found], len(before), mix(self.key, self.k), seen)
-        instead = Stop() if state is State.RESTING else None
+        instead = Stop() if state in (State.RESTING, State.STUCK) else None
         return replace(plan, state=state, instead=instead, delay_ns=delay_ns)
 
     def _circle(self, step: StepStart) -> Plan:

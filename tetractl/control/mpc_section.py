@@ -257,11 +257,12 @@ class RecommendedMpc(SearchFields):
 
     def warm_up(self, setup: Setup) -> None:
         """Call the functions of the planner and of the margins once, so that they are compiled."""
-        from tetractl.control.evaluate import compiled_drive
+        from tetractl.control.evaluate import compiled_branches, compiled_drive
         from tetractl.control.margins import Margins
 
         super().warm_up(setup)
         problem, margins = self.problem(setup), Margins(setup.obstacles, setup.arena, setup.targets)
         path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
+        compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
         margins.entered(path)
         margins.clear_unheard(problem, path, np.zeros(1), 0.0, 0.0, 0.0)

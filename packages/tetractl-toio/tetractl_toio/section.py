@@ -11,7 +11,6 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.udp_port import SCHEME, address_of
 from tetractl_toio.messages import MAT_MM, RADIUS_MM, WHEEL_MM_S
 
 MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge=0, le=65_535)]]
@@ -96,6 +95,8 @@ class ToioSection(ActuatorSection):
 
 
 def _addresses(robots: Sequence[CubeOfCamera]) -> Iterator[tuple[Loc, str]]:
+    from tetractl.lab.udp_port import SCHEME, address_of
+
     for i, robot in enumerate(robots):
         if robot.cube.startswith(SCHEME) and address_of(robot.cube) is None:
             yield ("robots", i, "cube"), f"must be {SCHEME}HOST:PORT"

@@ -315,6 +315,7 @@ def lab_log(tmp_path, valid, speed_mm, halts, metres):
         frames=np.arange(100),
         mocap_ns=np.arange(100) * 10_000_000,
         received_ns=np.arange(100) * 10_000_000 + 1,
+        exposed_ns=np.arange(100)[:, None].repeat(3, axis=1) * 10_000_000,
     )
 
 

@@ -30,7 +30,7 @@ def digests(folder):
 @needs_compiler
 def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path):
     for out, jobs in (("one", "1"), ("two", "2")):
-        done = run(tmp_path, out, "--trials", "2", "--jobs", jobs, *SMALL).ok()
+        done = run(tmp_path, out, "--trials", "2", "--seed", "2", "--jobs", jobs, *SMALL).ok()
     first, second = digests(tmp_path / "one"), digests(tmp_path / "two")
     assert first == second
     assert len(set(first)) == 2  # each trial has noise of its own

@@ -256,13 +256,16 @@ class RecommendedMpc(SearchFields):
         return min(PATIENCE_S, self.time_limit / 2) if self.prior.rests(setup) else PATIENCE_S
 
     def warm_up(self, setup: Setup) -> None:
-        """Call the functions of the planner and of the margins once, so that they are compiled."""
+        """Call the functions of the planner, of the margins and of the tree once, so that they are
+        compiled, and what they import is loaded: loading it in a run kept frames waiting."""
         from tetractl.control.evaluate import compiled_branches, compiled_drive
         from tetractl.control.margins import Margins
+        from tetractl.control.passage import ways
 
         super().warm_up(setup)
         problem, margins = self.problem(setup), Margins(setup.obstacles, setup.arena, setup.targets)
         path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
         compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
+        next(ways(problem, setup.arena, 0, 0), None)
         margins.entered(path)
         margins.clear_unheard(problem, path, np.zeros(1), 0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 DEMO := logs/demo
 PACKAGES := ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio
 
-.PHONY: demo demo-ours demo-paper test test-fast test-all test-lowest test-newest lint dist clean
+.PHONY: demo demo-ours demo-paper test test-fast test-all test-lowest test-newest lint dist docs clean
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml constraints.txt
@@ -84,6 +84,11 @@ DIST ?= dist
 dist: $(STAMP)
 	@$(BIN)/python packages/dist.py $(DIST)
 
+# All pages as a site, to be opened without a network: build/docs/docs/site/index.html.
+docs: $(STAMP)
+	@$(BIN)/python -m sphinx -W --keep-going -q -c docs/site . build/docs
+	@echo "Open build/docs/docs/site/index.html in a browser"
+
 # Days of the emulated lab with random faults, of a new seed: docs/rehearsals.md of the emulator.
 DAYS ?= 200
 SPEC ?= experiments/three_m3pi_lab.yaml
@@ -99,4 +104,4 @@ lint: $(STAMP)
 	$(BIN)/python docs/words.py
 
 clean:
-	rm -rf .venv .venv-lowest .venv-newest .ruff_cache .import_linter_cache
+	rm -rf build .venv .venv-lowest .venv-newest .ruff_cache .import_linter_cache

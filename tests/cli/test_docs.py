@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import warnings
 
 import console
@@ -100,6 +101,19 @@ def test_the_index_leads_to_every_page():
             assert page.name == "README.md" or f"({page.name})" in decisions, page
         elif page.name != "README.md":
             assert f"({os.path.relpath(page, ROOT / 'docs')})" in index, page
+
+
+@pytest.mark.system
+def test_the_site_has_every_page_and_needs_no_network(tmp_path):
+    sphinx = [sys.executable, "-m", "sphinx", "-W", "-q", "-c", ROOT / "docs/site", ROOT, tmp_path]
+    done = subprocess.run(sphinx, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    searched = (tmp_path / "searchindex.js").read_text("utf-8")
+    for page in PAGES:
+        name = page.relative_to(ROOT).with_suffix("")
+        assert f'"{name}"' in searched
+        built = (tmp_path / f"{name}.html").read_text("utf-8")
+        assert not re.findall(r'<(?:script|img)[^>]* src="\w+:|<link[^>]* href="\w+:', built), name
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -1,0 +1,21 @@
+"""The documentation as a site: `make docs` builds it with Sphinx, from the pages as they are."""
+
+project = html_title = "tetractl"
+extensions = ["myst_parser"]
+root_doc = "docs/site/index"
+include_patterns = [
+    "*.md",
+    "docs/**.md",
+    "docs/site/*.rst",
+    "examples/*/README.md",
+    "experiments/**/README.md",
+    "packages/*/README.md",
+    "packages/*/docs/**.md",
+    "packages/*/firmware/README.md",
+]
+exclude_patterns = [".venv*", "logs", "build", "dist"]
+myst_heading_anchors = 3  # headings are linked to as GitHub names them
+suppress_warnings = ["misc.highlighting_failure"]  # diagrams of Mermaid, which needs a network
+html_theme = "furo"  # its scripts and styles are copied into the site
+html_copy_source = False
+highlight_language = "none"

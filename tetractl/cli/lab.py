@@ -6,7 +6,6 @@ from datetime import UTC, datetime
 from functools import partial
 from json import dumps
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -21,9 +20,11 @@ from tetractl.run.interrupt import interrupted_once
 from tetractl.view.terminal.keys import SAYS, StopKey
 
 if TYPE_CHECKING:
+    from tetractl.core.setup import Setup
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.lab_section import LabSection, Measured
+    from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
+    from tetractl.lab.rig import Rig
 
 
 def check(
@@ -106,6 +107,7 @@ def stop(
 def calibrate(
     spec: Spec,
     sets: Sets = None,
+    plant: Lab = "lab",
     out: Annotated[Path, out_option("FILE", "YAML file to write the calibration to.")] = Path(
         "calibration.yaml"
     ),
@@ -116,7 +118,8 @@ def calibrate(
         int,
         option(
             "N",
-            "Largest output that the calibration sends; for m3pi robots a wheel count.",
+            "Largest output that the calibration sends, in 127ths of full speed; for m3pi robots a "
+            "wheel count.",
             min=10,
             max=80,
         ),
@@ -125,28 +128,41 @@ def calibrate(
 ) -> int:
     """Calibrate each robot's actuator by small motions.
 
-    It measures wheel speeds, wheel distance and heading offset of m3pi robots. Robots move one
-    after another, each within about 0.3 m; space or Esc stops all robots. Enter the file's name in
-    the spec as `lab.calibration`.
+    It measures wheel speeds, wheel distance and heading offset of robots on two wheels. Robots
+    move one after another, each within about 0.3 m; space or Esc stops all robots. Enter the file's
+    name in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
+    from numpy.random import SeedSequence
+
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.experiment.plants import on_plant, settings_on
+    from tetractl.plant.lab_plant import RigSection
+
     ui.refuse_existing(out)
-    lab, experiment = _lab(spec, sets)
-    setup = experiment.setup
+    experiment = on_plant(ui.load(spec, settings_on(spec, sets or [], plant)), plant).experiment
+    lab, setup = experiment.plant, experiment.setup
+    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     names = robot or list(setup.names)
     for name in names:
         if name not in setup.names:
             raise UsageError(f"--robot {name}: the spec has no such robot")
-    ui.require_confirmation(yes)
-    if not yes:
+    if lab.real_time:
+        ui.require_confirmation(yes)
+    if lab.real_time and not yes:
         typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Continue?", abort=True)
-    emergency = Event()
-    stop_key = StopKey(emergency.set, lambda: None)
+    supervision = LabSupervision()
+
+    def rig(limits: "LabLimits", one: "Setup") -> "Rig":
+        own, seed = lab.model_copy(update={"limits": limits}), SeedSequence(experiment.trials.seed)
+        return own.rig(one, own.clock(), seed, supervision)
+
+    stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             ui.tell(SAYS)
-        found = lab.actuator.calibrate(lab, setup, names, limit, emergency, ui.tell)
+        found = lab.actuator.calibrate(lab, rig, setup, names, limit, ui.tell)
     return save_calibration(out, found)
 
 

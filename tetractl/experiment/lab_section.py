@@ -5,7 +5,6 @@ Each section of a camera or actuator is in the file of its adapter, and named in
 the spec's length unit; times are in seconds.
 """
 
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,9 +91,10 @@ class CameraSection(DeviceSection):
         """What the camera can see: a grid, noise, frames a second; by default nothing is known."""
         return UNSTATED
 
-    def heading_offset(self, name: str) -> float:
-        """Return the angle that the camera adds to a robot's measured heading [rad]."""
-        return 0.0
+    def heading_offset(self, name: str) -> float | None:
+        """Return the angle that the camera adds to a robot's measured heading [rad], None if its
+        section has none."""
+        return None
 
 
 class ActuatorSection(DeviceSection):
@@ -124,23 +124,23 @@ class ActuatorSection(DeviceSection):
     def calibrate(
         self,
         lab: "LabSection",
+        make_rig: Callable[["LabLimits", Setup], Any],
         setup: Setup,
         names: Sequence[str],
         limit: int,
-        emergency: threading.Event,
         report: Callable[[str], None],
     ) -> Measured:
         """Calibrate the named robots by moving one after another; AbortError if this fails.
 
-        `limit` bounds the output, in the actuator's own unit. `report` is called with lines for the
-        operator; setting `emergency` stops the robots.
+        `make_rig` returns the `Rig` of the lab for a setup with other limits. `limit` bounds the
+        output, in 127ths of full speed. `report` is called with lines for the operator.
         """
         if not self.calibration:
             raise UsageError(
                 f"an actuator of type {self.type} cannot be calibrated by moving robots"
             )
         measure = resolve_name(self.calibration)
-        return measure(self, lab, setup, names, limit, emergency, report)
+        return measure(self, lab, make_rig, setup, names, limit, report)
 
 
 class LabLimits(Model):

@@ -1,18 +1,17 @@
 """Cubes as an `Actuator`: motor commands that end by themselves."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
+from tetractl.core.commands import Action, Health, RobotStatus, Stop, Transmission
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator
 from tetractl.lab.serial_port import Ports
+from tetractl.model.wheels import CountArray
 from tetractl_toio.cubes import CubesLink
 from tetractl_toio.messages import SPEED_MAX, SPEED_MIN, WHEEL_MM_S, Characteristic, encode_motor
 from tetractl_toio.section import ToioSection
@@ -37,7 +36,7 @@ class ToioActuator(WheeledActuator):
         self._gain = gain * WHEEL_MM_S
         limit = min(section.speed_max_mm_s / WHEEL_MM_S, SPEED_MAX)
         self._limit, self._owed = int(limit), np.zeros_like(self._gain)
-        wheels, radii = drivetrains(self._gain, limit), [section.radius_mm] * len(robots)
+        wheels, radii = drivetrains(self._gain, limit), [robot.radius_mm for robot in robots]
         commands = WheelCommands(setup, clock, radii, wheels, round(section.delay * SECOND))
         super().__init__(setup, self.link, lambda _: [], commands, section.rate, 0.0)
 
@@ -45,23 +44,13 @@ class ToioActuator(WheeledActuator):
         """Return whether the cubes are emulated."""
         return Health(emulated=self.link.emulated)
 
-    def send(
-        self,
-        action: Steer | Turn,
-        poses: Sequence[Pose | None],
-        moving: Sequence[bool],
-        exposed_ns: int,
-    ) -> Transmission:
-        """Send each cube its speeds; robots not `moving` stand."""
-        wished = self._commands.wished(action, poses, exposed_ns) * np.array(moving)
-        return self._drive(action, self.units(wished), tuple(moving))
-
-    def units(self, wished: Floats) -> Floats:
-        """Return motor speeds (2, N) for wheel speeds (2, N) [mm/s].
+    def outputs(self, wished: Floats, may: Bools) -> CountArray:
+        """Return motor speeds (2, N) for wheel speeds (2, N) [mm/s], of cubes that `may` move.
 
         A wheel does not turn below SPEED_MIN: what a unit or the least speed cannot give is carried
         to the next command, so that the mean of the speeds sent is the one wished.
         """
+        wished = wished * may
         exact = wished / self._gain
         exact /= np.maximum(1.0, np.abs(exact).max(axis=0) / self._limit)
         total = exact + self._owed
@@ -71,13 +60,13 @@ class ToioActuator(WheeledActuator):
             slow
         ]
         self._owed = np.clip(total - units, -SPEED_MIN / 2, SPEED_MIN / 2) * wished.any(axis=0)
-        return units
+        return units.astype(np.int64)
 
     def stop(self, emergency: bool = False) -> Transmission:
         """Stop every cube, which has no emergency stop that it keeps."""
         self._owed[:] = 0.0
         count = len(self.names)
-        return self._drive(Stop(), np.zeros((2, count)), (False,) * count)
+        return self._drive(Stop(), np.zeros((2, count), dtype=np.int64), (False,) * count)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every cube for its charge, again if a message is lost."""
@@ -89,9 +78,9 @@ class ToioActuator(WheeledActuator):
                 break
         return [self._status(*each) for each in zip(self.names, self._charge, strict=True)]
 
-    def _drive(self, action: Action, units: Floats, moving: tuple[bool, ...]) -> Transmission:
+    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
         sent_ns, lost = self._clock.now(), list[AbortError]()
-        for cube, (left, right) in zip(self.link.cubes, units.T.astype(int).tolist(), strict=True):
+        for cube, (left, right) in zip(self.link.cubes, outputs.T.tolist(), strict=True):
             command = encode_motor(left, right, WATCHDOG_MS)
             try:
                 sent_ns = self.link.send(cube, Characteristic.MOTOR, command)
@@ -99,7 +88,7 @@ class ToioActuator(WheeledActuator):
                 lost.append(error)
         if lost:
             raise lost[0]
-        return self._transmission(sent_ns, action, units * self._gain, moving)
+        return self._transmission(sent_ns, action, outputs * self._gain, moving)
 
     def _heard(self, i: int, characteristic: int, data: bytes, _at_ns: int) -> None:
         if characteristic == Characteristic.BATTERY and len(data) == 1:

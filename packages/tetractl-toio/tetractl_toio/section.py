@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -11,6 +11,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
+from tetractl.lab.actuators.wheeled_section import Found
 from tetractl_toio.messages import MAT_MM, RADIUS_MM, WHEEL_MM_S
 
 MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge=0, le=65_535)]]
@@ -30,6 +31,8 @@ class CubeOfActuator(CubeOfCamera):
     """True speed of the left wheel over its nominal speed."""
     right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
     """True speed of the right wheel over its nominal speed."""
+    radius_mm: Positive = Field(default=RADIUS_MM, le=100)
+    """Distance r from a wheel to the cube's centre [mm]."""
 
 
 class ToioCameraSection(CameraSection):
@@ -66,13 +69,13 @@ class ToioSection(ActuatorSection):
     """toio cubes, driven over Bluetooth; each command stops by itself after 250 ms."""
 
     device: ClassVar[str] = "tetractl_toio.actuator:ToioActuator"
+    calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    dead_zone_max: ClassVar[int] = 0
     type: Literal["toio"]
     rate: float = Field(default=20.0, ge=10, le=50, allow_inf_nan=False)
     """Commands to each cube per second [Hz]."""
     delay: float = Field(default=0.02, ge=0, le=0.2, allow_inf_nan=False)
     """Time from the sending of a command until the wheels follow it [s]."""
-    radius_mm: Positive = Field(default=RADIUS_MM, le=100)
-    """Distance r from a wheel to the cube's centre [mm]."""
     speed_max_mm_s: Positive = Field(default=300.0, le=320)
     """Largest wheel speed that is sent [mm/s]."""
     battery_warn: float = Field(default=20.0, ge=0, le=100)
@@ -84,6 +87,15 @@ class ToioSection(ActuatorSection):
         """Yield the place and text of each problem with robots and cubes."""
         yield from mismatches(self.robots, setup.names, ("cube",))
         yield from _addresses(self.robots)
+
+    def outputs(self, name: str, limit: int) -> tuple[float, int]:
+        """Return the motor speed for a 127th of the largest wheel speed, and for `limit`."""
+        unit = self.speed_max_mm_s / WHEEL_MM_S / 127
+        return unit, int(unit * limit)
+
+    def measured(self, found: Found) -> dict[str, Any]:
+        """Return a cube's r and gains."""
+        return found.gains(WHEEL_MM_S)
 
     def bounds(self) -> dict[str, str]:
         """Return the cubes, the rate and the largest wheel speed, for display."""

@@ -2,6 +2,7 @@
 robots reply."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
@@ -11,9 +12,9 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Action, RobotStatus, Steer, Transmission, Turn
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.setup import MM, Setup
-from tetractl.model.wheels import Drivetrains, WheelHost
+from tetractl.model.wheels import CountArray, Drivetrains, WheelHost
 
 AHEAD_NS = SECOND // 10  # longest time over which headings are predicted
 EMPTY_V = 4.0  # voltage of four cells below which motors would soon fail
@@ -106,12 +107,14 @@ class RobotLink(Protocol):
         ...
 
 
-class WheeledActuator:
+class WheeledActuator(ABC):
     """Drives a setup's robots over a `link` at `rate` commands per second [Hz], see
     `tetractl.core.protocols.Actuator`; `ask` polls them, and below `warn_v` a battery is low."""
 
     individual = True
     halts = True
+    held: CountArray | None = None
+    """Outputs (2, N) that are sent whatever the action, as in calibration."""
 
     def __init__(
         self,
@@ -141,6 +144,29 @@ class WheeledActuator:
     def failure(self) -> str | None:
         """The reason why nothing can be sent any more; None without a fault."""
         return self._link.failure
+
+    def send(
+        self,
+        action: Steer | Turn,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Send each robot its outputs; robots not `moving` stand."""
+        may = np.array(moving, dtype=np.bool_)
+        if self.held is None:
+            outputs = self.outputs(self._commands.wished(action, poses, exposed_ns), may)
+        else:
+            outputs = self.held * may
+        return self._drive(action, outputs, tuple(moving))
+
+    def outputs(self, wished: Floats, may: Bools) -> CountArray:
+        """Return the outputs (2, N) for wheel speeds (2, N) [mm/s], of robots that `may` move."""
+        return self._commands.host.counts(wished) * may
+
+    @abstractmethod
+    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+        """Send outputs (2, N) in the actuator's own unit."""
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state."""

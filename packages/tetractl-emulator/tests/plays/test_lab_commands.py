@@ -196,6 +196,22 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     assert attachment(tmp_path / "logs" / "trial-000.mcap", "calibration.yaml") == text
 
 
+TWIST = "{type: twist, port: p, robots: [{name: green}, {name: blue}, {name: red}]}"
+ODD = "{actuator: {robots: [{name: green, left_gain: 0.9, right_gain: 1.1}]}}"
+
+
+def test_calibrate_drives_robots_that_take_lines_too(tmp_path):
+    sets = (f"lab.actuator={TWIST}", f"plant.faults={{about: odd gains, emulation: {ODD}}}")
+    words = ("lab", "calibrate", SPEC, "--plant", "emulated", "--robot", "green")
+    tetractl(tmp_path, *words, *flags((*SMALL, *sets))).ok()
+    text = (tmp_path / "calibration.yaml").read_text()
+    spec = load_spec(SPEC, sets[:1])
+    green, *_ = calibrated(on_plant(spec, "lab").experiment, text, "c.yaml").plant.actuator.robots
+    radius = spec.experiment.setup.wheel_radius * spec.experiment.setup.metres * 1000
+    found = (green.left_gain, green.right_gain, green.radius_mm / radius)
+    assert found == pytest.approx((0.9, 1.1, 1.0), rel=0.02)
+
+
 def attachment(path, name):
     from mcap.reader import make_reader
 

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+import yaml
 from support.cli import tetractl
 from tetractl_toio.emulated.cube import CubeProgram
 from tetractl_toio.messages import Characteristic, encode_motor, encode_notify, pack
@@ -70,6 +71,19 @@ def test_a_lab_of_cubes_is_checked_though_messages_are_lost(folder, lost):
     found = json.loads(done.stdout)
     assert found["ready"]
     assert all(robot["answers"] for robot in found["robots"])
+
+
+def test_cubes_are_calibrated_by_what_they_read_of_the_mat(folder, tmp_path):
+    out = tmp_path / "calibration.yaml"
+    odd = "emulation: {actuator: {robots: [{name: blue, left_gain: 0.9, right_gain: 1.1}]}}"
+    words = ("--plant", "emulated", "--robot", "blue", "-o", out)
+    odd = ("--set", f"plant.faults={{about: odd gains, {odd}}}")
+    tetractl(folder, "lab", "calibrate", "cubes.yaml", *words, *odd).ok()
+    (blue,) = yaml.safe_load(out.read_text())["actuator"]["robots"]
+    assert blue["left_gain"] == pytest.approx(0.9, rel=0.04)
+    assert blue["right_gain"] == pytest.approx(1.1, rel=0.04)
+    assert blue["radius_mm"] == pytest.approx(13.3, rel=0.04)
+    run(folder, tmp_path / "out", "--trials", "1", "--set", f"lab.calibration={out}").ok()
 
 
 def test_a_cube_obeys_until_its_command_ends_and_ignores_what_it_should():

@@ -52,14 +52,14 @@ def motors(wire, name):
 def test_slow_wheels_get_their_mean_speed_though_they_cannot_turn_slowly(cubes):
     actuator, _ = cubes
     wished = np.array([[3.0, -15.0, 80.0], [117.0, 15.0, 80.0]])  # mm/s
-    sent = np.array([actuator.units(wished) for _ in range(400)])
+    sent = np.array([actuator.outputs(wished, np.ones(3, bool)) for _ in range(400)])
     np.testing.assert_allclose(sent.mean(axis=0) * WHEEL_MM_S, wished, atol=0.1)
     assert set(np.unique(np.abs(sent[:, 0, 0]))) == {0, SPEED_MIN}
     slow = np.abs(sent[sent != 0]).min()
     assert slow == SPEED_MIN
-    fast = actuator.units(np.array([[400.0, 0, 0], [200.0, 0, 0]]))
+    fast = actuator.outputs(np.array([[400.0, 0, 0], [200.0, 0, 0]]), np.ones(3, bool))
     assert fast[:, 0].tolist() == [106, 53]  # 300 mm/s at most, on the same curve
-    assert not fast[:, 1:].any() and not actuator.units(np.zeros((2, 3))).any()
+    assert not fast[:, 1:].any() and not actuator.outputs(np.zeros((2, 3)), np.ones(3, bool)).any()
 
 
 def test_a_direction_becomes_motor_commands_that_end_by_themselves(cubes):

@@ -105,7 +105,7 @@ class EmulatedCubes(PortedSide):
             for true, one in zip(trues, own, strict=True)
         ]
         wheels = drivetrains(np.array(gains).T * WHEEL_MM_S, SPEED_MAX)
-        radii, lags = np.full(len(names), section.radius_mm), np.array([t.lag for t in trues])
+        radii, lags = np.array([o.radius_mm for o in own]), np.array([t.lag for t in trues])
         self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
         interval = ns(settings.interval)
         self.radios = []

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Action, Health, Steer, Stop, Transmission, Turn
-from tetractl.core.poses import Pose
+from tetractl.core.commands import Action, Health, Stop, Transmission
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
@@ -14,7 +13,7 @@ from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
-from tetractl.model.wheels import STOP, Counts, Drivetrains
+from tetractl.model.wheels import CountArray, Drivetrains
 
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
 
@@ -38,36 +37,16 @@ class M3piActuator(WheeledActuator):
         """Return the radio's questions to the operator."""
         return Health(questions=self.link.questions)
 
-    def send(
-        self,
-        action: Steer | Turn,
-        poses: Sequence[Pose | None],
-        moving: Sequence[bool],
-        exposed_ns: int,
-    ) -> Transmission:
-        """Send each robot its wheel counts; robots not `moving` get 0."""
-        wished = self.counts(action, poses, exposed_ns)
-        counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
-        return self._sent(self._radio.drive(counts), action, counts, tuple(moving))
-
     def stop(self, emergency: bool = False) -> Transmission:
         """Stop every robot; it latches an emergency stop until it is switched off."""
         sent_ns = self._radio.send(Flag.EMERGENCY_STOP if emergency else Flag(0))
-        still = [STOP] * len(self.robots)
-        return self._sent(sent_ns, Stop(), still, (False,) * len(still))
+        count = len(self.robots)
+        still = self.drivetrains.speeds(np.zeros((2, count), dtype=np.int64))
+        return self._transmission(sent_ns, Stop(), still, (False,) * count)
 
-    def counts(
-        self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
-    ) -> list[Counts]:
-        """Return the wheel counts for the speeds of `WheelCommands.wished`."""
-        wished = self._commands.wished(action, poses, exposed_ns)
-        return [(one, two) for one, two in self._commands.host.counts(wished).T.tolist()]
-
-    def _sent(
-        self, sent_ns: int, action: Action, counts: Sequence[Counts], moving: tuple[bool, ...]
-    ) -> Transmission:
-        speeds = self.drivetrains.speeds(np.array(counts).T)
-        return self._transmission(sent_ns, action, speeds, moving)
+    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+        sent_ns = self._radio.drive([(one, two) for one, two in outputs.T.tolist()])
+        return self._transmission(sent_ns, action, self.drivetrains.speeds(outputs), moving)
 
 
 def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:

@@ -1,7 +1,7 @@
 """The section of the spec for m3pi robots behind an XBee: `actuator: {type: m3pi-xbee, ...}`."""
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,6 +10,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
+from tetractl.lab.actuators.wheeled_section import Found
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
 
@@ -49,7 +50,8 @@ class M3piSection(XbeeSection, ActuatorSection):
     """
 
     device: ClassVar[str] = "tetractl.lab.actuators.m3pi.actuator:M3piActuator"
-    calibration: ClassVar[str] = "tetractl.lab.actuators.m3pi.calibrate:calibrate_robots"
+    calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    dead_zone_max: ClassVar[int] = 60
     type: Literal["m3pi-xbee"]
     rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
     """Wheel commands per second [Hz]."""
@@ -96,6 +98,15 @@ class M3piSection(XbeeSection, ActuatorSection):
         """Return the number in broadcasts of the robot with this name."""
         robot = self.robot(name)
         return self.robots.index(robot) if robot.index is None else robot.index
+
+    def outputs(self, name: str, limit: int) -> tuple[float, int]:
+        """Return the wheel count for a 127th of full speed, and a robot's largest one."""
+        return 1.0, min(limit, self.robot(name).limit)
+
+    def measured(self, found: Found) -> dict[str, Any]:
+        """Return a robot's r and wheels."""
+        left, right = found.left._asdict(), found.right._asdict()
+        return {"radius_mm": found.radius_mm, "left": left, "right": right, "swap": found.swap}
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
         """Stop every robot in radio range until it is switched off and on; return a summary.

@@ -1,12 +1,10 @@
 """The actuator of robots on two wheels that take lines of text."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Health, Steer, Stop, Transmission, Turn
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.commands import Action, Health, Stop, Transmission
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.twist.line_ports import TwistLink
@@ -14,7 +12,7 @@ from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator, radii_mm
 from tetractl.lab.serial_port import Ports
-from tetractl.model.wheels import Drivetrains
+from tetractl.model.wheels import CountArray, Drivetrains
 
 
 class TwistActuator(WheeledActuator):
@@ -39,25 +37,17 @@ class TwistActuator(WheeledActuator):
         """Return nothing: a port that takes lines has nothing to report."""
         return Health()
 
-    def send(
-        self,
-        action: Steer | Turn,
-        poses: Sequence[Pose | None],
-        moving: Sequence[bool],
-        exposed_ns: int,
-    ) -> Transmission:
-        """Send each robot its speeds; robots not `moving` stand."""
-        wished = self._commands.wished(action, poses, exposed_ns)
-        counts = (self._commands.host.counts(wished) * np.array(moving)).astype(float)
-        pairs = counts if self.section.sends == "wheels" else self._twists(counts)
-        sent_ns = self.link.drive([(int(one), int(two)) for one, two in pairs.T])
-        wheels = pairs if self.section.sends == "wheels" else self._wheels(pairs)
-        return self._transmission(sent_ns, action, wheels * self._gain, tuple(moving))
-
     def stop(self, emergency: bool = False) -> Transmission:
         """Stop every robot; it latches an emergency stop until it is switched off."""
         sent_ns, count = self.link.stop(emergency), len(self.names)
         return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
+
+    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+        speeds = outputs.astype(float)
+        pairs = speeds if self.section.sends == "wheels" else self._twists(speeds)
+        sent_ns = self.link.drive([(int(one), int(two)) for one, two in pairs.T])
+        wheels = pairs if self.section.sends == "wheels" else self._wheels(pairs)
+        return self._transmission(sent_ns, action, wheels * self._gain, moving)
 
     def _twists(self, wheels: Floats) -> Floats:
         """Return speeds [mm/s] and turning rates [mrad/s] (2, N), as whole numbers, for wheel

@@ -1,7 +1,7 @@
 """The section of the spec for robots that take lines of text: `actuator: {type: twist, ...}`."""
 
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -16,6 +16,7 @@ from tetractl.experiment.lab_section import (
     mismatches,
 )
 from tetractl.experiment.yaml.problems import Loc
+from tetractl.lab.actuators.wheeled_section import Found
 
 
 class TwistRobot(RobotPart):
@@ -28,7 +29,8 @@ class TwistRobot(RobotPart):
     port: str | None = Field(default=None, min_length=1, max_length=500)
     """The robot's own port, if there is one for each; by default the actuator's."""
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
-    """Distance r from a wheel to the robot's centre [mm]; `wheels.radius` by default."""
+    """Distance r from a wheel to the robot's centre [mm], as in its program; `wheels.radius` by
+    default."""
     left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
     """True speed of the left wheel over the speed that it was sent."""
     right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
@@ -41,6 +43,8 @@ class TwistSection(ActuatorSection):
     """
 
     device: ClassVar[str] = "tetractl.lab.actuators.twist.actuator:TwistActuator"
+    calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    dead_zone_max: ClassVar[int] = 0
     type: Literal["twist"]
     port: str = Field(min_length=1, max_length=500)
     """The serial port of a radio, such as /dev/ttyUSB0, or udp://HOST:PORT; a broadcast address
@@ -97,6 +101,14 @@ class TwistSection(ActuatorSection):
             "robots": f"{', '.join(self.ports())}, {self.rate:g} lines per second",
             "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
         }
+
+    def outputs(self, name: str, limit: int) -> tuple[float, int]:
+        """Return a 127th of the largest wheel speed, and `limit` of them [mm/s]."""
+        return self.speed_max_mm_s / 127, int(self.speed_max_mm_s * limit / 127)
+
+    def measured(self, found: Found) -> dict[str, Any]:
+        """Return a robot's r and gains."""
+        return found.gains(1.0)
 
     def index(self, name: str) -> int:
         """Return the number in lines of the robot with this name."""

@@ -1,32 +1,34 @@
 """Measures a robot's wheel gains, dead zones, r (the distance from a wheel to the centre), heading
 offset, and whether its wheels are swapped, by small motions.
 
-One wheel alone turns the robot about the other: |turning rate| = k (|count| - dead zone) with k =
-gain / (2 r), for any heading offset. Both wheels together, with counts whose turning rates w1 and
-w2 cancel, drive the robot straight at the speed v = r (|w1| + |w2|), which gives r; the direction
-of travel gives the heading offset and which way is forward. The rigid body's x axis, turned by the
-spec's heading offset, must point less than a right angle away from the robot's front; beyond 60
-degrees the calibration fails.
+The actuator is any of robots on two wheels (`WheeledActuator`) whose section says what it sends
+(`WheeledSection`). One wheel alone turns the robot about the other: |turning rate| = k (|output| -
+dead zone) with k = gain / (2 r), for any heading offset. Both wheels together, with outputs whose
+turning rates w1 and w2 cancel, drive the robot straight at the speed v = r (|w1| + |w2|), which
+gives r; the direction of travel gives the heading offset and which way is forward. The rigid body's
+x axis, turned by the spec's heading offset, must point less than a right angle away from the
+robot's front; beyond 60 degrees the calibration fails.
 """
 
 import math
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, wait_for
-from tetractl.core.commands import Steer, Turn
+from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection, Measured
-from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
+from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
+from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.actuators.wheel_commands import WheeledActuator
+from tetractl.lab.actuators.wheeled_section import Found, FoundWheel, WheeledSection
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
+
+GAP_S = 0.06  # longest time without a frame, of cameras that are fast enough [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,110 +42,66 @@ class DrivenPath:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One motor channel: a count above the dead zone turns the robot at the rate
-    sign * k * (count - dead_zone) [rad/s], anticlockwise if positive.
+    """One motor channel: an output above the dead zone turns the robot at the rate
+    sign * k * (output - dead_zone) [rad/s], anticlockwise if positive.
     """
 
     sign: int
     k: float
     dead_zone: int
 
-    def count(self, turning: float) -> int:
-        """Return the absolute count at which the robot turns at an absolute rate [rad/s]."""
+    def output(self, turning: float) -> int:
+        """Return the absolute output at which the robot turns at an absolute rate [rad/s]."""
         return round(turning / self.k) + self.dead_zone
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """The measured values of one robot; see the fields of the same name in the spec."""
-
-    heading_offset: float
-    radius_mm: float
-    left: WheelSection
-    right: WheelSection
-    swap: bool
-
-    def wheels(self) -> dict[str, Any]:
-        """Return the wheels' values as a robot's fields in the spec's `actuator`, for a calibration
-        file.
-        """
-        left, right = self.left.model_dump(), self.right.model_dump()
-        return {"radius_mm": self.radius_mm, "left": left, "right": right, "swap": self.swap}
-
-    def __str__(self) -> str:
-        return (
-            f"r {self.radius_mm:.1f} mm, heading offset {self.heading_offset:+.3f} rad"
-            f", left {self.left.gain_mm:.2f} mm/s per count above {self.left.dead_zone}"
-            f", right {self.right.gain_mm:.2f} above {self.right.dead_zone}"
-            f"{', swapped' if self.swap else ''}"
-        )
-
-
 def calibrate_robots(
-    section: M3piSection,
+    section: WheeledSection,
     lab: LabSection,
+    make_rig: Callable[[LabLimits, Setup], Rig],
     setup: Setup,
     names: Sequence[str],
     limit: int,
-    emergency: threading.Event,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure the named robots one after another with wheel counts up to `limit`.
+    """Measure the named robots one after another with outputs up to `limit` 127ths of full speed.
 
     AbortError, with the reason, if a robot cannot be measured.
     """
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
-        bench = _Bench(section, lab, setup.only([setup.names.index(name)]), limit, emergency)
+        known = lab.camera.heading_offset(name)
+        # before it is calibrated, a wheel may do anything
+        limits = lab.limits.model_copy(update={"wheel_error": 10.0})
+        rig = make_rig(limits, setup.only([setup.names.index(name)]))
+        bench = _Bench(section, rig, known or 0.0, limit)
         try:
             bench.open()
-            for question in bench.actuator.check().questions:
+            for question in rig.actuator.check().questions:
                 report(f"warning: {question}")
             found = bench.measure()
         finally:
             bench.close()
-        offsets.append({"name": name, "heading_offset": found.heading_offset})
-        wheels.append({"name": name, **found.wheels()})
+        if known is not None:
+            offsets.append({"name": name, "heading_offset": found.heading_offset})
+        wheels.append({"name": name, **section.measured(found)})
         lines.append(f"{name}: {found}")
-    return Measured({"robots": offsets}, {"robots": wheels}, tuple(lines))
-
-
-class ManualActuator(M3piActuator):
-    """An actuator that sends the wheel counts in `held`, whatever the action."""
-
-    held: tuple[Counts, ...] = ()
-
-    def counts(
-        self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
-    ) -> list[Counts]:
-        """Return the counts in `held`."""
-        return list(self.held)
+    return Measured({"robots": offsets} if offsets else {}, {"robots": wheels}, tuple(lines))
 
 
 class _Bench:
     """The calibration of one robot; the guard checks camera frames as in a run."""
 
-    def __init__(
-        self,
-        section: M3piSection,
-        lab: LabSection,
-        setup: Setup,
-        limit: int,
-        emergency: threading.Event,
-    ) -> None:
-        self.clock = lab.clock()
-        (self.name,) = setup.names
+    def __init__(self, section: WheeledSection, rig: Rig, offset: float, limit: int) -> None:
+        assert isinstance(rig.actuator, WheeledActuator), "its section says that it has wheels"
+        self.rig, self.actuator, self.clock = rig, rig.actuator, rig.clock
+        (self.name,) = rig.setup.names
         self._home: Pose | None = None
-        self._offset = lab.camera.heading_offset(self.name)
-        wake = threading.Event()
-        camera = lab.camera.build(setup, self.clock, wake.set)
-        self.actuator = ManualActuator(section, setup, self.clock)
-        # before it is calibrated, a wheel may do anything
-        limits = lab.limits.model_copy(update={"wheel_error": 10.0})
-        self.rig = Rig(camera, self.actuator, limits, setup, self.clock, emergency, wake)
-        self.limit = min(limit, int(self.actuator.drivetrains.limit[0]))
-        guard = self.rig.guard
+        self._slow_s = 0.0  # by how much frames are later than GAP_S
+        self._offset, self._dead_zone_max = offset, section.dead_zone_max
+        self._scale, self.limit = section.outputs(self.name, limit)
+        guard = rig.guard
         fastest = (500.0 / self.rig.mm,), (12.0,)  # faster than any robot during calibration
         guard.rules = replace(
             guard.rules, speeds=fastest[0], turning=fastest[1], silence_ns=3 * SECOND
@@ -177,8 +135,8 @@ class _Bench:
         """Move the robot and return its measured values."""
         channels = [self._channel(0), self._channel(1)]
         turning = 0.6 * min(channel.k * (self.limit - channel.dead_zone) for channel in channels)
-        sizes = [channel.count(turning) for channel in channels]
-        # signs of the counts for which the two turning rates cancel
+        sizes = [channel.output(turning) for channel in channels]
+        # signs of the outputs for which the two turning rates cancel
         signs = [1, -channels[0].sign * channels[1].sign]
         away, back = (self._run(_pair([k * s for s in signs], sizes), 0.7) for k in (1, -1))
         here = away
@@ -203,7 +161,7 @@ class _Bench:
                 "camera software",
             )
         wheels = [
-            WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
+            FoundWheel(round(2 * radius * c.k, 4), c.dead_zone, sign < 0)
             for c, sign in zip(channels, signs, strict=True)
         ]
         swap = channels[0].sign * signs[0] > 0  # a right wheel driving forward turns the robot left
@@ -212,13 +170,13 @@ class _Bench:
         return Found(round(whole, 5), round(radius, 3), left, right, swap)
 
     def _channel(self, which: int) -> Channel:
-        """Drive motor channel 0 or 1 with growing counts in both directions; fit k and dead zone to
-        the turning rates.
+        """Drive motor channel 0 or 1 with growing outputs in both directions; fit k and dead zone
+        to the turning rates.
         """
         points: list[tuple[int, float]] = []
         signs: list[float] = []
-        for count in range(6, self.limit + 1, 4):
-            rates = []
+        for step in range(6, int(self.limit / self._scale) + 1, 4):
+            rates, count = [], round(step * self._scale)
             for sign in (1, -1):
                 counts = [0, 0]
                 counts[which] = sign * count
@@ -231,7 +189,7 @@ class _Bench:
         if len(points) < 3:  # too few for the fit of a line
             raise AbortError(
                 f"{self.name}: motor channel {which + 1} hardly turns the robot with up to "
-                f"{self.limit} counts",
+                f"{self.limit} of its unit",
                 "is the robot's battery charged and the motor connected? If so, raise --limit",
             )
         counts, rates = np.array(points).T
@@ -241,27 +199,28 @@ class _Bench:
                 f"{self.name}: motor channel {which + 1} does not turn the robot steadily; "
                 "charge the battery and check the wheel"
             )
-        dead = min(60, max(0, round(-start / slope)))
+        dead = min(self._dead_zone_max, max(0, round(-start / slope)))
         steps = counts - dead
         return Channel(1 if signs[0] > 0 else -1, float(steps @ rates / (steps @ steps)), dead)
 
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
-        """Hold wheel counts for a time [s]; return the motion after the wheels have settled.
+        """Hold outputs for a time [s]; return the motion after the wheels have settled.
 
         If frames were missing, the motion is repeated, since the guard may have stopped the robot.
         """
         for _ in range(4):
             first = self.rig.frames.count
             began = self._hold(counts)
-            end = began + round(seconds * SECOND)
+            end = began + round((seconds + 2 * self._slow_s) * SECOND)
             wait_for(self.clock, self._strayed, (end - self.clock.now()) / SECOND)
             if self.rig.guard.reason:
                 raise AbortError(f"{self.name}: {self.rig.guard.reason}")
             came, _ = self.rig.frames.since(first)
-            frames = [f for f in came if f.frame.sampled_ns >= began]
-            seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
+            frames = [f for f in came if f.exposed(0) >= began]
+            seen = [(f.exposed(0), pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
-            if max(np.diff(times)) <= 0.06 * SECOND:  # otherwise frames are missing
+            self._slow_s = max(self._slow_s, _slow(came))
+            if max(np.diff(times)) <= (GAP_S + self._slow_s) * SECOND:  # otherwise frames miss
                 # the wheels turn steadily 0.2 s after the start of a burst
                 return _steady(seen, began + round(0.2 * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
@@ -272,8 +231,8 @@ class _Bench:
         )
 
     def _hold(self, counts: Counts) -> int:
-        """Set the counts to send; return the time of their first transmission [ns]."""
-        self.actuator.held = (counts,)
+        """Set the outputs to send; return the time of their first transmission [ns]."""
+        self.actuator.held = np.array([counts]).T
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
     def _stand(self) -> None:
@@ -291,6 +250,16 @@ class _Bench:
             if away > 300.0:  # mm
                 guard.abort(f"the robot is {away:.0f} mm from its first position")
         return bool(guard.reason)
+
+
+def _slow(came: Sequence[AcceptedFrame]) -> float:
+    """Return by how much [s] it takes longer than GAP_S until a frame two and a half periods after
+    another is here."""
+    if len(came) < 3:
+        return 0.0
+    late_ns = np.median([f.frame.received_ns - f.exposed(0) for f in came])
+    period_ns = np.median(np.diff([f.exposed(0) for f in came]))
+    return max(0.0, float(2.5 * period_ns + late_ns) / SECOND - GAP_S)
 
 
 def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:

@@ -116,7 +116,8 @@ class Mpc:
             step = self._step(known)
             decision = self._decide(step, observation)
             if isinstance(decision, Plan):
-                if step.warm is None and not decision.state is self._state is State.RESTING:
+                rests_on = decision.state is State.RESTING and self._state is State.RESTING
+                if step.warm is None and not rests_on:
                     self.began = self.k
                 self.last, self.k = decision, self.k + 1
                 self.turning = self.turning.then(decision.facing)

@@ -266,6 +266,7 @@ class RecommendedMpc(SearchFields):
         problem, margins = self.problem(setup), Margins(setup.obstacles, setup.arena, setup.targets)
         path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
         compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
-        next(ways(problem, setup.arena, 0, 0), None)
+        if self.collision.walls:  # else no tree is searched, and its library is slow to load
+            next(ways(problem, setup.arena, 0, 0), None)
         margins.entered(path)
         margins.clear_unheard(problem, path, np.zeros(1), 0.0, 0.0, 0.0)

@@ -334,20 +334,11 @@ class SimPlant:
         return CellDrive(section.cells, self.setup, self.a, self.speed, starts, walk, random)
 
     def _on_wheels(self, starts: Poses, key: np.random.SeedSequence) -> WheelDrive | None:
-        section = self.section
+        section, random = self.section, np.random.default_rng(key)
         if section.drive is None:
             return None
-        return WheelDrive(
-            section.drive,
-            self.setup,
-            self.a,
-            self.speed,
-            starts,
-            section.heading_noise,
-            section.truth_rate,
-            self._swerving,
-            np.random.default_rng(key),
-        )
+        given = self.setup, self.a, self.speed, starts, section.heading_noise, section.truth_rate
+        return WheelDrive(section.drive, *given, self._swerving, random)
 
     def _await_frame(self, since: int) -> None:
         """Wait until the host has a frame exposed at `since` or later [ns]."""

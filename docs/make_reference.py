@@ -76,9 +76,9 @@ def _join(path: str, name: str, field: dict[str, Any]) -> str:
 
 
 def _kinds(field: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the alternatives of a field that is a list or something else, else the field."""
+    """Return the alternatives of a field that is a mapping or something else, else the field."""
     options = alternatives(field)
-    return options if any("items" in option for option in options) and len(options) > 1 else [field]
+    return options if len({"properties" in option for option in options}) > 1 else [field]
 
 
 def _mapping_in(field: dict[str, Any]) -> dict[str, Any] | None:

@@ -60,3 +60,19 @@ def test_a_design_is_proposed_as_a_spec_and_driven(folder):
     found = json.loads(driven.stdout)
     assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.005)
     assert tetractl(folder, "verify", "design").returncode == 0
+
+
+def test_logs_of_a_field_of_known_strength_say_the_rate_per_strength(folder):
+    text = (folder / "quick.yaml").read_text() + "strength: 4.0\n"
+    (folder / "field.yaml").write_text(text.replace("a: 3", "a: {per_mT: 0.75}"))
+    tetractl(folder, "run", "field.yaml", "--out", "field", "--trials", "1", "--quiet").ok()
+    done = tetractl(folder, "identify", "field", "-o", "field-found.yaml").ok()
+    assert "a per strength [rad/(s mT)]" in done.stdout
+    (folder / "field-better.yaml").write_text(
+        (folder / "field.yaml").read_text() + "identified: field-found.yaml\n"
+    )
+    dry = tetractl(folder, "run", "field-better.yaml", "--dry-run", "--set", "strength=2").ok()
+    (alpha,) = (one["a"] for one in yaml.safe_load(dry.stdout)["robots"] if one["name"] == "two")
+    assert alpha["per_mT"] == pytest.approx(0.75, rel=0.05)
+    mixed = tetractl(folder, "identify", "field", "logs")
+    assert (mixed.returncode, "the field's strength differs" in mixed.stderr) == (2, True)

@@ -62,7 +62,8 @@ class Setup:
     targets, by all robots together; `hold` is the task after the targets, None if the trial ends
     there. `sight` is what the plant's camera can see. `loss` is the rule by which a robot counts as
     lost and the trial goes on without it, or ends; None if robots that are not tracked end the
-    trial, by the plant, and others never do.
+    trial, by the plant, and others never do. `strength` is that of the field, at which robots turn
+    at the rates `a`, in `strength_unit`; None if it is not stated.
     """
 
     name: str
@@ -87,6 +88,8 @@ class Setup:
     lag_s: float = 0.0
     body_radius: float = 0.0
     sight: Sight = UNSTATED
+    strength: float | None = None
+    strength_unit: str = "mT"
 
     @property
     def legs(self) -> Floats:

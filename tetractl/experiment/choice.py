@@ -90,25 +90,34 @@ class Choice(Model):
         return np.array(points, dtype=np.float64)
 
 
-class OrChoice:
-    """Annotation of the field `robots`: a list of robots, or a mapping, which is
-    read as a `Choice`."""
+class OrMapping:
+    """Annotation of a field of another type whose value may be a mapping, which is read as a
+    `model`: `robots` may be a `Choice`, and `plain` is what the value is otherwise."""
+
+    def __init__(self, model: type[Model], plain: Any = None) -> None:
+        self.model, self.plain = model, plain
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
     ) -> CoreSchema:
         def validate(value: Any, listed: Any, info: core_schema.ValidationInfo) -> Any:
-            if not isinstance(value, dict):
+            if not isinstance(value, dict | self.model):
                 return listed(value)
             strict = bool(info.context and info.context.get("strict"))
-            return Choice.model_validate(value, strict=strict, context=info.context)
+            return self.model.model_validate(value, strict=strict, context=info.context)
 
-        return core_schema.with_info_wrap_validator_function(validate, handler(source))
+        otherwise = handler.generate_schema(self.plain) if self.plain else handler(source)
+        either = core_schema.wrap_serializer_function_ser_schema(
+            lambda value, inner: inner(value), schema=handler(source)
+        )
+        return core_schema.with_info_wrap_validator_function(
+            validate, otherwise, serialization=either
+        )
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        return {"anyOf": [handler(schema), handler(Choice.__pydantic_core_schema__)]}
+        return {"anyOf": [handler(schema), handler(self.model.__pydantic_core_schema__)]}
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,13 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
@@ -24,12 +30,13 @@ from tetractl.experiment.base import (
     Positive,
     inconsistent,
 )
-from tetractl.experiment.choice import Choice, OrChoice, dealt
+from tetractl.experiment.choice import Choice, OrMapping, dealt
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape_section import ShapeSection
+from tetractl.experiment.strength import PerStrength, rate, unit_of
 
 
 class Units(Model):
@@ -77,8 +84,10 @@ class Robot(Model):
     """Way-points [x, y] before the target, in order [length unit]; all robots pass their way-points
     together, so all have the same number of them.
     """
-    a: Positive
-    """Turning rate a towards the common direction [rad/s], in the paper's equation (3)."""
+    a: Annotated[float | PerStrength, OrMapping(PerStrength, Positive)]
+    """Turning rate a towards the common direction [rad/s], in the paper's equation (3); or a
+    mapping, if it is in proportion to the spec's `strength`.
+    """
     speed: NonNegative
     """Speed v [length unit/s]."""
     color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
@@ -156,10 +165,14 @@ class Experiment(Model):
     arena: Arena
     """The field of view; starts and targets must lie in it."""
     robots: Annotated[
-        Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrChoice()
+        Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrMapping(Choice)
     ]
     """The robots, all steered by the one direction u; or a mapping with `choose`: then each trial
     finds its robots.
+    """
+    strength: Positive | None = None
+    """Strength B of the field, which coils are sent: in V/cm if robots have `a: {per_V_cm: ...}`,
+    otherwise in mT. Turning rates a in rad/s are those at this strength.
     """
     chosen: Choice | None = None
     """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
@@ -252,6 +265,20 @@ class Experiment(Model):
             )
         return self
 
+    @model_validator(mode="after")
+    def _states_the_strength(self) -> Self:
+        rates = tuple(robot.a for robot in self.robots)
+        unit = unit_of(rates)
+        if self.strength is None and any(isinstance(a, PerStrength) for a in rates):
+            raise inconsistent("strength", f"is missing; a of robots is per {unit}: add it")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_stated(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out a strength that is not stated: specs without one are dumped as ever."""
+        found = inner(self)
+        return {k: v for k, v in found.items() if k != "strength" or v is not None}
+
     @property
     def open(self) -> bool:
         """Whether the robots are still to be found by the trial."""
@@ -283,8 +310,10 @@ class Experiment(Model):
             colors=tuple(robot.color for robot in self.robots),
             starts=Poses.of(np.array(starts, dtype=np.float64)),
             targets=np.array([robot.target for robot in self.robots], dtype=np.float64),
-            a=np.array([robot.a for robot in self.robots], dtype=np.float64),
+            a=np.array([rate(robot.a, self.strength) for robot in self.robots], dtype=np.float64),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
+            strength=self.strength,
+            strength_unit=unit_of(tuple(robot.a for robot in self.robots)),
             arena=self.arena.bounds,
             obstacles=tuple(obstacle.shape() for obstacle in self.obstacles),
             period_s=control.period,

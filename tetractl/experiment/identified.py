@@ -1,11 +1,12 @@
 """The file that `tetractl identify` writes, and the spec's values that the file replaces."""
 
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field
 
 from tetractl.core.errors import printable
-from tetractl.experiment.base import Finite, Model, Name, NonNegative
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.explain import validated
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError
@@ -54,6 +55,8 @@ class Identified(Model):
     """Time from the sending of a direction until it acts [s]."""
     frame_age: NonNegative = 0.0
     """Time from the exposure of the frame used for a direction to the direction's sending [s]."""
+    strength: Positive | None = None
+    """Strength of the field at which the robots turn at their rates a, in the spec's unit."""
     robots: dict[Name, IdentifiedRobot]
     """Identified values of each robot, by its name."""
 
@@ -80,7 +83,8 @@ def read_identified(path: Path) -> tuple[Identified, str]:
 def merge(document: Document, found: Identified, origin: str) -> None:
     """Replace a spec's values by the identified values; add problems to the document.
 
-    Each robot's turning rate a and speed, and the controller's dead time, are replaced. The dead
+    Each robot's turning rate a and speed, and the controller's dead time, are replaced; an alpha by
+    a over the strength at which a was identified. The dead
     time counts from sending a command if the controller identifies while driving (`estimate`),
     otherwise from the exposure of the frame.
     """
@@ -104,10 +108,25 @@ def merge(document: Document, found: Identified, origin: str) -> None:
         document.problems.append(place.problem(("robots", name), "is not a robot of the spec"))
     for i, robot in enumerate(listed):
         if values := found.robots.get(str(robot.get("name"))):
-            document.put(robot, ("robots", i, "a"), values.a.value, place)
+            _put_rate(document, place, i, robot, values.a.value, found.strength)
             document.put(robot, ("robots", i, "speed"), values.speed.value, place)
     controller = data.setdefault("controller", {})
     if isinstance(controller, dict):
         estimates = controller.get("estimate") is True
         dead_time = found.dead_time.value + (0.0 if estimates else found.frame_age)
         document.put(controller, ("controller", "dead_time"), dead_time, place)
+
+
+def _put_rate(
+    document: Document, place: Place, i: int, robot: dict[str, Any], a: float, at: float | None
+) -> None:
+    """Replace robot i's a by one [rad/s] that was identified at a strength `at`."""
+    loc, given = ("robots", i, "a"), robot.get("a")
+    if not isinstance(given, dict) or len(given) != 1:
+        document.put(robot, loc, a, place)
+    elif at is None:
+        message = "is per strength in the spec, but its logs state no strength"
+        document.problems.append(place.problem(loc, message))
+    else:
+        (key,) = given
+        document.put(given, (*loc, key), a / at, place)

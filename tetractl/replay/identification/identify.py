@@ -49,6 +49,7 @@ class IdentifiedRobots:
 
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
+    `strength` is that of the field in `strength_unit`, None if the logs do not state it.
     """
 
     origin: str
@@ -58,6 +59,8 @@ class IdentifiedRobots:
     dead_time: SampleInterval
     frame_age: float | None
     robots: tuple[RobotFound, ...]
+    strength: float | None = None
+    strength_unit: str = "mT"
 
 
 def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
@@ -99,6 +102,8 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
             )
             for i, name in enumerate(tracks[0].names)
         ),
+        strength=tracks[0].strength,
+        strength_unit=tracks[0].strength_unit,
     )
 
 
@@ -140,6 +145,7 @@ def identified(found: IdentifiedRobots, when: str) -> Identified:
         unit=found.unit,
         dead_time=_value(found.dead_time),
         frame_age=found.frame_age or 0.0,
+        strength=found.strength,
         robots={
             robot.name: IdentifiedRobot(**{q: _value(getattr(robot, q)) for q in QUANTITIES})
             for robot in found.robots
@@ -155,16 +161,21 @@ def tables(found: IdentifiedRobots) -> list[Table]:
         f"{name.replace('_', ' ')} [{unit.format(unit=found.unit)}]"
         for name, unit in QUANTITIES.items()
     ]
+    alpha = [] if found.strength is None else [f"a per strength [rad/(s {found.strength_unit})]"]
     parts = [found.robots[i : i + _ABREAST] for i in range(0, len(found.robots), _ABREAST)]
     return [
         Table(
             f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals",
             (
-                Column("quantity", [*labels, "lost"]),
+                Column("quantity", [*labels, "lost", *alpha]),
                 *(
                     Column(
                         robot.name,
-                        [*(cell(getattr(robot, name)) for name in QUANTITIES), str(robot.lost)],
+                        [
+                            *(cell(getattr(robot, name)) for name in QUANTITIES),
+                            str(robot.lost),
+                            *(cell(_per(robot.a, found.strength)) for _ in alpha),
+                        ],
                     )
                     for robot in robots
                 ),
@@ -173,6 +184,12 @@ def tables(found: IdentifiedRobots) -> list[Table]:
         )
         for robots in parts
     ]
+
+
+def _per(interval: SampleInterval, strength: float | None) -> SampleInterval:
+    """Return alpha, the turning rate per unit of the field's strength."""
+    by = strength or math.nan
+    return SampleInterval(interval.value / by, interval.low / by, interval.high / by)
 
 
 def _fits(found: IdentifiedRobots) -> str:

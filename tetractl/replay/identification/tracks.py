@@ -34,7 +34,8 @@ class Track:
     sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
     command decided on it, None if unknown. `left_out` are robots that were seen too briefly. Robots
-    that receive nothing for `watchdog` [s] stop.
+    that receive nothing for `watchdog` [s] stop. `strength` is that of the field in
+    `strength_unit`, None if the spec does not state it.
     """
 
     source: str
@@ -50,6 +51,8 @@ class Track:
     frame_age: float | None = None
     left_out: tuple[str, ...] = ()
     watchdog: float = math.inf
+    strength: float | None = None
+    strength_unit: str = "mT"
 
 
 def track_of(log: TrialLog) -> Track:
@@ -75,6 +78,8 @@ def track_of(log: TrialLog) -> Track:
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
         watchdog=setup.watchdog_s,
+        strength=setup.strength,
+        strength_unit=setup.strength_unit,
     )
 
 
@@ -112,9 +117,14 @@ def stopped_ns(log: TrialLog) -> int | None:
 
 
 def require_same(tracks: list[Track]) -> None:
-    """Raise UsageError if tracks are not of the same robots in the same unit."""
+    """Raise UsageError if tracks are not of the same robots in the same unit and field."""
     first = tracks[0]
     for other in tracks[1:]:
+        if (other.strength, other.strength_unit) != (first.strength, first.strength_unit):
+            raise UsageError(
+                f"{other.source}: the field's strength differs from that of {first.source}",
+                "identify them separately: a depends on it",
+            )
         if (other.names, other.unit) != (first.names, first.unit):
             raise UsageError(
                 f"{other.source}: robots or length unit differ from those of {first.source}",

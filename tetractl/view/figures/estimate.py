@@ -93,6 +93,7 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
     setup = log.start.setup
     unit, off = unit_of(setup.unit), "difference from the spec [%]"
     a, speed, rate = setup.a, setup.speed, "turning rate a, at the end in rad/s"
+    rate += f", at {setup.strength:g} {setup.strength_unit}" if setup.strength else ""
     shown = [
         _Quantity(rate, off, lambda e: (e.a, e.a_std), 100 / a, a, _true(log, "a")),
         _Quantity(

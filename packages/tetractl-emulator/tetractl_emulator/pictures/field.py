@@ -272,7 +272,7 @@ class EmulatedField(PluggedDevice):
             cells, names = culture(settings.cells, settings.strangers, walk, drawn)
         else:
             cells = cells_of(setup, walk, seed)
-        reference_mt = section.strength_mt
+        reference_mt = section.reference_mt(setup)
         self.dish = Dish(self.driver, section.coils, reference_mt, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
 

@@ -1,8 +1,8 @@
 """The common direction as a magnetic field that turns cells.
 
 A cell turns towards the field's direction u by equation (3) of the paper, at a rate proportional to
-the field's strength B. The spec's turning rate a holds at B = `strength_mt`, so the heading changes
-at the rate a (B / strength_mt) sin(u - heading).
+the field's strength B. The spec's turning rate a holds at the spec's `strength` B0, or the
+actuator's `strength_mt`, so the heading changes at the rate a (B / B0) sin(u - heading).
 """
 
 import threading
@@ -51,6 +51,7 @@ class FieldActuator:
         self.section, self.coils = section, section.coils
         self.driver = Driver(section.port, section.baud, clock, ports)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
+        self._reference_mt = section.reference_mt(setup)
         self._lock = threading.Lock()
         self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]
         self._sent_ns = clock.now() - self.period_ns
@@ -105,7 +106,7 @@ class FieldActuator:
             now_ns = self._clock.now()
             section = self.section
             wished = self.coils.currents(
-                action.direction, section.strength_mt, section.current_max_a
+                action.direction, self._reference_mt, section.current_max_a
             )
             passed_ns = min(now_ns - self._sent_ns, self.period_ns)
             self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
@@ -140,7 +141,7 @@ class FieldActuator:
             reply = self.driver.ask()
         except AbortError as error:
             return Health(problems=(error.message,))
-        return inspect(reply, self.section)
+        return inspect(reply, self.section, self._reference_mt)
 
     def _room(self, passed_ns: int) -> float:
         """Return the greatest change of a current [A] within a time [ns]."""
@@ -153,7 +154,7 @@ class FieldActuator:
     def _transmission(self, action: Action, currents: Pair, headings: Floats) -> Transmission:
         x_mt, y_mt = self.coils.field(currents)
         strength, towards = float(np.hypot(x_mt, y_mt)), float(np.arctan2(y_mt, x_mt))
-        a = self._a * (strength / self.section.strength_mt)
+        a = self._a * (strength / self._reference_mt)
         turning = rates(headings, towards, a, self._speed)[2]
         return Transmission(
             action,
@@ -170,8 +171,9 @@ class FieldActuator:
         )
 
 
-def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return the driver's problems, warnings and facts; a `reply` of None means a silent driver."""
+def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -> Health:
+    """Return the driver's problems, warnings and facts for a field of `wanted_mt` [mT]; a `reply`
+    of None means a silent driver."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))
@@ -211,8 +213,8 @@ def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
         f"the coils are at {celsius:.0f} °C: let them cool down": known and celsius >= 60,
     }
     warnings = {
-        f"only {least_mt:.3g} of {section.strength_mt:g} mT can be reached in every direction: in "
-        "some directions, cells turn more slowly": least_mt < section.strength_mt,
+        f"only {least_mt:.3g} of {wanted_mt:g} mT can be reached in every direction: in "
+        "some directions, cells turn more slowly": least_mt < wanted_mt,
         f"the current driver allows {most_a:g} A: only this program limits the current to "
         f"{section.current_max_a:g} A": reply.current_max_ma > limit_ma,
         "the current driver does not report its supply voltage": section.supply_min_v > volts == 0,

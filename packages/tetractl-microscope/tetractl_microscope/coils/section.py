@@ -7,12 +7,15 @@ field in the coils' axes, and the x pair's axis turned by `rotation` from the sp
 """
 
 import math
+from collections.abc import Iterator
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.lab_section import ActuatorSection
+from tetractl.experiment.yaml.problems import Loc
 
 Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
 
@@ -109,8 +112,9 @@ class FieldSection(ActuatorSection):
     """Bits per second on the port."""
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
-    strength_mt: Positive
-    """Field strength at which cells turn at the rate `a` [mT]; the current limit may weaken it."""
+    strength_mt: Positive | None = None
+    """Field strength at which cells turn at the rate `a` [mT], unless the spec states its
+    `strength`; the current limit may weaken it."""
     coils: CoilsSection
     """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
@@ -132,6 +136,19 @@ class FieldSection(ActuatorSection):
             least = FRAMES_PER_WATCHDOG / self.rate
             raise inconsistent("watchdog", f"must be {least:.3g} s or more at {self.rate:g} Hz")
         return self
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield what contradicts the spec's field."""
+        if setup.strength is not None and setup.strength_unit != "mT":
+            yield (), f"coils make a field in mT, not in {setup.strength_unit}"
+        if setup.strength is None and self.strength_mt is None:
+            yield (), "strength is unknown: add strength [mT] to the spec"
+        if setup.strength is not None and self.strength_mt is not None:
+            yield ("strength_mt",), "is stated by the spec's strength already; remove one of them"
+
+    def reference_mt(self, setup: Setup) -> float:
+        """Return the field strength [mT] at which cells turn at the rates of a setup."""
+        return setup.strength or self.strength_mt or math.nan
 
     def require_port(self) -> None:
         """Raise AbortError if the current driver's port does not exist."""

@@ -22,7 +22,7 @@ from tetractl.lab.cobs import Flag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
-SETUP = SimpleNamespace(a=A, speed=SPEED)
+SETUP = SimpleNamespace(a=A, speed=SPEED, strength=None, strength_unit="mT")
 POSES = (Pose(0, 0, 0.2), Pose(1, 1, -2.0))
 BOTH = (True, True)
 
@@ -57,6 +57,24 @@ def test_the_field_turns_cells_by_the_papers_law(direction):
     assert currents == asked(actuator)
     assert math.hypot(*actuator.coils.field(currents)) == pytest.approx(sent.outputs["field_mt"])
     assert (sent.direction, sent.moving, sent.left) == (direction, BOTH, None)
+
+
+def test_the_spec_may_state_the_strength_instead():
+    clock, setup = VirtualClock(), SimpleNamespace(**vars(SETUP) | {"strength": 1.5})
+    alone = section(strength_mt=None, slew_max_a_s=10_000)
+    actuator = FieldActuator(alone, setup, clock)
+    actuator.driver = Wire(clock)
+    sent = actuator.send(Steer(0.4), POSES, BOTH, 0)
+    assert sent.outputs["field_mt"] == pytest.approx(1.5, abs=0.005)
+    assert sent.turning == pytest.approx(A * np.sin(0.4 - np.array([0.2, -2.0])), abs=0.02)
+    assert list(alone.contradictions(setup)) == []
+    ((_, twice),) = section(strength_mt=2.0).contradictions(setup)
+    ((_, unknown),) = alone.contradictions(SETUP)
+    setup.strength_unit = "V/cm"
+    ((_, electric),) = alone.contradictions(setup)
+    assert "already" in twice
+    assert "strength is unknown" in unknown
+    assert "not in V/cm" in electric
 
 
 def test_no_cell_can_be_held_and_one_out_of_sight_has_no_known_turning():

@@ -1,0 +1,76 @@
+"""The field's strength B, and turning rates a = alpha B."""
+
+import pytest
+
+from tetractl.experiment.identified import Identified, merge
+from tetractl.experiment.load import parse_spec, resolved_yaml
+from tetractl.experiment.yaml.document import parse_document
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.replay.identification.identify import QUANTITIES
+
+SPEC = """
+name: x
+strength: 2.0
+arena: {left: 0, bottom: 0, width: 100, height: 100}
+robots:
+  - {name: r, start: [10, 50], target: [30, 50], a: {per_mT: 0.74}, speed: 20}
+  - {name: s, start: [10, 60], target: [30, 60], a: 3, speed: 20}
+"""
+
+
+def test_a_is_alpha_times_the_strength():
+    setup = parse_spec(SPEC, "x.yaml").experiment.setup
+    assert setup.a.tolist() == [0.74 * 2, 3]
+    assert (setup.strength, setup.strength_unit) == (2.0, "mT")
+    stronger = parse_spec(SPEC, "x.yaml", ["strength=11"]).experiment.setup
+    assert stronger.a.tolist() == [0.74 * 11, 3]
+    electric = parse_spec(SPEC, "x.yaml", ["robots.r.a={per_V_cm: 0.5}"]).experiment.setup
+    assert (electric.a[0], electric.strength_unit) == (1.0, "V/cm")
+
+
+def test_what_is_resolved_loads_as_the_same_spec():
+    loaded = parse_spec(SPEC, "x.yaml")
+    assert "a: {per_mT: 0.74}" in loaded.resolved
+    again = parse_spec(loaded.resolved, "again")
+    assert (again.experiment, again.hash) == (loaded.experiment, loaded.hash)
+
+
+def test_a_spec_without_a_strength_is_dumped_as_ever():
+    plain = parse_spec(SPEC, "x.yaml", ["robots.r.a=2", "strength=null"]).experiment
+    assert "strength" not in resolved_yaml(plain)
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("strength=null", "strength: null: is missing; a of robots is per mT: add it"),
+        ("strength=0", "strength: 0: must be greater than 0"),
+        ("robots.s.a={per_V_cm: 1}", "robots: have a per mT and a per V/cm; there is one field"),
+        ("robots.r.a=-1", "robots.0.a: -1: must be greater than 0"),
+        ("robots.r.a={per_mT: 0}", "robots.0.a.per_mT: must be greater than 0"),
+        ("robots.r.a={}", "robots.0.a.per_mT: give either per_mT or per_V_cm"),
+        ("robots.r.a={per_mt: 1}", "robots.0.a.per_mt: unknown key; did you mean 'per_mT'?"),
+    ],
+)
+def test_what_cannot_be_is_one_clear_line(setting, says):
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(SPEC, "x.yaml", [setting])
+    (problem,) = caught.value.problems
+    assert str(problem).endswith(f": {says}")
+
+
+def identified(strength):
+    one = {quantity: {"value": 4.0 if quantity == "a" else 1.0} for quantity in QUANTITIES}
+    robots = {"r": one, "s": one}
+    known = {"unit": "mm", "dead_time": {"value": 0.1}, "robots": robots, "strength": strength}
+    return Identified.model_validate({"identified": "", "origin": "lab", **known})
+
+
+def test_an_identified_rate_replaces_alpha_by_that_at_the_strength_of_its_logs():
+    document = parse_document(SPEC, "x.yaml")
+    merge(document, identified(8.0), "found.yaml")
+    assert [one["a"] for one in document.data["robots"]] == [{"per_mT": 0.5}, 4.0]
+    unknown = parse_document(SPEC, "x.yaml")
+    merge(unknown, identified(None), "found.yaml")
+    (problem,) = unknown.problems
+    assert "its logs state no strength" in str(problem)

@@ -127,7 +127,7 @@ def rehearsed(
     from tetractl_emulator.rehearsal.day import plan_of_day, play
     from tetractl_emulator.rehearsal.observe import observed
     from tetractl_emulator.rehearsal.participants import rehearsal_of
-    from tetractl_emulator.rehearsal.shrink import shrunk
+    from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, shrunk
     from tetractl_emulator.rehearsal.summary import broken, row_of
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
@@ -135,18 +135,25 @@ def rehearsed(
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     drawn = rehearsal_of(lab, setup, experiment.open)
 
-    def judged(plan: "DayPlan") -> "DayRow":
+    def judged(plan: "DayPlan") -> "tuple[DayRow, float]":
         with tempfile.TemporaryDirectory() as scratch:
             played, began_s = play(spec, sets, plan, Path(scratch)), time.process_time()
             truth, found = observed(played, experiment, lab)
-            return row_of(day, truth, found, time.process_time() - began_s)
+            return row_of(day, truth, found, time.process_time() - began_s), truth.alive_s
 
     plan = plan_of_day(seed, day, setup, drawn, bad)
-    row = judged(plan)
+    row, _ = judged(plan)
     if not broken(row):
         return row
-    name = broken(row)[0][0]
-    small, plays = shrunk(plan, lambda one: name in [v[0] for v in broken(judged(one))])
+    name, small, plays = broken(row)[0][0], plan, 0
+
+    def breaks(plan: "DayPlan") -> tuple[bool, float]:
+        row, seconds = judged(plan)
+        return name in [violation[0] for violation in broken(row)], seconds
+
+    if name != "hangs":  # each play of which would last until it is killed
+        ui.tell(f"day {day} breaks: {name}; shrinking it, up to {PLAYS_MAX} plays")
+        small, plays = shrunk(plan, breaks)
     script = small.script()
     about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
     path = folder / _script_name(seed, day)

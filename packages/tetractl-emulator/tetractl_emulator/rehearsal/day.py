@@ -27,8 +27,9 @@ from tetractl_emulator.rehearsal.participants import LabRehearsal
 from tetractl_emulator.rehearsal.schedule import KINDS, PLACE, FaultRow, faults_of_day
 from tetractl_emulator.rehearsal.world import world_of_day
 
-HANGS_S = 300.0
-"""Wall time after which a day counts as one that hangs [s]."""
+HANGS_S, STILL_S = 600.0, 60.0
+"""Processor time after which a day counts as one that hangs, and the wall time in which a day that
+is not over has to use some [s]: a busy machine makes days long, and must not make them hang."""
 OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
 
 
@@ -183,8 +184,17 @@ def _wait(pid: int, ended: int) -> tuple[int, float]:
     the number of the signal that killed it less than 0, -100 if it hangs; and its processor time
     [s].
     """
-    hangs = not select.select([ended], [], [], HANGS_S)[0]
+    hangs, used_s = False, -1.0
+    while not hangs and not select.select([ended], [], [], STILL_S)[0]:
+        before_s, used_s = used_s, _used_s(pid)
+        hangs = used_s == before_s or used_s > HANGS_S
     if hangs:
         os.kill(pid, signal.SIGKILL)
     _, status, used = os.wait4(pid, 0)
     return -100 if hangs else os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
+
+
+def _used_s(pid: int) -> float:
+    """Return the processor time that a process has used [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

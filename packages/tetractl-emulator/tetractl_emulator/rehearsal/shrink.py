@@ -2,7 +2,8 @@
 
 A greedy delta debugger: it tries each fault alone, leaves out faults one by one, then parts of the
 world, then makes faults shorter and milder, and keeps each change after which the same invariant is
-still broken.
+still broken. It ends after `PLAYS_MAX` plays, or when their virtual time is `SHRINKS_S`:
+neither is a matter of the computer's speed.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,25 +12,26 @@ from typing import Any
 
 from tetractl_emulator.rehearsal.day import DayPlan
 
-PLAYS_MAX = 40
+PLAYS_MAX, SHRINKS_S = 40, 600.0  # and [s]
 HALVED = ("share", "by", "turn", "seconds", "height", "angle", "for")
 """Fields of faults that are made smaller; those with no effect at 0."""
 
-Breaks = Callable[[DayPlan], bool]
-"""Plays a plan; returns whether the invariant is broken."""
+Breaks = Callable[[DayPlan], tuple[bool, float]]
+"""Plays a plan; returns whether the invariant is broken, and the virtual time that it took [s]."""
 
 
 def shrunk(plan: DayPlan, breaks: Breaks) -> tuple[DayPlan, int]:
     """Return the smallest plan found, which breaks the same invariant, and the number of plays."""
-    plays = 0
+    plays, took_s = 0, 0.0
     changed = True
-    while changed and plays < PLAYS_MAX:
+    while changed:
         changed = False
         for smaller in _smaller(plan):
-            if plays == PLAYS_MAX:
+            if plays == PLAYS_MAX or took_s >= SHRINKS_S:
                 break
-            plays += 1
-            if breaks(smaller):
+            still, seconds = breaks(smaller)
+            plays, took_s = plays + 1, took_s + seconds
+            if still:
                 plan, changed = smaller, True
                 break
     return plan, plays

@@ -76,7 +76,10 @@ class StopReason(StrEnum):
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
         """Return the StopReason that a log calls `text`; `text` itself if there is none."""
-        return next((reason for reason in cls if reason.value == text), text)
+        try:
+            return cls(text)
+        except ValueError:
+            return text
 
 
 class State(StrEnum):

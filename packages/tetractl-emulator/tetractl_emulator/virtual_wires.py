@@ -15,6 +15,7 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
+from tetractl.lab.udp_port import SCHEME
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PseudoPort
@@ -184,8 +185,11 @@ class MemoryPort(PseudoPort):
         """Refuse bytes, or accept them again."""
         self.stalled = stalled
 
-    def baud(self) -> int:
-        """Return the speed that our end has set [bits per second]; 0 if it is closed."""
+    def baud(self) -> int | None:
+        """Return the speed that our end has set [bits per second]; 0 if it is closed, None for a
+        network."""
+        if self._name.startswith(SCHEME):
+            return None
         return self.near.bits_a_second if self.near else 0
 
     def read(self) -> bytes:

@@ -1,7 +1,7 @@
 """What emulated robots on two wheels have in common, whatever reaches them: states and faults.
 
-A side of your own derives from `WheeledSide`, or `PortedSide`, and makes `robots`, `wheels` and
-`radios`.
+A side of your own derives from `OwnLines` if each robot takes lines at a port of its own; else from
+`WheeledSide`, or `PortedSide`, and makes `robots`, `wheels` and `radios`.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,11 +9,15 @@ from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
-from tetractl.experiment.base import Finite, Name, Point, Positive
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl_emulator.faults import (
     STUCK_PORT,
     UNPLUG,
@@ -28,7 +32,9 @@ from tetractl_emulator.faults import (
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl_emulator.port import RobotRadio
+from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
+from tetractl_emulator.sides import Stage
 
 PUSH_NS, PUSH_PARTS = SECOND // 5, 40  # how long a push takes, and in how many steps
 Wheel = Literal["left", "right", "both"]
@@ -103,10 +109,57 @@ class WheeledSide:
             radio.restart(down)
 
 
+class TrueWheels(Model):
+    """A robot's true properties that differ from the spec."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    left_gain: Positive | None = None
+    """True speed of the left wheel over the speed that it was sent."""
+    right_gain: Positive | None = None
+    """True speed of the right wheel over the speed that it was sent."""
+    lag: Annotated[float, Field(gt=0, le=1)] = 0.04
+    """Time constant of the wheels [s]."""
+    battery_mv: int = Field(default=5100, ge=0, le=9000)
+    """The battery's voltage without load [mV]."""
+
+
+class WheelsSettings(Model):
+    """Properties of the radio and the robots that differ from the spec."""
+
+    loss: Share = 0.0
+    """Probability that a robot does not receive a line."""
+    robots: tuple[TrueWheels, ...] = ()
+    """The robots whose true properties differ from the spec."""
+
+    def trues(self, names: Sequence[str]) -> list[TrueWheels]:
+        """Return the true properties of each robot."""
+        given = {robot.name: robot for robot in self.robots}
+        return [given.get(name) or TrueWheels(name=name) for name in names]
+
+
 class PortedSide(WheeledSide):
     """A `WheeledSide` whose radios each have a port, none of which is the lab's only one."""
 
     _loop: Loop | None = None
+
+    def roll(
+        self,
+        stage: Stage,
+        trues: Sequence[TrueWheels],
+        gains: Sequence[tuple[float, float]],
+        radii: Floats,
+        limit: tuple[float, float],
+    ) -> None:
+        """Put `robots` on wheels, `radii` (N,) from their centres [mm], of the gains of the spec
+        where true ones are not given; `limit` is the largest count, and the speed of a count
+        [mm/s]."""
+        each = zip(trues, gains, strict=True)
+        own = [(true.left_gain or left, true.right_gain or right) for true, (left, right) in each]
+        wheels = drivetrains(np.array(own).T * limit[1], limit[0])
+        lags = np.array([true.lag for true in trues])
+        self.timeline = stage.timeline
+        self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
 
     @property
     def port(self) -> "PortedSide":
@@ -157,6 +210,15 @@ def robots_of_day(
         own |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
         robots.append(own | {"battery_mv": random.randint(4600, 5300)})
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
+
+
+def gains_of_day(setup: Setup) -> Rehearsal:
+    """Return what rehearsals draw of a side whose settings are `WheelsSettings`."""
+
+    def world(random: Random, off: bool) -> dict[str, Any]:
+        return robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))
+
+    return Rehearsal(world=world)
 
 
 def _robot_of(device: Any, fault: Any) -> EmulatedRobot:

@@ -7,8 +7,7 @@ import socket
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
@@ -23,19 +22,18 @@ from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.natnet_server import mangle, pack_answer, parse_request
+from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
 from tetractl_emulator.optitrack.scripted import (
     CLOCK_HZ,
     FAULTS,
     OptitrackSettings,
     ServerClock,
-    Trouble,
     TrueBody,
 )
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, is_somewhere
+from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
 
-JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
 Address = tuple[str, int]
 
 
@@ -49,14 +47,13 @@ class Client:
     heard_ns: int
 
 
-class EmulatedOptitrack:
+class EmulatedOptitrack(PoseCamera):
     """An emulated Motive server, and the rigid bodies on the robots.
 
-    Exposures are numbered from 1, without gaps. `data_port` is the UDP port from which frames are
+    `data_port` is the UDP port from which frames are
     sent or, in multicast, to which they are sent; `command_port` is that of messages. `frames`,
     `refused`, `models_asked` and `timed_out` are numbers of frames sent, of requests that could not
-    be read, of requests for MODELDEF, and of clients dropped because they were silent; `shown_ns`
-    is when each robot was exposed in the newest frame sent in which it is tracked.
+    be read, of requests for MODELDEF, and of clients dropped because they were silent.
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -65,17 +62,17 @@ class EmulatedOptitrack:
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of the cameras."""
-        return Rehearsal(world=_world)
+        return Rehearsal(world=world)
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section, options = stage.lab.camera, stage.options
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
-        self.swapped: set[int] = set()  # the indices of two bodies that exchange their ids
-        self.tracked = _tracked(section, settings, bodies, random.Random(options.seed))
-        self.names = tuple((body.body_name, body.id) for body in self.tracked)
+        tracked = _tracked(section, settings, bodies, random.Random(options.seed))
+        self.names = tuple((body.body_name, body.id) for body in tracked)
         x, y = section.origin
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
-        self.view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
+        view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
+        super().__init__(stage, tracked, settings.rate, settings.latency, view)
         self.join = stage.wires.make_socket
         self.section, self.settings = section, settings
         self.address = options.address or section.server
@@ -86,16 +83,10 @@ class EmulatedOptitrack:
             self.data_port = options.data_port
         self.multicast = section.transport == "multicast"
         self.own_version = natnet.Version.of(settings.version)
-        self.trouble, self.clock = Trouble(), ServerClock()
+        self.clock = ServerClock()
         self.clients: dict[Address, Client] = {}
-        self.shown_ns = [0] * len(self.tracked)
-        self._left_ns = 0  # exposure of the last frame sent [ns]
         self.frames = self.refused = self.models_asked = self.timed_out = 0
         self._greeted: set[Address] = set()
-        self._stage, self.timeline = stage, stage.timeline
-        self._random = random.Random(options.seed)
-        self._last: natnet.NatNetFrame | None = None
-        self._start_ns = self._exposures = 0
         self.command: Any = None
         self.data: Any = None
 
@@ -112,8 +103,7 @@ class EmulatedOptitrack:
         if not (self.multicast and self.data_port):
             # in multicast too, since no other server uses this port
             self.data_port = _port(self.data)
-        self._start_ns = self.timeline.now_ns
-        self._plan()
+        self.begin()
         loop.watch(self.command.fileno(), lambda: self._readable(loop.catch_up))
         transport = self.section.transport
         return {
@@ -130,19 +120,6 @@ class EmulatedOptitrack:
             if opened is not None:
                 opened.close()
         return {"frames": self.frames, "refused": self.refused, "timed_out": self.timed_out}
-
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, track no body; otherwise track all bodies again."""
-        for body in self.tracked:
-            body.tracked = not hidden
-
-    def tracked_body(self, name: str) -> TrackedBody:
-        """Return the rigid body of the robot with this name."""
-        return self.tracked[self.place_of(name)]
-
-    def place_of(self, name: str) -> int:
-        """Return the index of the robot with this name."""
-        return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
     def _readable(self, catch_up: Callable[[], None]) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
@@ -218,56 +195,15 @@ class EmulatedOptitrack:
             else:
                 yield address, client.version
 
-    def _plan(self) -> None:
-        due = self._start_ns + round(self._exposures * SECOND / self.settings.rate)
-        self._exposures += 1
-        self.timeline.at(due, self._take)
+    def _shot(
+        self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
+    ) -> natnet.NatNetFrame:
+        params = 2 * self.settings.models_changed | 4 * self.trouble.edit_mode  # as it reads them
+        return natnet.NatNetFrame(number, bodies, params, self.clock.ticks(exposed_ns))
 
-    def _take(self) -> None:
-        """Expose one frame, and schedule its sending after the server's latency."""
-        exposed = now = self.timeline.now_ns
-        number = self._exposures - self.trouble.counter
-        self._stage.exposed(self._exposures, number)
-        s, jitter = self.settings, self._random
-        delay = s.latency + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
-        if jitter.random() < 1 / 250:
-            delay += jitter.uniform(0, 0.45 / s.rate)
-        delay += self.trouble.late_s
-        if self.trouble.jitter_s:
-            delay += jitter.uniform(0, self.trouble.jitter_s)
-        self.view.creep()
-        if self.trouble.outdated:
-            self.trouble.outdated -= 1
-            exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
-        params = 2 * s.models_changed | 4 * self.trouble.edit_mode  # as `NatNetFrame` reads them
-        frame = natnet.NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
-        leaves = now + round(delay * SECOND)
-        for _ in range(1 + self.trouble.doubled):
-            self.timeline.at(leaves, partial(self._leave, self._exposures, now, frame))
-        self._plan()
-
-    def _leave(self, exposure: int, exposed_ns: int, frame: natnet.NatNetFrame) -> None:
-        slow = exposed_ns != self._left_ns < exposed_ns < self._left_ns + SECOND / self.trouble.hz
-        if self.trouble.frozen and self._last is not None:
-            frame = self._last
-        self._last = frame
-        if not (self.trouble.silent or self.trouble.no_frames or slow):
-            self._left_ns = exposed_ns
-            self._stream(frame, self.timeline.now_ns)
-            if not self.trouble.frozen:
-                self._show(exposed_ns, frame)
-        self._stage.sent(exposure)
-
-    def _show(self, exposed_ns: int, frame: natnet.NatNetFrame) -> None:
-        """Remember when each robot was last shown as tracked."""
-        seen = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
-        for i, body in enumerate(self.tracked):
-            if body.id in seen:
-                self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)
-
-    def _stream(self, frame: natnet.NatNetFrame, now: int) -> None:
+    def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
         packed: dict[natnet.Version, bytes] = {}
-        for address, version in self._receivers(now):
+        for address, version in self._receivers(now_ns):
             if version not in packed:
                 packed[version] = pack_answer(frame, self.trouble.version or version)
             message = packed[version]
@@ -279,24 +215,6 @@ class EmulatedOptitrack:
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
             sender.sendto(data, to)
-
-    def _expose(self) -> tuple[natnet.RigidBody, ...]:
-        """Return the bodies as the cameras report them now."""
-        bodies = [each.expose(self.view) for each in self.tracked]
-        if len(self.swapped) == 2:
-            i, j = self.swapped
-            one, other = bodies[i], bodies[j]
-            bodies[i], bodies[j] = replace(other, id=one.id), replace(one, id=other.id)
-        streamed = {body.id for body in self.tracked if body.streamed}
-        return tuple(body for body in bodies if body.id in streamed)
-
-
-def _world(chance: random.Random, _off: bool) -> dict[str, Any]:
-    return {
-        "noise_mm": round(chance.uniform(0.1, 0.5), 3),
-        "noise_rad": round(chance.uniform(0.001, 0.005), 4),
-        "latency": round(chance.uniform(0.003, 0.012), 4),
-    }
 
 
 def _port(of: Any) -> int:

@@ -7,16 +7,20 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 from tetractl_emulator.faults import Fault, Share
-from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
-from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, PortedSide, robots_of_day
+from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
+from tetractl_emulator.m3pi.wheeled_side import (
+    WHEELED_FAULTS,
+    PortedSide,
+    WheelsSettings,
+    robots_of_day,
+)
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, Name, Positive
+from tetractl.experiment.base import Model
 from tetractl.experiment.lab_section import LabSection, entry
-from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl.lab.udp_port import SCHEME
 from tetractl_toio.emulated.cube import Connection, CubeProgram, ns
 from tetractl_toio.messages import SPEED_MAX, WHEEL_MM_S
@@ -26,30 +30,14 @@ NONE = ("baud", "bad_bytes", "overtaken_packets", "stopped_elsewhere")
 """Faults that Bluetooth cannot have: it checks packets and keeps their order, with one sender."""
 
 
-class TrueCube(Model):
-    """A cube's true properties that differ from the spec."""
-
-    name: Name
-    """Name of a robot of the spec."""
-    left_gain: Positive | None = None
-    """True speed of the left wheel over its nominal speed."""
-    right_gain: Positive | None = None
-    """True speed of the right wheel over its nominal speed."""
-    lag: Annotated[float, Field(gt=0, le=1)] = 0.04
-    """Time constant of the wheels [s]."""
-    battery_mv: int = Field(default=5100, ge=0, le=9000)
-    """The battery's voltage without load [mV]; 5100 is full, 4400 empty."""
-
-
-class CubesSettings(Model):
-    """Properties of the connections and the cubes that differ from the spec."""
+class CubesSettings(WheelsSettings):
+    """Properties of the connections and the cubes that differ from the spec; a battery is full at
+    5100 mV, empty at 4400."""
 
     loss: Share = 0.02
     """Share of the messages, either way, that are lost."""
     interval: Annotated[float, Field(ge=0.008, le=0.5)] = 0.03
     """Time between two events of a connection [s]; those of different cubes are spread over it."""
-    robots: tuple[TrueCube, ...] = ()
-    """The cubes whose true properties differ from the spec."""
 
 
 class ConnectedCube(EmulatedRobot):
@@ -93,20 +81,14 @@ class EmulatedCubes(PortedSide):
                 "cubes cannot be emulated at a Bluetooth adapter",
                 hint=f"name them {SCHEME}127.0.0.1:9801 and so on, in camera and actuator",
             )
-        truths = {truth.name: truth for truth in settings.robots}
-        trues = [truths.get(name) or TrueCube(name=name) for name in names]
-        self.timeline = stage.timeline
+        trues = settings.trues(names)
         self.robots = [
             ConnectedCube(name, i, EmulatedBattery(float(true.battery_mv)))
             for i, (name, true) in enumerate(zip(names, trues, strict=True))
         ]
-        gains = [
-            (true.left_gain or one.left_gain, true.right_gain or one.right_gain)
-            for true, one in zip(trues, own, strict=True)
-        ]
-        wheels = drivetrains(np.array(gains).T * WHEEL_MM_S, SPEED_MAX)
-        radii, lags = np.array([o.radius_mm for o in own]), np.array([t.lag for t in trues])
-        self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
+        gains = [(one.left_gain, one.right_gain) for one in own]
+        radii = np.array([one.radius_mm for one in own])
+        self.roll(stage, trues, gains, radii, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)
         self.radios = []
         for i, (cube, one) in enumerate(zip(self.robots, own, strict=True)):

@@ -1,0 +1,120 @@
+"""The base of emulated cameras of another make: they send the poses of all robots in one frame.
+
+A side of your own derives from `PoseStream` and packs a frame.
+"""
+
+import random
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from pydantic import Field
+
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model, NonNegative
+from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl_emulator.faults import Fault
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
+from tetractl_emulator.optitrack.scripted import FAULTS
+from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.sides import Body, Facts, Stage
+
+OF_A_SERVER = (
+    *("counter_back", "edit_mode", "bad_datagrams", "other_version", "outdated", "twin_id"),
+    *("lifted", "tipped", "nan", "bad_quaternion", "clock_jump", "clock_rate"),
+)
+"""Faults that only a motion-capture server can have."""
+
+
+class PoseSettings(Model):
+    """Properties of a camera that differ from the spec."""
+
+    rate: float = Field(default=100.0, ge=1, le=500)
+    """Frames per second [Hz]."""
+    latency: float = Field(default=0.01, ge=0, le=1)
+    """Mean time from exposure to transmission [s]."""
+    noise_mm: NonNegative = 0.0
+    """Standard deviation of a position along each axis [mm]."""
+    noise_rad: NonNegative = 0.0
+    """Standard deviation of a heading [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A frame with its number and its time of exposure [ns]; z is up, the origin that of the spec.
+    The id of a body is its robot's place in the setup.
+    """
+
+    number: int
+    exposed_ns: int
+    bodies: tuple[RigidBody, ...]
+
+    @property
+    def poses(self) -> dict[int, Pose | None]:
+        """The pose x, y [m], heading [rad] of each robot by its place; None if not tracked."""
+        return {body.id: planar_pose(body, UpAxis.Z) for body in self.bodies}
+
+
+class PoseStream(PoseCamera):
+    """Sends `packed` frames to the program that has opened the port `port`, once it has written
+    something.
+    """
+
+    Settings: ClassVar[type[Model]] = PoseSettings
+    faults: ClassVar[Sequence[type[Fault]]] = tuple(
+        one for one in FAULTS if one.__name__ not in OF_A_SERVER
+    )
+
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return what rehearsals draw of the camera."""
+        return Rehearsal(world=world)
+
+    def __init__(
+        self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body], port: str
+    ) -> None:
+        chance, noise = random.Random(stage.options.seed), (settings.noise_mm, settings.noise_rad)
+        tracked = [
+            TrackedBody(body, i, body.name, noise=noise, random=chance)
+            for i, body in enumerate(bodies)
+        ]
+        super().__init__(stage, tracked, settings.rate, settings.latency, View(UpAxis.Z))
+        self.names, self.join = [body.name for body in bodies], stage.wires.ports
+        self.port, self.frames = stage.wires.port(port), 0
+        self._loop: Loop | None = None
+
+    @abstractmethod
+    def packed(self, shot: Shot) -> bytes:
+        """Return a frame as the camera sends it."""
+
+    def open(self, loop: Loop) -> Facts:
+        """Listen at the port, and expose the first frame."""
+        self.port.plug()
+        self._loop = loop
+        loop.watch(self.port.fd, self._asked)
+        self.begin()
+        return {"camera": self.port.name}
+
+    def close(self) -> Facts:
+        """Release the port; return the number of frames sent."""
+        if self._loop is not None:
+            self._loop.forget(self.port.fd)
+        self.port.unplug()
+        return {"frames": self.frames}
+
+    def _asked(self) -> None:
+        if self.port.read():
+            self._stage.client(self.port.name)
+
+    def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> Shot:
+        return Shot(number, exposed_ns, bodies)
+
+    def _stream(self, frame: Shot, now_ns: int) -> None:
+        self.port.write(self.packed(frame))
+        self.frames += 1

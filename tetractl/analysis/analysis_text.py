@@ -24,6 +24,8 @@ def tables(found: Analysis) -> list[Table]:
         ("plans that reach", f"{reaching} of {found.plans}, to {found.tolerance:g} {unit}"),
         ("fewest signals that reach", _shortest(found)),
     ]
+    if found.reach:
+        facts.insert(0, ("reach of the signal", str(found.reach)))
     if found.alike:
         facts.append(
             ("smallest difference of a", f"{100 * found.gap:.3g} % ({', '.join(found.alike)})")
@@ -113,6 +115,7 @@ def as_json(found: Analysis) -> dict[str, Any]:
             "heading_std": noise.heading,
         },
         "not_in_the_prediction": list(found.left_out),
+        "reach": found.reach and found.reach.fields,
         "plans": found.plans,
         "plans_that_reach": 0 if here is None else len(here.errors),
         "tolerance": found.tolerance,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, left_out
+from tetractl.analysis.reach import Reach, reach
 from tetractl.analysis.steering import Steering, planner, steering, tolerance
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
@@ -39,6 +40,7 @@ class Change:
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
+    `reach` is what the signal can reach, None for very many robots.
     `plans` is the number of plans searched, `steering` the analysis of those that reach the
     targets, with a cost of at most `tolerance` [length unit], None if none does. An error is NaN if
     no plan was found. `left_out` lists disturbances of the plant that are not in the predictions.
@@ -51,6 +53,7 @@ class Analysis:
     """
 
     setup: Setup
+    reach: Reach | None
     noise: Noise
     left_out: tuple[str, ...]
     tolerance: float
@@ -99,6 +102,7 @@ def analyze(
     ]
     return Analysis(
         setup=setup,
+        reach=reach(experiment),
         noise=noise,
         left_out=left_out(experiment.plant),
         tolerance=tolerance(section),

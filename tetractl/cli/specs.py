@@ -199,6 +199,7 @@ def validate(
 
 
 def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str]]:
+    from tetractl.analysis.reach import reach
     from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError
     from tetractl.model.bounds import least_total_error
@@ -227,7 +228,9 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
     fields["warnings"] = [asdict(warning) for warning in warnings]
     context = CheckContext(experiment)
     fields["least_total_error"] = least_total_error(context.setup, context.longest_s)
-    return fields, [f"{shown}: ok: {line}"]
+    found = reach(experiment)
+    fields["reach"] = found and found.fields
+    return fields, [f"{shown}: ok: {line}" + (f", reach {found}" if found else "")]
 
 
 def _check_study(path: Path, shown: str) -> tuple[dict[str, Any], list[str]]:

@@ -1,0 +1,167 @@
+"""Compare the verdict of `analyze` and `validate`, what the signal can reach, with the plant.
+
+    python benchmarks/steerable.py                 200 sets, about a minute
+    python benchmarks/steerable.py --sets 20
+
+Draws sets of 1 to 6 robots of three motions, half of them near the border: two robots differ so
+little that a combination of their ends is within a factor 3 of the tolerance. The plant drives each
+set under 1,000 random signals; the rank of the differences of its ends says what can be reached,
+and which robots move alike. Nothing is shared with `tetractl.analysis`. A verdict is right if rank
+and names agree, or, where the plant's value is within a factor 3 of the tolerance, if it says
+"barely" or has the same rank. What is advised to part robots is tried in the plant.
+"""
+
+import argparse
+import math
+from dataclasses import dataclass, replace
+from itertools import combinations
+from time import process_time
+
+import numpy as np
+
+from tetractl.analysis.reach import reach_of
+from tetractl.core.commands import Steer
+from tetractl.core.poses import Poses
+from tetractl.core.registries import MOTIONS
+from tetractl.core.setup import Bounds, Setup
+from tetractl.experiment.disturbance import DelayedCommand
+from tetractl.plant.direct import DirectDrive
+
+SIGNALS, TRIALS = 96, 1000
+LEAST, BAND = 0.01, 3.0
+KINDS = "exact", "euler", "arc"
+
+
+@dataclass
+class Seen:
+    """What the plant shows: relative values, and pairs that move alike, surely and perhaps."""
+
+    values: np.ndarray
+    alike: set
+    unsure: set
+
+    @property
+    def rank(self):
+        return int((self.values >= LEAST).sum())
+
+    @property
+    def near(self):
+        return bool(((self.values > LEAST / BAND) & (self.values < LEAST * BAND)).any())
+
+
+def ends(setup, motion, seed):
+    """Return the ends (TRIALS, N, 2), over the speed, to which the plant drives the robots."""
+    rng, count = np.random.default_rng(seed), len(setup.a)
+    held_s = 1 / math.exp(sum(map(math.log, setup.a)) / count)
+    parts = 1 if motion == "exact" else math.ceil(max(setup.a) * held_s)
+    every = np.zeros((3, TRIALS, count))
+    every[2] = setup.starts.heading
+    starts = Poses(*every.reshape(3, -1))
+    speed = np.tile(setup.speed > 0, TRIALS) * 1.0
+    drive = DirectDrive(MOTIONS.load(motion), np.tile(setup.a, TRIALS), speed, starts)
+    reached = np.ones(speed.size, dtype=bool)
+    for _ in range(SIGNALS):
+        u = np.repeat(rng.uniform(-math.pi, math.pi, TRIALS), count)
+        for _ in range(parts):
+            drive.apply(DelayedCommand(0, 0, Steer(u), reached, headings=drive.poses.heading))
+            drive.advance(0, np.array([round(1e9 * held_s / parts)]), np.array([True]))
+    return drive.poses.xy.reshape(TRIALS, count, 2)
+
+
+def judged(setup, motion, seed):
+    """Return what differences of the plant's ends show."""
+    found = ends(setup, motion, seed)
+    off = found - found.mean(axis=0)
+
+    def values(robots):
+        rows = off[:, robots].reshape(TRIALS, -1)
+        return np.linalg.svd(rows, compute_uv=False) / math.sqrt(TRIALS)
+
+    whole = values(range(len(setup.a)))
+    least = {
+        pair: values(pair)[-1] / whole[0]
+        for pair in combinations(np.flatnonzero(setup.speed).tolist(), 2)
+    }
+    alike = {pair for pair, one in least.items() if one < LEAST / BAND}
+    return Seen(
+        whole / whole[0], alike, {p for p, one in least.items() if one < LEAST * BAND} - alike
+    )
+
+
+def drawn(rng, near):
+    """Return a random set of robots and its motion; `near`: two differ by very little."""
+    count = int(rng.integers(2 if near else 1, 7))
+    a = np.exp(rng.uniform(math.log(2), math.log(8), count))
+    speed, heading = rng.uniform(50, 400, count), rng.uniform(-math.pi, math.pi, count)
+    kind = rng.integers(4)
+    some = rng.permutation(count)[: int(rng.integers(2, count + 1))] if count > 1 else []
+    if near:
+        i, j = some[:2]
+        by = math.exp(rng.uniform(math.log(1e-4), math.log(2e-2)))
+        turn = by * rng.choice([-1, 1])
+        a[j], heading[j] = (a[i] * (1 + by), heading[i]) if kind < 2 else (a[i], heading[i] + turn)
+    elif kind < 2:
+        a[some], heading[some] = a[some[:1]], heading[some[:1]]
+    elif kind == 2 and count > 1:
+        speed[some[:1]] = 0.0
+    return setup_of(a, speed, heading), str(rng.choice(KINDS))
+
+
+def setup_of(a, speed, heading):
+    """Return robots with these values."""
+    count = len(a)
+    names = tuple(f"r{i}" for i in range(count))
+    starts = Poses(np.zeros(count), np.zeros(count), heading)
+    return Setup(
+        "drawn", "mm", 1e-3, names, (None,) * count, starts, np.zeros((count, 2)), a, speed,
+        Bounds(-1e3, -1e3, 1e3, 1e3), (), 0.1, 1e6, 1, None,
+    )  # fmt: skip
+
+
+def right(setup, motion, verdict, seen, seed):
+    """Return whether a verdict agrees with the plant, and its advice with what it does."""
+    same = verdict.rank == seen.rank
+    said = {
+        pair
+        for group in verdict.alike
+        for pair in combinations(sorted(setup.names.index(name) for name in group), 2)
+    }
+    named = seen.alike <= said <= seen.alike | seen.unsure
+    still = {setup.names[i] for i in np.flatnonzero(setup.speed == 0)} == set(verdict.still)
+    good = (same or (seen.near and verdict.barely > 0)) and named and still
+    a = setup.a.copy()
+    for name, _, other in verdict.parted:
+        a[setup.names.index(name)] = other
+    if verdict.parted:
+        good &= not said & judged(replace(setup, a=a), motion, seed).alike
+    return good, same, seen.near, verdict.barely > 0
+
+
+def main(sets, seed):
+    """Print the table."""
+    rng, rows, seconds = np.random.default_rng(seed), [], 0.0
+    while len(rows) < sets:
+        near = len(rows) % 2 == 1
+        setup, motion = drawn(rng, near)
+        seen = judged(setup, motion, seed + len(rows))
+        if seen.near != near:
+            continue
+        began = process_time()
+        verdict = reach_of(setup, motion)
+        seconds = max(seconds, process_time() - began)
+        rows.append(right(setup, motion, verdict, seen, seed + len(rows)))
+        if not rows[-1][0]:
+            print("wrong:", motion, setup.a, setup.speed, verdict, verdict.spread, seen)
+    good, same, near, said = np.array(rows).T
+    counts = sets, good.sum(), same.sum(), near.sum(), (near & said).sum(), f"{seconds:.2f} s"
+    print("| sets | right | same rank | near the border | said barely | longest, processor time |")
+    print("|---|---|---|---|---|---|")
+    print(f"| {' | '.join(map(str, counts))} |")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    main(given.sets, given.seed)

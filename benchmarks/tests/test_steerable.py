@@ -1,0 +1,23 @@
+"""What the signal can reach, by `analyze` and `validate`, against the plant."""
+
+import numpy as np
+import pytest
+from steerable import drawn, judged, right, setup_of
+
+from tetractl.analysis.reach import reach_of
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_verdicts_agree_with_the_plant(seed):
+    setup, motion = drawn(np.random.default_rng(seed), near=bool(seed % 2))
+    assert right(setup, motion, reach_of(setup, motion), judged(setup, motion, seed), seed)[0]
+
+
+def test_a_wrong_verdict_is_seen():
+    alike = setup_of(np.array([4.0, 4.0]), np.array([100.0, 50.0]), np.zeros(2))
+    other = setup_of(np.array([4.0, 5.0]), np.array([100.0, 50.0]), np.zeros(2))
+    seen = judged(alike, "exact", 1)
+    assert right(alike, "exact", reach_of(alike, "exact"), seen, 1)[0]
+    assert not right(other, "exact", reach_of(other, "exact"), seen, 1)[0]

@@ -5,7 +5,7 @@ RUNTIME := .venv/.runtime
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 DEMO := logs/demo
-PACKAGES := ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio
+PACKAGES := ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
 
 .PHONY: demo demo-ours demo-paper test test-fast test-all test-lowest test-newest lint dist docs clean
 

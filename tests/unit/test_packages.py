@@ -19,7 +19,7 @@ HIDDEN = """
 import sys
 import importlib.metadata
 
-PACKAGES = {"tetractl_emulator", "tetractl_microscope", "tetractl_toio"}
+PACKAGES = {"tetractl_emulator", "tetractl_microscope", "tetractl_motioncapture", "tetractl_toio"}
 
 class Hidden:
     def find_spec(self, name, path=None, target=None):
@@ -30,7 +30,7 @@ sys.meta_path.insert(0, Hidden())
 found = importlib.metadata.entry_points
 
 def points(**by):
-    ours = ("tetractl-emulator", "tetractl-microscope", "tetractl-toio")
+    ours = ("tetractl-emulator", "tetractl-microscope", "tetractl-motioncapture", "tetractl-toio")
     got = found(**by)
     if not by.get("group", "").startswith("tetractl."):
         return got

@@ -20,7 +20,12 @@ COMMITTED = EXPERIMENTS / "experiment.schema.json"
 @pytest.fixture
 def packages():
     """What is committed is of all packages."""
-    for name in ("tetractl_emulator", "tetractl_microscope", "tetractl_toio"):
+    for name in (
+        "tetractl_emulator",
+        "tetractl_microscope",
+        "tetractl_motioncapture",
+        "tetractl_toio",
+    ):
         pytest.importorskip(name)
 
 

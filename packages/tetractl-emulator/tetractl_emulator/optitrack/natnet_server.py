@@ -15,6 +15,8 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
     """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = wire.split(received)
     match kind:
+        case natnet.MessageKind.CONNECT if not payload:  # from libmotioncapture
+            return natnet.Connect(natnet.OLDEST)
         case natnet.MessageKind.CONNECT if len(payload) <= wire.SENDER.size:
             return natnet.Connect(wire.read_sender(payload)[1])
         case natnet.MessageKind.CONNECT:

@@ -1,0 +1,156 @@
+"""Bodies to poses, and the library's process with a library in its place that has the same API."""
+
+import io
+import json
+import math
+import os
+import signal
+import types
+
+import pytest
+from support.lab_specs import SPEC
+from tetractl_emulator.emulated_lab import EmulatedLab
+from tetractl_emulator.script import NOTHING
+from tetractl_emulator.sides import Options
+from tetractl_emulator.virtual_wires import LabClock, started
+from tetractl_motioncapture.bridge import stream
+from tetractl_motioncapture.camera import MotionCapture
+from tetractl_motioncapture.process import ProcessPort
+
+from tetractl.core.clock import MonotonicClock, wait_for
+from tetractl.core.errors import AbortError
+from tetractl.experiment.load import parse_spec
+
+CAPTURE = """
+  camera:
+    type: motioncapture
+    system: vicon
+    hostname: 192.168.1.10
+    up_axis: {up}
+    origin: [120, -40]
+    rotation: 0.7
+    robots:
+      - {{name: green, body: G, heading_offset: 0.3}}
+      - {{name: blue, body: B}}
+"""
+LIBRARY = """
+import time
+
+class Body:
+    position = [0.1, 0.2, 0.0]
+    rotation = type("Quaternion", (), {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0})
+
+class Capture:
+    rigidBodies = {"G": Body, "B": Body}
+    def waitForNextFrame(self):
+        time.sleep(0.01)
+
+def connect(system, options):
+    if system == "vrpn":
+        raise RuntimeError("no connection")
+    return Capture()
+"""
+
+
+def lab_of(up="z"):
+    head, rest = SPEC.split("  camera:\n")
+    actuator = rest[rest.index("  actuator:") :]
+    text = head + CAPTURE.format(up=up).lstrip("\n") + actuator
+    experiment = parse_spec(text, "capture.yaml").experiment
+    return experiment.lab, experiment.setup
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_poses_are_those_of_the_emulated_bodies_in_the_axes_of_the_system(up):
+    lab, setup = lab_of(up)
+    clock = LabClock()
+    emulation: EmulatedLab = started(lab, setup, clock, Options(address=None), NOTHING)
+    ports = emulation.wires.ports
+    with MotionCapture(lab.camera, setup, clock, lambda: None, ports) as camera:
+        frame = camera.frames()[-1]
+        assert camera.check().emulated and not camera.check().problems
+        for pose, x, y, heading in zip(
+            frame.poses, setup.starts.x, setup.starts.y, setup.starts.heading, strict=True
+        ):
+            assert math.isclose(pose.x, x, abs_tol=1e-6)
+            assert math.isclose(pose.y, y, abs_tol=1e-6)
+            assert math.isclose(math.remainder(pose.heading - heading, math.tau), 0, abs_tol=1e-9)
+        assert frame.received_ns - frame.sampled_ns == 10_000_000
+
+
+def test_a_robot_without_a_body_is_named():
+    lab, setup = lab_of()
+    port = types.SimpleNamespace(failure=None, close=lambda: None)
+
+    def ports(name, baud, device, clock, heard, hint):
+        line = {"bodies": {"G": [0, 0, 0, 0, 0, 0, 1], "X": [0, 0, 0, 0, 0, 0, 1]}}
+        port.open = lambda: heard(json.dumps(line).encode(), 10**9)
+        port.write = lambda data: 0
+        return port
+
+    with MotionCapture(lab.camera, setup, LabClock(), lambda: None, ports) as camera:
+        assert camera.check().problems == ("blue has no rigid body B; streamed are G, X",)
+        assert [pose is None for pose in camera.frames()[0].poses] == [False, True]
+
+
+def test_the_process_prints_bodies_until_no_program_reads_them():
+    class Pipe(io.StringIO):
+        def flush(self):
+            if self.getvalue().count("\n") == 3:
+                raise BrokenPipeError
+
+    library, out = {}, Pipe()
+    exec(LIBRARY.replace("time.sleep(0.01)", "pass"), library)
+    stream(library["connect"], '["vicon", "there", {}]', out)
+    stamps, lines = zip(*(one.split(" ", 1) for one in out.getvalue().splitlines()), strict=True)
+    assert sorted(map(int, stamps)) == [*map(int, stamps)]
+    assert json.loads(lines[0])["bodies"]["G"] == [0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.fixture
+def library(tmp_path, monkeypatch):
+    (tmp_path / "motioncapture.py").write_text(LIBRARY)
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("PYTHONPATH", path)
+
+
+@pytest.mark.slow
+@pytest.mark.system
+def test_a_process_that_is_killed_is_a_fault_in_the_next_frame(library):
+    lab, setup = lab_of()
+    clock = MonotonicClock()
+    with lab.camera.build(setup, clock, lambda: None) as camera:
+        assert camera.frames()
+        assert isinstance(camera._port, ProcessPort)
+        os.kill(camera._port._process.pid, signal.SIGKILL)
+        seen = []
+        assert wait_for(
+            clock, lambda: seen.extend(camera.frames()) or (seen[-1:] and seen[-1].fault), 60
+        )
+        assert seen[-1].fault == "the process of the camera has ended: Killed"
+        assert seen[-1].poses == (None, None)
+
+
+@pytest.mark.slow
+@pytest.mark.system
+def test_a_process_that_cannot_connect_is_said(library):
+    lab, setup = lab_of()
+    section = lab.camera.model_copy(update={"system": "vrpn"})
+    with (
+        pytest.raises(AbortError, match="the camera has ended: exit code 1"),
+        section.build(setup, MonotonicClock(), lambda: None),
+    ):
+        pass
+
+
+@pytest.mark.slow
+@pytest.mark.system
+def test_the_real_library_streams_from_its_mock_in_the_process():
+    pytest.importorskip("motioncapture")
+    heard, clock = [], MonotonicClock()
+    port = ProcessPort('["mock", "", {}]', 0, "it", clock, lambda *one: heard.append(one), "")
+    port.open()
+    came = wait_for(clock, lambda: len(heard) > 3, 60)
+    port.close()
+    assert came and json.loads(heard[0][0]) == {"bodies": {}}
+    assert heard[0][1] <= heard[3][1] <= clock.now()

@@ -1,0 +1,1 @@
+"""Motion capture of many makes as a camera, by the library libmotioncapture."""

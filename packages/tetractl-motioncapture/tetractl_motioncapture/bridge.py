@@ -1,0 +1,46 @@
+"""The process of libmotioncapture: it prints a line of JSON for each frame, and imports no more."""
+
+import ctypes
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TextIO
+
+DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
+
+
+def stream(connect: Callable[[str, dict[str, str]], Any], name: str, out: TextIO) -> None:
+    """Print each frame of a system to `out`, after its time on the system's monotonic clock [ns],
+    until no program reads it."""
+    system, hostname, options = json.loads(name)
+    capture = connect(system, {"hostname": hostname, **options})
+    with suppress(BrokenPipeError):
+        while True:
+            capture.waitForNextFrame()
+            bodies = {key: _numbers(body) for key, body in capture.rigidBodies.items()}
+            print(time.monotonic_ns(), json.dumps({"bodies": bodies}), file=out, flush=True)
+
+
+def _numbers(body: Any) -> list[float]:
+    """Return position [m] and quaternion x, y, z, w of a body."""
+    turn = body.rotation
+    return [*map(float, body.position), turn.x, turn.y, turn.z, turn.w]
+
+
+def main() -> None:
+    """Stream the system named by the first argument, as long as the parent lives."""
+    import motioncapture
+
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
+    try:
+        stream(motioncapture.connect, sys.argv[1], sys.stdout)
+    except RuntimeError as error:
+        sys.exit(f"motion capture: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Motion capture as a `Camera`: frames of named bodies, as lines of JSON from another process."""
+
+import json
+from collections.abc import Callable
+
+from tetractl.core.clock import Clock
+from tetractl.core.commands import Health
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import entry
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.port_camera import PortCamera
+from tetractl.lab.serial_port import Ports
+from tetractl_motioncapture.process import ports_of
+from tetractl_motioncapture.section import MotionCaptureSection
+
+
+class MotionCapture(PortCamera):
+    """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
+    `ports` makes another port than that to the library's process."""
+
+    connect_s = 10.0
+    hint = "does the system stream, and are system and hostname right?"
+
+    def __init__(
+        self,
+        section: MotionCaptureSection,
+        setup: Setup,
+        clock: Clock,
+        wake: Callable[[], None] = lambda: None,
+        ports: Ports | None = None,
+    ) -> None:
+        self.robots = [entry(section.robots, name) for name in setup.names]
+        self._bodies: list[str] = []
+        self._up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
+        self._place = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
+        ports, count = ports or ports_of(section), len(self.robots)
+        super().__init__(count, section.hostname, section.latency, clock, wake, ports)
+
+    def check(self) -> Health:
+        """Return which robots have no body in the stream."""
+        lost = [one for one in self.robots if str(one.body) not in self._bodies]
+        streamed = ", ".join(self._bodies) or "none"
+        lines = [f"{o.name} has no rigid body {o.body}; streamed are {streamed}" for o in lost]
+        return Health(tuple(lines), emulated=self.emulated)
+
+    def poses(self, message: bytes) -> tuple[Pose | None, ...]:
+        """Return the pose of each robot, None if its body is not in the frame."""
+        line = json.loads(message)
+        self._bodies, self.emulated = list(line["bodies"]), "emulated" in line
+        return tuple(
+            self._pose(line["bodies"].get(str(o.body)), o.heading_offset) for o in self.robots
+        )
+
+    def _pose(self, body: list[float] | None, offset: float) -> Pose | None:
+        if body is None:
+            return None
+        x, y, z, *turn = body
+        qx, qy, qz, qw = turn
+        return self._place.pose(RigidBody(0, (x, y, z), (qx, qy, qz, qw), True), self._up, offset)

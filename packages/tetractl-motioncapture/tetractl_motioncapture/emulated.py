@@ -1,0 +1,68 @@
+"""The emulated camera of type `motioncapture`: the lines of the library's process."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from tetractl_emulator.faults import Fault, Undo, fault
+from tetractl_emulator.optitrack.tracked_body import View
+from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
+from tetractl_emulator.rehearsal.due import after
+from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.rehearsal.schedule import FaultRow
+from tetractl_emulator.sides import Body, Stage
+
+from tetractl.core.errors import UsageError
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import LabSection, entry
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.udp_port import SCHEME
+from tetractl_motioncapture.section import MotionCaptureSection
+
+
+def _end(_: Any, device: Any) -> Undo:
+    device.port.unplug()
+    return lambda: None
+
+
+class EmulatedMotionCapture(PoseStream):
+    """Bodies as the library gives them: position [m] and quaternion, in the system's axes."""
+
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        *PoseStream.faults,
+        fault("process_ends", "The library's process ends.", _end),
+    )
+
+    @classmethod
+    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
+        """Return what rehearsals draw of the camera, and the end of its process."""
+        gone, due = "the camera", after(0.1, False)
+        row = FaultRow("capture ends", "process_ends", gone, due=due, at_once=True)
+        return replace(super().rehearsal(lab, setup), rows=[row])
+
+    def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, MotionCaptureSection), "the camera's type is motioncapture"
+        if stage.wires.ports is None and not section.hostname.startswith(SCHEME):
+            raise UsageError(
+                f"{section.hostname} cannot be emulated over a network",
+                hint=f"use --set lab.camera.hostname={SCHEME}127.0.0.1:9800, here and in the run",
+            )
+        super().__init__(stage, settings, bodies, section.hostname)
+        up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
+        x, y = section.origin
+        self.view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
+        robots = [entry(section.robots, body.name) for body in bodies]
+        self._names = [str(robot.body) for robot in robots]
+        for body, robot in zip(self.tracked, robots, strict=True):
+            body.offset = robot.heading_offset
+
+    def packed(self, shot: Shot) -> bytes:
+        """Return a frame's line; bodies that are not tracked are left out."""
+        seen = {
+            self._names[body.id]: [*body.position, *body.quaternion]
+            for body in shot.bodies
+            if body.tracking_valid
+        }
+        return json.dumps({"emulated": True, "bodies": seen}).encode()

@@ -8,15 +8,22 @@ signal to signal, half accumulate along the sequence. Each round's changes are s
 """
 
 import math
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from tetractl.control.cost import evaluate
+from tetractl.control.evaluate import compiled_foresee
+from tetractl.control.fixed_sequence import given_search
+from tetractl.control.hold_one import hold_signals
+from tetractl.control.mpc_step import StepStart
 from tetractl.control.rng import normal
 from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
+from tetractl.core.protocols import Optimizer
+from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection
 
 PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
@@ -79,6 +86,16 @@ class CircleSearch(OptimizerSection):
         return progress.search()
 
 
-def signals_ahead(period: float) -> int:
-    """Return the number of signals of a plan, each held for `period` [s]."""
-    return max(2, math.ceil(CircleSearch.ahead_s / period))
+def held(
+    step: StepStart, setup: Setup, period: float, circler: Optimizer, key: int, limits: Limits
+) -> tuple[Problem, Search]:
+    """Return the search of the directions by which robots are held in a control step, and the
+    problem that it is of: of one robot by `hold_one`, of several by `circler`."""
+    assert setup.hold is not None
+    if len(setup.names) > 1:
+        problem = replace(step.problem, within=setup.hold.radius)
+        length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
+        return problem, circler.search(problem, length, step.warm, key, limits)
+    problem = replace(step.problem, period=period, first_period=period)
+    found = hold_signals(problem, float(setup.a[0]), float(setup.speed[0]), setup.hold.radius)
+    return problem, given_search(problem, found, compiled_foresee(problem, found))

@@ -25,7 +25,7 @@ from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_drive, compiled_foresee
 from tetractl.control.fixed_sequence import best_stop, given_search, least_error, make_plan
-from tetractl.control.holding import CircleSearch, signals_ahead
+from tetractl.control.holding import CircleSearch, held
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
@@ -359,11 +359,8 @@ class Mpc:
 
     def _circle(self, step: StepStart) -> Plan:
         """Return a plan that keeps robots near their targets if they cannot stand still."""
-        assert self.setup.hold is not None
-        problem = replace(step.problem, within=self.setup.hold.radius)
-        limits, length = Limits(None, self._expired()), signals_ahead(problem.period)
-        key = mix(self.key, self.k)
-        found = self.circler.search(problem, length, step.warm, key, limits)
+        key, limits = mix(self.key, self.k), Limits(None, self._expired())
+        problem, found = held(step, self.setup, self.section.period, self.circler, key, limits)
         seen = compiled_foresee(problem, found.signals)
         return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 

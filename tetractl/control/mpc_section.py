@@ -49,6 +49,10 @@ class PriorSection(Model):
     heading_noise: NonNegative = 0.0
     """Standard deviation of a measured heading [rad]; 0 if unknown."""
 
+    helix: NonNegative | None = None
+    """Radius of the helix on which a cell swims [length unit]; by default 8 um, as *T. pyriformis*
+    has it, and 0 for robots on wheels."""
+
     marker_bias: ClassVar[float] = 0.05
     """Standard deviation of the angle between the measured heading and the course [rad]."""
     side: ClassVar[float] = 0.1
@@ -65,6 +69,7 @@ class PriorSection(Model):
         stray = REST_STRAY * float(problem.speed.mean())
         x, y, heading = setup.sight.spread
         mm = MM / setup.metres
+        helix = 0.0 if setup.wheel_radius is not None else HELIX_UM[0] * 1e-6 / setup.metres
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -78,7 +83,7 @@ class PriorSection(Model):
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
             helix_frequency=HELIX_HZ[0],
-            helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if setup.wheel_radius is None else 0.0,
+            helix_radius=helix if self.helix is None else self.helix,
             lag=setup.lag_s,
             watchdog=setup.watchdog_s,
             side_std=self.side if setup.wheel_radius is not None else 0.0,

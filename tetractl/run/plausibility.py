@@ -310,6 +310,17 @@ def same_place(spec: CheckContext) -> Found:
             yield ("robots", i, field), f"{where}: both cannot stand there", "move one of them"
 
 
+def hold_too_tight(spec: CheckContext) -> Found:
+    """Warn of a hold within less than v / a of robots that cannot stand still."""
+    setup = spec.setup
+    if setup.hold is None or setup.wheel_radius is not None:
+        return
+    for name, least in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
+        if setup.hold.radius < least:
+            text = f"is less than v / a of {name}, {least:.4g} {spec.unit}, its least mean distance"
+            yield ("hold", "radius"), text, "ask for more, or for a stronger field"
+
+
 SPEC_CHECKS: tuple[Callable[[CheckContext], Found], ...] = (
     angles,
     plan_outlasts_trial,
@@ -323,6 +334,7 @@ SPEC_CHECKS: tuple[Callable[[CheckContext], Found], ...] = (
     inside_margin,
     too_close,
     same_place,
+    hold_too_tight,
 )
 
 

@@ -76,3 +76,50 @@ def test_logs_of_a_field_of_known_strength_say_the_rate_per_strength(folder):
     assert alpha["per_mT"] == pytest.approx(0.75, rel=0.05)
     mixed = tetractl(folder, "identify", "field", "logs")
     assert (mixed.returncode, "the field's strength differs" in mixed.stderr) == (2, True)
+
+
+# a robot that turns to and fro, every second, and its commands, 0.1 s before
+POSES = "\n".join(f"{k / 50},one,{k},0,{0.2 * abs(k / 50 % 2 - 1)}" for k in range(300))
+DRIVEN = {
+    "speeds": ("time_s,v_mm_s,w_rad_s", "{t},50,{w}"),
+    "wheels": ("time_s,robot,left_mm_s,right_mm_s,radius_mm", "{t},one,{left},{right},40"),
+    "torn": ("time_s,left_mm_s,right_mm_s", "{t},{left},{right}"),
+    "slow": ("time_s,v_mm_s,w_rad_s", "{t},0,0"),
+    "even": ("time_s,v_mm_s,w_rad_s", "{t},50,0.2"),
+}
+
+
+def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
+    (tmp_path / "poses.csv").write_text(f"time_s,robot,x_mm,y_mm,heading_rad\n{POSES}")
+    for name, (head, row) in DRIVEN.items():
+        turns = [(k / 20, -0.2 if (k + 2) // 20 % 2 == 0 else 0.2) for k in range(120)]
+        rows = [row.format(t=t, w=w, left=50 - 40 * w, right=50 + 40 * w) for t, w in turns]
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows]))
+
+    def identify(name, *words):
+        return tetractl(tmp_path, "identify", "poses.csv", f"{name}.csv", *words)
+
+    (one,), (other,) = (
+        json.loads(identify(name, "--json").ok().stdout) for name in ("speeds", "wheels")
+    )
+    assert one["turning_gain"]["value"] == pytest.approx(other["turning_gain"]["value"], rel=1e-6)
+    assert one["turning_gain"]["value"] == pytest.approx(1.0, abs=0.1)
+    assert one["dead_time"]["value"] == pytest.approx(0.1, abs=0.05)
+    assert "turning gain" in identify("speeds").ok().stdout
+    for name, words, why in (
+        ("torn", (), "torn.csv: a column of the wheels is missing"),
+        ("slow", (), "robot one drives in only 0 steps of 0.1 s"),
+        ("even", (), "robot one is sent one speed and turning rate only"),
+        ("speeds", ("-o", "out.yaml"), "--out: a spec has no place"),
+    ):
+        done = identify(name, *words)
+        assert done.returncode == 2 and why in done.stderr, done.stderr
+
+
+def test_the_wheels_of_logs_are_identified(folder):
+    found = json.loads(tetractl(folder, "identify", "logs", "--wheels", "--json").ok().stdout)
+    assert [one["name"] for one in found] == ["one", "two"]
+    for one in found:
+        # between two commands these robots turn ever more slowly, without wheels
+        assert 0.7 < one["turning_gain"]["value"] < 1.1
+        assert one["speed_gain"]["value"] == pytest.approx(1.0, abs=0.1)

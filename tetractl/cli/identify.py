@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
-from tetractl.cli.options import AsJson, Sets, Spec, Yes, argument, option, out_option, plant_option
+from tetractl.cli.options import (
+    AsJson,
+    Sets,
+    Spec,
+    Yes,
+    argument,
+    option,
+    out_option,
+    plant_option,
+    switch,
+)
 from tetractl.cli.trials import drive
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
@@ -130,6 +140,10 @@ def identify(
             "FILE", "YAML file to write the values to; a spec names it in its field `identified`."
         ),
     ] = None,
+    wheels: Annotated[
+        bool,
+        switch("Of logs, fit how robots follow the speeds of their wheels, not the directions."),
+    ] = False,
     as_json: AsJson = False,
 ) -> int:
     """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
@@ -139,17 +153,22 @@ def identify(
 
     `tetractl design SPEC` proposes a motion from which robots can be identified well.
 
+    From CSV files with speeds and turning rates, or with --wheels, it identifies what robots on two
+    wheels make of these: gains, lags, dead time and noise of each robot.
+
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
 
     Example: tetractl identify tables/poses.csv tables/steps.csv
     """
     from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import csv_tracks, track_of
+    from tetractl.replay.identification.tracks import csv_tracks, track_of, wheels_of
 
     ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
+    if tables and (driven := csv_tracks(tables))[0].twists.size:
+        return _show_response(driven, out, as_json)
     if tables:
         show_found(found_in(csv_tracks(tables), None), out, as_json)
         return Exit.DONE
@@ -161,13 +180,31 @@ def identify(
         if not any(command.direction is not None for command in log.commands):
             ui.tell(f"warning: {path}: no direction was sent in this log")
             continue
-        tracks.append(track_of(log))
+        tracks.append(wheels_of(log) if wheels else track_of(log))
         if expected is None:
             expected, dead_time = log.start.setup.a, log.experiment.controller.dead_time
     if not tracks:
         raise UsageError("no direction was sent in any of the logs")
+    if wheels:
+        done = _show_response(tracks, out, as_json)
+        return Exit.FAILED if damaged else done
     show_found(found_in(tracks, expected, dead_time), out, as_json)
     return Exit.FAILED if damaged else Exit.DONE
+
+
+def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> int:
+    """Print how robots follow speeds and turning rates; return the exit code."""
+    from tetractl.replay.identification.response import respond, response_table
+    from tetractl.replay.identification.tracks import require_same
+
+    if out is not None:
+        raise UsageError("--out: a spec has no place for what wheels make of their commands")
+    require_same(tracks)
+    found = respond(tracks)
+    origin = ", ".join(dict.fromkeys(track.origin for track in tracks))
+    title = f"{sum(len(track.sent) for track in tracks)} commands: {origin}; 95 % intervals"
+    ui.show(as_json, found, [response_table(found, title, tracks[0].unit)])
+    return Exit.DONE
 
 
 def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:

@@ -155,7 +155,7 @@ class _Fit:
         watched = self.fit_motion(watched=True)
         speed = np.exp(self.mean[:, 1])
         resolved = np.stack([RESOLVED_S * speed, RESOLVED_S * speed, RESOLVED + 0 * speed], axis=1)
-        misfits, wider = _white(watched.residuals, resolved)
+        misfits, wider = white(watched.residuals, resolved)
         half = NORMAL * self.std * wider[:, None]
         half = np.where(half > FAR, np.inf, half)
         motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)
@@ -175,7 +175,7 @@ class _Fit:
         )
 
 
-def _white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
+def white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
     """Return the kinds of each robot's residuals (F, N, 3) that are not white though their
     deviation is above `resolved` (N, 3), and the greatest ratio of their long-run deviation to it
     (N,), at least 1.

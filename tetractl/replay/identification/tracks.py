@@ -6,7 +6,7 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.read.validate import VALUE_MAX
+from tetractl.model.wheels import body_velocity
 
 Row = dict[str, str]
 POSES_MAX = 2_000_000  # largest number of poses of a trial
@@ -35,7 +36,9 @@ class Track:
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
     command decided on it, None if unknown. `left_out` are robots that were seen too briefly. Robots
     that receive nothing for `watchdog` [s] stop. `strength` is that of the field in
-    `strength_unit`, None if the spec does not state it.
+    `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are speed
+    [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent none;
+    without any, C is 0.
     """
 
     source: str
@@ -53,6 +56,7 @@ class Track:
     watchdog: float = math.inf
     strength: float | None = None
     strength_unit: str = "mT"
+    twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
 
 
 def track_of(log: TrialLog) -> Track:
@@ -81,6 +85,20 @@ def track_of(log: TrialLog) -> Track:
         strength=setup.strength,
         strength_unit=setup.strength_unit,
     )
+
+
+def wheels_of(log: TrialLog) -> Track:
+    """Return the track of a log with the speeds and turning rates that wheels were sent, by (21)-
+    (23) with the spec's radius; UsageError if the robots have no wheels."""
+    setup, track = log.start.setup, track_of(log)
+    sent = [(c.sent_ns, c.left, c.right) for c in log.commands]
+    driven = [(t, a, b) for t, a, b in sent if a is not None and b is not None]
+    if not driven or setup.wheel_radius is None:
+        raise UsageError(f"{log.path}: has no speeds of wheels")
+    left, right = np.array([[a, b] for _, a, b in driven]).transpose(1, 0, 2)
+    twists = np.stack(body_velocity(left, right, setup.wheel_radius), axis=-1)
+    when = np.array([t for t, _, _ in driven]) / SECOND
+    return replace(track, sent=when, u=np.full(len(when), math.nan), twists=twists)
 
 
 def _paused(log: TrialLog) -> Bools:
@@ -136,6 +154,7 @@ ORIGIN = "CSV"
 POSE_COLUMNS = ("time_s", "robot", "heading_rad")
 COMMAND_COLUMNS = ("time_s", "direction_rad")
 _POSITION = re.compile(r"x_(um|mm|cm|m)$")
+_SPEED = re.compile(r"(v|left|right|radius)_(um|mm|cm|m)(_s)?$")
 
 ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
 """Largest numbers of robots and trials in CSV files."""
@@ -146,13 +165,15 @@ Trial = tuple[str, str]
 @dataclass(slots=True)
 class _Numbers:
     """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
-    direction and time of observation of each command. NaN is an unknown number.
+    direction and time of observation of each command; time, speed and turning rate of each of the
+    `twists` of a robot, "" for all. NaN is an unknown number.
     """
 
     path: Path
     robots: dict[str, int] = field(default_factory=dict)
     poses: "array[float]" = field(default_factory=lambda: array("d"))
     commands: "array[float]" = field(default_factory=lambda: array("d"))
+    twists: "dict[str, array[float]]" = field(default_factory=dict)
 
 
 def csv_tracks(
@@ -163,9 +184,11 @@ def csv_tracks(
     """Return the tracks in some CSV files, each of poses or of commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s. Columns path and trial, if present, assign poses
-    and commands to tracks. `rows_of` reads the rows of a file; robots that are seen for less than
-    `shortest_s` [s] are left out. Raises UsageError if data are missing, or very many.
+    time_s, direction_rad and perhaps observed_s, or of time_s, v_UNIT_s and w_rad_s, or of time_s,
+    left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Columns path and trial, if
+    present, assign poses and commands to tracks. `rows_of` reads the rows of a file; robots that
+    are seen for less than `shortest_s` [s] are left out. Raises UsageError if data are missing, or
+    very many.
     """
     trials: dict[Trial, _Numbers] = {}
     unit = ""
@@ -173,7 +196,8 @@ def csv_tracks(
         rows = rows_of(path)
         first = next(rows, {})
         commands = all(name in first for name in COMMAND_COLUMNS)
-        if not commands:
+        speeds = {m[1]: name for name in first if (m := _SPEED.match(name))}
+        if not commands and not speeds:
             unit = _unit(first, unit, path)
         for row in chain([first], rows):
             trial = row.get("path", ""), row.get("trial", "")
@@ -181,6 +205,9 @@ def csv_tracks(
             if commands:
                 one.commands.extend(_number(row, column, path) for column in COMMAND_COLUMNS)
                 one.commands.append(_number(row, "observed_s", path, True))
+            elif speeds:
+                sent = one.twists.setdefault(row.get("robot", ""), array("d"))
+                sent.extend((_number(row, "time_s", path), *_twist(row, speeds, path)))
             else:
                 known = row.get("valid", "True").strip().lower() in ("true", "1", "")
                 keys = (f"x_{unit}", f"y_{unit}", "heading_rad")
@@ -191,7 +218,9 @@ def csv_tracks(
                 raise UsageError(
                     f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
-    lonely = sorted(trial for trial, one in trials.items() if not (one.poses and one.commands))
+    lonely = sorted(
+        trial for trial, one in trials.items() if not (one.poses and (one.commands or one.twists))
+    )
     if lonely:
         raise UsageError(
             f"{trials[lonely[0]].path}: both poses and commands are needed for each trial",
@@ -206,7 +235,7 @@ def _unit(columns: Collection[str], unit: str, path: Path) -> str:
         raise UsageError(
             f"{path}: contains neither poses nor commands",
             f"poses have the columns {', '.join(POSE_COLUMNS)}, x_mm, y_mm; commands "
-            f"{' and '.join(COMMAND_COLUMNS)}",
+            f"{' and '.join(COMMAND_COLUMNS)}, or time_s, v_mm_s and w_rad_s",
         )
     found = next((m[1] for name in columns if (m := _POSITION.match(name))), None)
     if found is None or (unit and unit != found):
@@ -238,6 +267,15 @@ def _track(trial: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
     ages = ages[np.isfinite(ages)]
     sent, u, _ = commands[np.argsort(commands[:, 0], kind="stable")].T
     gap = float(np.median(np.diff(sent))) if len(sent) > 1 else 0.0
+    twists = np.zeros((0, 0, 2))
+    if trial.twists:
+        each = {robot: np.array(rows).reshape(-1, 3) for robot, rows in trial.twists.items()}
+        sent = np.unique(np.concatenate([rows[:, 0] for rows in each.values()]))
+        twists = np.full((len(sent), len(names), 2), np.nan)
+        for i, robot in enumerate(names):
+            own = each.get(robot, each.get("", np.zeros((0, 3))))
+            twists[np.searchsorted(sent, own[:, 0]), i] = own[:, 1:]
+        u = np.full(len(sent), np.nan)
     return Track(
         source=name[0] or str(trial.path),
         origin=ORIGIN,
@@ -251,7 +289,22 @@ def _track(trial: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
         until=float(sent[-1]) + gap,
         frame_age=max(0.0, float(np.median(ages))) if ages.size else None,
         left_out=tuple(brief),
+        twists=twists,
     )
+
+
+def _twist(row: Row, columns: dict[str, str], path: Path) -> tuple[float, float]:
+    """Return speed and turning rate of a row with columns of either, or of wheels."""
+    if "v" in columns:
+        return _number(row, columns["v"], path), _number(row, "w_rad_s", path)
+    try:
+        left, right, radius = (_number(row, columns[k], path) for k in ("left", "right", "radius"))
+    except KeyError:
+        hint = "commands have v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm"
+        raise UsageError(f"{path}: a column of the wheels is missing", hint) from None
+    if radius <= 0:
+        raise UsageError(f"{path}: {columns['radius']} must be above 0")
+    return (left + right) / 2, (right - left) / (2 * radius)
 
 
 def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:

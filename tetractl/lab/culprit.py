@@ -42,12 +42,12 @@ class Culprit:
 
     def __init__(self, drift: DriftCheck, mm: float) -> None:
         self._drift, self._mm = drift, mm
-        self._seen: deque[tuple[int, Sequence[Pose | None]]] = deque()
+        self._seen: deque[tuple[int, Sequence[Pose | None], Sequence[int]]] = deque()
         self.suspect: int | None = None  # the robot that a run was aborted for
 
-    def see(self, now_ns: int, poses: Sequence[Pose | None]) -> None:
-        """Take a frame's poses, accepted or not."""
-        self._seen.append((now_ns, poses))
+    def see(self, now_ns: int, poses: Sequence[Pose | None], times: Sequence[int]) -> None:
+        """Take a frame's poses, accepted or not, and their times (N,) [ns]."""
+        self._seen.append((now_ns, poses, times))
         while now_ns - self._seen[0][0] > WINDOW_NS:
             self._seen.popleft()
 
@@ -61,7 +61,7 @@ class Culprit:
         known = [j for j, pair in enumerate(zip(first, last, strict=True)) if None not in pair]
         if len(known) < 2 or i not in known:
             return ""
-        before = next(p for t, p in self._seen if self._seen[-1][0] - t <= STANDS_NS)
+        before = next(p for t, p, _ in self._seen if self._seen[-1][0] - t <= STANDS_NS)
         if None not in [before[j] for j in known]:
             gone = (self._array(last, known) - self._array(before, known))[:, :2]
             if np.all(np.hypot(*gone.T) < STANDS_MM):  # all stand: their link, power or wheels
@@ -84,21 +84,29 @@ class Culprit:
     def _blocks(self, j: int) -> list[tuple[int, Pose]]:
         """Return the poses of robot j that are at least BLOCK_NS apart, with their times."""
         found: list[tuple[int, Pose]] = []
-        for now_ns, poses in self._seen:
+        for _, poses, times in self._seen:
             pose = poses[j]
-            if pose is not None and (not found or now_ns - found[-1][0] >= BLOCK_NS):
-                found.append((now_ns, pose))
+            if pose is not None and (not found or times[j] - found[-1][0] >= BLOCK_NS):
+                found.append((times[j], pose))
         return found
 
     def _radio(self, known: Sequence[int], others: np.ndarray) -> tuple[float, float, int]:
         """Return the sums of the radio and of one robot, and the radio's delay [ns]."""
-        (since_ns, first), (now_ns, last) = self._seen[0], self._seen[-1]
+        (_, first, begun), (_, last, ended) = self._seen[0], self._seen[-1]
         then, now = self._array(first, known), self._array(last, known)
-        steps, late = max(1, round((now_ns - since_ns) / STEP_NS)), range(LATEST_NS // STEP_NS)
-        ends = [now_ns - k * STEP_NS for k in range(len(late) + steps)]
-        sent = np.array([self._drift.commands.mean(end, STEP_NS)[:, known] for end in ends])
+        each = np.array([max(1, round((ended[j] - begun[j]) / STEP_NS)) for j in known])
+        steps, late = int(each.max()), range(LATEST_NS // STEP_NS)
+        by_end = {
+            end: [
+                self._drift.commands.mean(end - k * STEP_NS, STEP_NS)
+                for k in range(len(late) + steps)
+            ]
+            for end in {ended[j] for j in known}
+        }
+        sent = np.stack([np.array(by_end[ended[j]])[:, :, j] for j in known], axis=-1)
         sent *= STEP_NS / SECOND
-        squares = np.array([_squares(then, now, sent[k : k + steps][::-1]) for k in late])
+        own = (np.arange(steps)[:, None] < each)[:, None]  # steps between a robot's own two poses
+        squares = np.array([_squares(then, now, (sent[k : k + steps] * own)[::-1]) for k in late])
         nominal = DELAY_NS // STEP_NS
         radio = squares.sum(axis=1)
         delay = nominal + int(radio[nominal:].argmin())

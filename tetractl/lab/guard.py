@@ -177,7 +177,7 @@ class Guard:
         times = frame.times([track.seen_ns for track in self._filters])
         self._apart = bool(frame.exposed_ns)
         self._motion.frame(times)
-        self.culprit.see(now, frame.poses)
+        self.culprit.see(now, frame.poses, times)
         fresh = list[bool]()
         gone_ns = self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):

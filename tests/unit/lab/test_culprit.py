@@ -14,15 +14,18 @@ FRAME_NS, SEND_NS = SECOND // 120, SECOND // 40
 NONE = np.zeros(3)
 
 
-def accused(shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, suspect=0):
+def accused(
+    shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, suspect=0, skew=(0, 0, 0)
+):
     """What is named after 3 s if the camera adds `shown` (3,) to a robot's true place (3,), t s
-    before the end; wheels are up to 8 % off.
+    before the end; wheels are up to 8 % off. Robots are seen `skew` frames before the newest.
     """
     random, n = np.random.default_rng(seed), len(who)
     drift = DriftCheck(who, 40.0, 1.0, 0.12)
     culprit, gains = Culprit(drift, 1.0), 1 + random.uniform(-0.08, 0.08, (2, n))
     places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(n)])
     sent, ways, u, way, before = [], np.zeros((2, n)), 0.0, np.zeros((n, 3)), ()
+    shots, late = [], np.array(skew[:n])
     for now in range(FRAME_NS, 3 * SECOND, FRAME_NS):
         if now // SEND_NS != (now - FRAME_NS) // SEND_NS:
             if now * 5 // SECOND != (now - FRAME_NS) * 5 // SECOND:
@@ -38,11 +41,14 @@ def accused(shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, sus
         noise = random.normal(size=(n, 3)) * (0.3, 0.3, 0.004)
         left = (3 * SECOND - now) / SECOND
         seen = places + noise + [shown(i, places[i], left) for i in range(n)]
-        poses = tuple(Pose(*map(float, row)) for row in seen)
-        culprit.see(now, poses)
+        shots.append(seen)
+        old = [shots[max(-1 - k, -len(shots))][i] for i, k in enumerate(late)]
+        poses = tuple(Pose(*map(float, row)) for row in old)
+        times = [now - int(k) * FRAME_NS for k in late]
+        culprit.see(now, poses, times)
         if left > 0.3 and before:  # wheels are learnt until the fault
             way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
-            drift.frame(now, [now] * len(poses), poses, way)
+            drift.frame(now, times, poses, way)
         before = poses
     culprit.suspect = suspect
     return culprit.why()
@@ -96,3 +102,11 @@ def test_robots_that_all_stand_are_named_themselves():
         return held[i] - place
 
     assert accused(still) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_robots_that_are_seen_at_times_of_their_own_are_named_as_others(seed):
+    skew = (0, 6, 12)  # up to 0.1 s
+    assert accused(pushed([0]), seed=seed, skew=skew) == ""
+    assert accused(pushed([0, 1, 2]), seed=seed, skew=skew) == CAMERA
+    assert accused(delay_s=0.5, seed=seed, skew=skew) == RADIO.format(0.5)

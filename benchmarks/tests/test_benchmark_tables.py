@@ -28,3 +28,18 @@ def test_a_benchmark_prints_its_table(given):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n|") >= 3
+
+
+def test_recordings_of_robots_that_drive_are_read(tmp_path):
+    """Two robots as in a set of MRCLAM: they turn to and fro, 0.1 s after they are sent it."""
+    for robot in (1, 2):
+        sent = [f"{k / 20} 0.1 {-0.2 if (k + 2) // 20 % 2 == 0 else 0.2}" for k in range(120)]
+        seen = [f"{k / 50} {k / 500} 0 {0.2 * abs(k / 50 % 2 - 1)}" for k in range(300)]
+        (tmp_path / f"Robot{robot}_Odometry.dat").write_text("\n".join(["# t v w", *sent]))
+        (tmp_path / f"Robot{robot}_Groundtruth.dat").write_text("\n".join(["# t x y", *seen]))
+    script = Path(__file__).parents[1] / "mrclam.py"
+    done = subprocess.run([sys.executable, script, tmp_path], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "MRCLAM, 2 runs of real robots" in done.stdout and "turning lag s" in done.stdout
+    lost = subprocess.run([sys.executable, script, tmp_path / "no"], capture_output=True, text=True)
+    assert lost.returncode == 1 and "error: " in lost.stderr

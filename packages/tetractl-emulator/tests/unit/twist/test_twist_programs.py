@@ -76,6 +76,8 @@ def everywhere(tmp_path_factory):
     ("target", "passed"),
     [
         ("Cortex-M0+", "Cortex-M0+: 4 programs passed"),
+        ("the sketch", "field_driver: 0 failures"),
+        ("Uno", "Uno: the sketch is linked"),
         ("MicroPython", "micropython: 76 checks, 0 failures"),
     ],
 )

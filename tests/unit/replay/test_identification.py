@@ -152,6 +152,19 @@ def test_commands_that_follow_before_a_frame_tells_are_no_noise():
     assert noise_is_right(identify([track], EXPECTED))
 
 
+def test_robots_that_are_seen_at_times_of_their_own_have_one_dead_time():
+    """Robots that measure their own poses: two of them earlier than the frame, by up to 0.1 s."""
+    _, track = drive(1, "plant.dead_time=0.083")
+    poses, own, late = track.poses.copy(), track.exposed.copy(), (0, 6, 12)
+    for i, k in enumerate(late):
+        poses[k:, i], own[k:, i] = track.poses[: len(poses) - k, i], track.time[: len(poses) - k]
+    seen = replace(track, poses=poses, own=own)
+    found = identify([seen], EXPECTED)
+    assert found.dead_time.value == pytest.approx(0.083, abs=1e-3)
+    assert [one.a.value for one in found.robots] == pytest.approx(EXPECTED, rel=0.01)
+    assert not any(one.misfits for one in found.robots)
+
+
 def test_lost_commands_are_counted():
     _, track = drive(8, *NOISY, "plant.dead_time=0.06", "plant.lost_commands=0.1")
     found = identify([track], EXPECTED)

@@ -42,8 +42,9 @@ STATES = [LN_A, LN_V, BIAS]  # the filter's states of a `Belief`
 class TrackFrames:
     """M frames of a track and the C directions u [rad], sent `when` (C,) [s], that act in them.
 
-    `used` (M, N) is which of the poses (M, N, 3) the filter is updated by; at those with `placed`
-    (M, N) it starts from the camera's pose. Robots that receive nothing for `watchdog` [s] stop.
+    `time` (M, N) are the times of the poses [s]. `used` (M, N) is which of the poses (M, N, 3) the
+    filter is updated by; at those with `placed` (M, N) it starts from the camera's pose. Robots
+    that receive nothing for `watchdog` [s] stop.
     """
 
     time: Floats
@@ -81,7 +82,9 @@ class TrackFrames:
         most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
         if most > DIRECTIONS_MAX:
             raise UsageError(f"{most} directions were sent between two frames", "log more frames")
-        return cls(time, poses, seen & ~placed, placed, track.sent, track.u, track.watchdog)
+        return cls(
+            track.exposed[kept], poses, seen & ~placed, placed, track.sent, track.u, track.watchdog
+        )
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
@@ -90,7 +93,8 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
     for track in tracks:
         moved = np.hypot(*np.diff(track.poses[..., :2], axis=0).transpose(2, 0, 1))
         both = track.used[1:] & (track.used | track.placed)[:-1]
-        pace.append(np.where(both, moved / np.diff(track.time)[:, None], np.nan))
+        apart = np.diff(track.time, axis=0)
+        pace.append(np.where(both & (apart > 0), moved / np.where(apart > 0, apart, 1.0), np.nan))
     return _usual(np.concatenate(pace))
 
 
@@ -154,9 +158,9 @@ def run(
         poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
         missed = np.zeros((len(track.u), len(rows)))
         frames, seen = np.full((2, *poses.shape[1:]), np.nan), np.zeros((2, len(rows)), np.bool_)
-        last = -np.inf
-        for now, pose, use, fresh in zip(track.time.tolist(), poses, used, placed, strict=True):
-            time = np.repeat([[max(last, now - 2 * UNSEEN_S)], [now]], len(rows), axis=1)
+        last = np.full(len(rows), -np.inf)
+        for now, pose, use, fresh in zip(track.time[:, rows], poses, used, placed, strict=True):
+            time = np.stack([np.maximum(last, now - 2 * UNSEEN_S), now])
             frames[1], seen[1], last = pose, use, now
             given = track.when, track.u, time, frames, seen, False
             likelihood += kernel.follow(bank, model, apart_s, *given)

@@ -194,16 +194,16 @@ def _part(track: Track, i: int) -> _Part:
     """Return the steps of robot i of a track, from its first command to the end of the last."""
     known = np.isfinite(track.twists[:, i]).all(axis=1)
     when, command = track.sent[known], track.twists[known, i]
-    seen, last, least = list[int](), -np.inf, STEP_S - 1e-9
+    seen, last, least, at = list[int](), -np.inf, STEP_S - 1e-9, track.exposed[:, i]
     for k in np.flatnonzero(track.valid[:, i]).tolist():
-        if len(when) and when[0] <= track.time[k] <= when[-1] and track.time[k] - last >= least:
+        if len(when) and when[0] <= at[k] <= when[-1] and at[k] - last >= least:
             seen.append(k)
-            last = track.time[k]
+            last = at[k]
     x, y, raw = track.poses[seen, i].T
     heading = np.unwrap(raw)
     middle, dx, dy = (heading[1:] + heading[:-1]) / 2, np.diff(x), np.diff(y)
     along = dx * np.cos(middle) + dy * np.sin(middle)
-    return _Part(track.time[seen], np.column_stack([np.diff(heading), along]), when, command)
+    return _Part(at[seen], np.column_stack([np.diff(heading), along]), when, command)
 
 
 def _integrals(part: _Part, tau: float, lag: float) -> Floats:

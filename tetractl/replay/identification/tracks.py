@@ -38,7 +38,8 @@ class Track:
     that receive nothing for `watchdog` [s] stop. `strength` is that of the field in
     `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are speed
     [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent none;
-    without any, C is 0.
+    without any, C is 0. `own` (M, N) are the times of robots' poses [s], `time` for all if it is
+    empty.
     """
 
     source: str
@@ -57,6 +58,13 @@ class Track:
     strength: float | None = None
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    own: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def exposed(self) -> Floats:
+        """The times of the poses (M, N) [s]."""
+        every = np.repeat(self.time[:, None], len(self.names), axis=1)
+        return self.own if self.own.size else every
 
 
 def track_of(log: TrialLog) -> Track:
@@ -76,6 +84,7 @@ def track_of(log: TrialLog) -> Track:
         names=setup.names,
         time=log.mocap_ns / SECOND,
         poses=log.mocap,
+        own=log.exposed_ns / SECOND,
         valid=log.valid & ~_paused(log)[:, None],
         sent=np.array([one.sent_ns for one in sent], dtype=float) / SECOND,
         u=np.array([one.direction for one in sent], dtype=float),

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.commands import Steer
@@ -28,6 +29,7 @@ from tetractl.lab.actuators.wheeled_section import Found, FoundWheel, WheeledSec
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
 
+STARTS, TURNED = 8, 0.03  # starts from rest, and by how much a robot has moved then [rad]
 GAP_S = 0.06  # longest time without a frame, of cameras that are fast enough [s]
 
 
@@ -81,12 +83,13 @@ def calibrate_robots(
             for question in rig.actuator.check().questions:
                 report(f"warning: {question}")
             found = bench.measure()
+            waits = bench.first_motions()
         finally:
             bench.close()
         if known is not None:
             offsets.append({"name": name, "heading_offset": found.heading_offset})
         wheels.append({"name": name, **section.measured(found)})
-        lines.append(f"{name}: {found}")
+        lines += [f"{name}: {found}", f"{name}: {latency_line(waits)}"]
     return Measured({"robots": offsets} if offsets else {}, {"robots": wheels}, tuple(lines))
 
 
@@ -169,6 +172,35 @@ class _Bench:
         whole = math.remainder(self._offset + offset, math.tau)
         return Found(round(whole, 5), round(radius, 3), left, right, swap)
 
+    def first_motions(self) -> list[float]:
+        """Start the robot STARTS times from rest by a turn on the spot; return the times [s] from
+        the sending until the first picture in which it has turned by TURNED is here."""
+        waits = list[float]()
+        for k in range(STARTS):
+            self._stand()
+            rest = [pose.heading for f in self.rig.frames.last(SECOND // 10) if (pose := f.pose(0))]
+            first = self.rig.frames.count
+            if not rest:
+                continue
+            sent_ns = self._hold(_pair((-1, 1) if k % 2 else (1, -1), (self.limit, self.limit)))
+            began = rest[-1]
+            enough = max(TURNED, 3 * float(np.ptp(np.unwrap(rest))))
+
+            def turned(since: int = first, from_rad: float = began, by: float = enough) -> int:
+                for frame in self.rig.frames.since(since)[0]:
+                    pose = frame.pose(0)
+                    if pose and abs(math.remainder(pose.heading - from_rad, math.tau)) > by:
+                        return frame.frame.received_ns
+                return 0
+
+            wait_for(self.clock, lambda: bool(turned()) or self._strayed(), 1.0)
+            if self.rig.guard.reason:
+                raise AbortError(f"{self.name}: {self.rig.guard.reason}")
+            if arrived_ns := turned():
+                waits.append((arrived_ns - sent_ns) / SECOND)
+        self._stand()
+        return waits
+
     def _channel(self, which: int) -> Channel:
         """Drive motor channel 0 or 1 with growing outputs in both directions; fit k and dead zone
         to the turning rates.
@@ -250,6 +282,18 @@ class _Bench:
             if away > 300.0:  # mm
                 guard.abort(f"the robot is {away:.0f} mm from its first position")
         return bool(guard.reason)
+
+
+def latency_line(waits: Sequence[float]) -> str:
+    """Return the mean of times to a first motion [s], with its 95 % interval, as text."""
+    if len(waits) < 2:
+        return "no first motion was seen"
+    mean, half = np.mean(waits), stdtrit(len(waits) - 1, 0.975) * np.std(waits, ddof=1)
+    ends = f"{mean - half / len(waits) ** 0.5:.3f} to {mean + half / len(waits) ** 0.5:.3f}"
+    return (
+        f"first motion seen {mean:.3f} s ({ends}, n {len(waits)}) after sending: radio, wheels "
+        f"until they have turned it by {TURNED:g} rad, exposure, and the picture's way here"
+    )
 
 
 def _slow(came: Sequence[AcceptedFrame]) -> float:

@@ -3,6 +3,7 @@ time over the lab's whole wires."""
 
 import contextlib
 import json
+import re
 
 import pytest
 from support.cli import tetractl
@@ -203,7 +204,9 @@ ODD = "{actuator: {robots: [{name: green, left_gain: 0.9, right_gain: 1.1}]}}"
 def test_calibrate_drives_robots_that_take_lines_too(tmp_path):
     sets = (f"lab.actuator={TWIST}", f"plant.faults={{about: odd gains, emulation: {ODD}}}")
     words = ("lab", "calibrate", SPEC, "--plant", "emulated", "--robot", "green")
-    tetractl(tmp_path, *words, *flags((*SMALL, *sets))).ok()
+    done = tetractl(tmp_path, *words, *flags((*SMALL, *sets))).ok()
+    waited = float(re.search(r"green: first motion seen ([\d.]+) s \(.*, n 8\)", done.stdout)[1])
+    assert 0.015 < waited < 0.06  # ports and robots 10 ms, a camera's period 8 ms, the wheels' lag
     text = (tmp_path / "calibration.yaml").read_text()
     spec = load_spec(SPEC, sets[:1])
     green, *_ = calibrated(on_plant(spec, "lab").experiment, text, "c.yaml").plant.actuator.robots

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_verdicts_agree_with_the_plant(seed):
     setup, motion = drawn(np.random.default_rng(seed), near=bool(seed % 2))
-    assert right(setup, motion, reach_of(setup, motion), judged(setup, motion, seed), seed)[0]
+    assert right(setup, motion, reach_of(setup, "exact"), judged(setup, motion, seed), seed)[0]
 
 
 def test_a_wrong_verdict_is_seen():

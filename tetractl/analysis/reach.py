@@ -20,6 +20,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.section_abilities import Modelled
+from tetractl.run.plausibility import OVERSHOOTING
 
 SEQUENCES, LENGTH = 1000, 96
 TOLERANCE = 0.01
@@ -28,8 +29,6 @@ NEAR = 3.0
 """Combinations within this factor of TOLERANCE are reached barely, if at all."""
 ROBOTS_MAX = 40
 """Largest number of robots; more would take longer than a second."""
-LARGEST_TURN = 1.5
-"""Largest a t of a step: motions by (6) overshoot in longer ones."""
 STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)
 """Relative differences of a that are tried to part robots."""
 
@@ -81,12 +80,14 @@ class Reach:
 def reach(experiment: Experiment) -> Reach | None:
     """Return what the signal of a spec can reach, by the motion of its controller; None for more
     than ROBOTS_MAX robots and for robots that a trial has still to find.
+
+    The motions that advance headings by (6) approximate the exact one, which takes their place.
     """
     setup, control = experiment.setup, experiment.controller
     if experiment.open or len(setup.names) > ROBOTS_MAX:
         return None
     motion = control.motion if isinstance(control, Modelled) else "exact"
-    return reach_of(setup, motion)
+    return reach_of(setup, "exact" if motion in OVERSHOOTING else motion)
 
 
 def reach_of(setup: Setup, motion: str) -> Reach:
@@ -109,15 +110,13 @@ def _covariance(setup: Setup, motion: str) -> Floats:
     """Return the covariance (2N, 2N) of the ends of random sequences [s^2]."""
     step, speed = MOTIONS.load(motion).step, (setup.speed > 0) * 1.0
     held = min(float(np.exp(-np.log(setup.a).mean())), setup.time_limit_s / LENGTH)
-    pieces = math.ceil(float(setup.a.max()) * held / LARGEST_TURN)
     shape = SEQUENCES, len(speed)
     x, y = np.zeros(shape), np.zeros(shape)
     heading = np.broadcast_to(setup.starts.heading, shape)
     random = np.random.default_rng(0)
     for _ in range(LENGTH):
         u = random.uniform(-np.pi, np.pi, (SEQUENCES, 1))
-        for _ in range(pieces):
-            x, y, heading = step(x, y, heading, u, setup.a, speed, held / pieces)
+        x, y, heading = step(x, y, heading, u, setup.a, speed, held)
     ends = np.stack([x, y], axis=-1).reshape(SEQUENCES, -1)
     return np.cov(ends, rowvar=False)
 

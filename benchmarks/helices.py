@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from tetractl.core.errors import UsageError
-from tetractl.model.rollers import Leg, Rollers
+from tetractl.model.rollers import RollerLeg, Rollers
 
 PERIOD_S, LIMIT_S = 0.1, 300.0
 NAMES, K, STEP_OUT = ("one", "two"), np.array([1.0, 1.0]), np.array([69.8, 28.6])
@@ -48,7 +48,7 @@ def drive(goals, rng, world):
             break
         leg = known.plan(gap)[0]
         held_s = min(PERIOD_S, leg.seconds)
-        at = at + true.moved(Leg(leg.direction, leg.frequency, held_s))
+        at = at + true.moved(RollerLeg(leg.direction, leg.frequency, held_s))
         at = at + wander * math.sqrt(held_s) * rng.standard_normal((2, 2))
         seconds += held_s
     least = sum(leg.seconds for leg in true.plan(goals))

@@ -29,7 +29,7 @@ TOLERANCE = 0.01
 """Robots move alike if their ratio of speeds changes by less than this fraction with frequency."""
 
 
-class Leg(NamedTuple):
+class RollerLeg(NamedTuple):
     """A part of a plan: direction [rad] and frequency of the field, and how long they are held."""
 
     direction: float
@@ -68,7 +68,7 @@ class Rollers:
             "give them unequal step-outs, by another magnet or another drag",
         )
 
-    def plan(self, displacements: Floats) -> list[Leg]:
+    def plan(self, displacements: Floats) -> list[RollerLeg]:
         """Return legs that move the robots by (N, 2) [length unit], longest first.
 
         UsageError if the robots cannot be moved apart.
@@ -76,12 +76,12 @@ class Rollers:
         self.require_apart()
         legs = np.linalg.solve(self.speeds(self.step_out).T, displacements)
         found = [
-            Leg(float(np.arctan2(y, x)), float(f), float(np.hypot(x, y)))
+            RollerLeg(float(np.arctan2(y, x)), float(f), float(np.hypot(x, y)))
             for (x, y), f in zip(legs, self.step_out, strict=True)
         ]
         return sorted(found, key=lambda leg: -leg.seconds)
 
-    def moved(self, leg: Leg) -> Floats:
+    def moved(self, leg: RollerLeg) -> Floats:
         """Return the displacements (N, 2) by a leg [length unit]."""
         along = np.array([np.cos(leg.direction), np.sin(leg.direction)])
         return self.speeds(leg.frequency)[:, None] * leg.seconds * along

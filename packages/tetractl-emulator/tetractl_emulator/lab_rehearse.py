@@ -17,6 +17,7 @@ from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
+    from tetractl.experiment.experiment import Experiment
     from tetractl_emulator.rehearsal.day import DayPlan
     from tetractl_emulator.rehearsal.summary import DayRow
 
@@ -62,7 +63,8 @@ def rehearse(
         raise UsageError("only cells that our own camera finds can be rehearsed", hint)
     kinds = rehearsal_of(lab, loaded.experiment.setup, loaded.experiment.open).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
-    short = on_plant(load_spec(spec, [*(sets or ()), "controller.time_limit=1"]), "emulated")
+    own = (*(sets or ()), *_known(loaded.experiment, time_limit=1))
+    short = on_plant(load_spec(spec, own), "emulated")
     # what it loads, no day has to load; no cells may have been found
     with tempfile.TemporaryDirectory() as scratch, suppress(AbortError):
         run_trial(short, Path(scratch))
@@ -112,6 +114,12 @@ def _played(play: Any, days: Sequence[int], jobs: int) -> "Iterator[DayRow]":
             pool.shutdown(wait=False, cancel_futures=True)
 
 
+def _known(experiment: "Experiment", **wanted: float) -> list[str]:
+    """Return the settings of a controller that the spec's has."""
+    known = type(experiment.controller).model_fields
+    return [f"controller.{name}={value}" for name, value in wanted.items() if name in known]
+
+
 def _script_name(seed: int, day: int) -> str:
     return f"seed-{seed}-day-{day}.yaml"
 
@@ -134,6 +142,7 @@ def rehearsed(
     setup, lab = experiment.setup, experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     drawn = rehearsal_of(lab, setup, experiment.open)
+    sets = (*sets, *_known(experiment, deadline=60))  # of wall time, which is not the lab's
 
     def judged(plan: "DayPlan") -> "tuple[DayRow, float]":
         with tempfile.TemporaryDirectory() as scratch:

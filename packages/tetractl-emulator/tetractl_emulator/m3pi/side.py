@@ -99,7 +99,7 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
         def gain(share: float) -> dict[str, float]:
             return {"gain_mm": round(1000 / 127 * share, 4)}
 
-        def world(random: Random, off: bool) -> dict[str, Any]:
+        def world(random: Random, off: float) -> dict[str, Any]:
             return robots_of_day(random, setup.names, off, "{}", gain)
 
         return Rehearsal(world=world)

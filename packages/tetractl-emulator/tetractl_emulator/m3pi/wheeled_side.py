@@ -197,14 +197,15 @@ class PortedSide(WheeledSide):
 
 
 def robots_of_day(
-    random: Random, names: Sequence[str], off: bool, wheel: str, gain: Callable[[float], Any]
+    random: Random, names: Sequence[str], off: float, wheel: str, gain: Callable[[float], Any]
 ) -> dict[str, Any]:
     """Draw the section of a day's radio and robots, whose fields LEFT and RIGHT are of a wheel's
-    share of its speed: within 5 %, the first robot's left one 17 to 30 % less if it is `off`.
+    share of its speed: within 5 %, the first robot's left one less by the share `off` if it is not
+    0.
     """
     robots: list[dict[str, Any]] = []
     for i, name in enumerate(names):
-        error = random.uniform(*((0.17, 0.3) if off and i == 0 else (-0.05, 0.05)))
+        error = off if off and i == 0 else random.uniform(-0.05, 0.05)
         own = {"name": name, wheel.format("left"): gain(1 - error)}
         own[wheel.format("right")] = gain(1 + random.uniform(-0.05, 0.05))
         own |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
@@ -215,7 +216,7 @@ def robots_of_day(
 def gains_of_day(setup: Setup) -> Rehearsal:
     """Return what rehearsals draw of a side whose settings are `WheelsSettings`."""
 
-    def world(random: Random, off: bool) -> dict[str, Any]:
+    def world(random: Random, off: float) -> dict[str, Any]:
         return robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))
 
     return Rehearsal(world=world)

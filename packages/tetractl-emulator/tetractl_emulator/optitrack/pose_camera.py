@@ -127,7 +127,7 @@ class PoseCamera(ABC):
         return tuple(body for body in bodies if body.id in streamed)
 
 
-def world(chance: random.Random, _off: bool) -> dict[str, Any]:
+def world(chance: random.Random, _off: float) -> dict[str, Any]:
     """Draw the noise and latency of a day's motion-capture system."""
     return {
         "noise_mm": round(chance.uniform(0.1, 0.5), 3),

@@ -37,7 +37,7 @@ def field_rows() -> Iterator[FaultRow]:
     yield FaultRow("cell dives", "dives", SEEN, _dive, at_once=True)
 
 
-def dish_world(random: Random, off: bool) -> dict[str, Any]:
+def dish_world(random: Random, off: float) -> dict[str, Any]:
     """Draw the cells of a dish, of which those named in `DISH` have a magnet."""
     walk = round(random.uniform(0.02, 0.1), 4)
     return {"heading_noise": walk, "cells": len(DISH), "strangers": random.randint(0, 3)}

@@ -37,7 +37,7 @@ OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
 class DayPlan:
     """What is to happen on a day: the `emulation` and the `faults` of a script, drawn for the trial
     with number `seed`, and the reasons that are right even without a fault (`right`); `kinds` are
-    the rows from which faults were drawn.
+    the rows from which faults were drawn. The first robot's left wheel is slower by `slower`.
     """
 
     seed: int
@@ -45,6 +45,7 @@ class DayPlan:
     faults: Sequence[Mapping[str, Any]]
     right: str
     kinds: Sequence[FaultRow] = field(default=KINDS, repr=False)
+    slower: float = 0.0
 
     @property
     def sorted(self) -> list[Mapping[str, Any]]:
@@ -94,7 +95,8 @@ def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool 
     random = Random(f"{seed}-{day}")
     faults = faults_of_day(random, lab.names, lab.kinds, lab.span_s) if bad else []
     world = world_of_day(random, setup, lab, bad)
-    return DayPlan(random.randrange(2**31), world.emulation, faults, world.right, lab.kinds)
+    number, own = random.randrange(2**31), (world.right, lab.kinds, world.slower)
+    return DayPlan(number, world.emulation, faults, *own)
 
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
@@ -103,7 +105,7 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     script.write_text(dump(plan.script()))
     words = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
     words += ["--seed", str(plan.seed), "--out", str(folder / "log")]
-    own = (f"plant.faults={script.resolve()}", f"plant.record={folder}", "controller.deadline=60")
+    own = f"plant.faults={script.resolve()}", f"plant.record={folder}"
     words += [word for setting in (*sets, *own) for word in ("--set", setting)]
     ended, ends = os.pipe()
     pid = os.fork()

@@ -14,11 +14,12 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl_emulator.rehearsal.schedule import KINDS, SPAN_S, Draw, FaultRow
 from tetractl_emulator.script import Sides
 
-SectionDraw = Callable[[Random, bool], dict[str, Any]]
-"""Draws a side's section of `emulation`, in which a wheel is `off` by more than the spec allows."""
+SectionDraw = Callable[[Random, float], dict[str, Any]]
+"""Draws a side's section of `emulation`, in which a wheel is slower by a share `off`, more than the
+spec allows, if that is not 0."""
 
 
-def _as_in_the_spec(random: Random, off: bool) -> dict[str, Any]:
+def _as_in_the_spec(random: Random, off: float) -> dict[str, Any]:
     return {}
 
 

@@ -38,7 +38,7 @@ def microscope_rows() -> Iterator[FaultRow]:
     yield FaultRow("cell covered", "untracked", SEEN, cell)
 
 
-def microscope_world(random: Random, off: bool) -> dict[str, Any]:
+def microscope_world(random: Random, off: float) -> dict[str, Any]:
     """Draw the properties of a microscope's pictures."""
     noise, contrast = round(random.uniform(2, 6), 2), round(random.uniform(40, 80), 1)
     return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}

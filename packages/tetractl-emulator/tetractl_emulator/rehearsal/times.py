@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
 from tetractl.core.plan import Outcome
-from tetractl_emulator.rehearsal.due import FRAME_S, Due, Fields
+from tetractl_emulator.rehearsal.due import FRAME_S, WHEEL, Due, Fields
 from tetractl_emulator.rehearsal.truth import Truth
 from tetractl_emulator.rehearsal.violation import AIR_S, SLACK_S, Violation
-from tetractl_emulator.rehearsal.world import OFF
 
-OFF_S = 8.0  # twice what a wheel that is off by 17 % takes to be known
+OFF_S, OFF_BLOCKS, OFF, BLOCK_S = 2.0, 83, 0.05, 0.05  # 83 blocks show a wheel 5 % beyond its limit
+KNOWN_S, TURNS_S, TURNS_RAD_S = 3.0, 0.6, 0.5  # of driving, after which wheels explain no such turn
 STEADY_S = 0.3  # delay of a command, within which motion may be that of the one before
 GAP_S = 0.5  # longest time without a frame
 RESTS_S = 1.05  # longest time over which a line is fitted to poses at rest, and a frame
@@ -23,6 +24,7 @@ def times(truth: Truth, stale_s: float, untracked_s: float) -> Iterator[Violatio
     """Yield what ended too late, or began or ended in motion."""
     yield from late(truth)
     yield from _off(truth)
+    yield from _turns(truth)
     yield from _seldom(truth, stale_s, 3.0 * untracked_s)
     yield from _at_rest(truth)
 
@@ -49,11 +51,31 @@ def late(truth: Truth) -> Iterator[Violation]:
 
 
 def _off(truth: Truth) -> Iterator[Violation]:
-    """A wheel that is off by 17 % from the start, without another fault, is named in time."""
-    for since, until in truth.driven[:1] if OFF in truth.day.plan.right else ():
-        others = any(at < since + OFF_S for at, _, _ in truth.faults)
-        if until - since > OFF_S and not others:
-            yield Violation("late", since, f"a wheel off: {until - since:.2f} s, allowed {OFF_S}")
+    """A wheel that is slower from the start, without another fault, is named in time."""
+    plan = truth.day.plan
+    if not plan.slower or "actuator" not in plan.emulation:
+        return
+    blocks = 2 * OFF_BLOCKS * (OFF / (plan.slower - WHEEL)) ** 2
+    allowed = max(OFF_S, blocks * BLOCK_S)
+    for since, until in truth.driven[:1]:
+        steps = [(one, two) for one, two in pairwise(truth.sent(0)) if since <= one[0] < until]
+        ahead_s = sum(two[0] - one[0] for one, two in steps if one[1])
+        if ahead_s > allowed and not any(at < since + allowed for at, _, _ in truth.faults):
+            found = f"a wheel slower by {plan.slower:.0%}: {ahead_s:.2f} s, allowed {allowed:.2f}"
+            yield Violation("late", since, found)
+
+
+def _turns(truth: Truth) -> Iterator[Violation]:
+    """A pose that turns by itself ends the trial in time once the wheels are known."""
+    for began, ended, fault in truth.faults if not truth.day.plan.off else ():
+        turn = abs(fault.get("turn", 0.0)) / FRAME_S
+        if fault["fault"] != "ghost" or turn < TURNS_RAD_S or any(fault["by"]):
+            continue
+        for since, until in truth.driven:
+            late = min(until, ended) - truth.sight_s(until) > began + TURNS_S + AIR_S
+            others = sum(at < began + TURNS_S + AIR_S for at, _, _ in truth.faults) > 1
+            if late and since + KNOWN_S < began < until and not others:
+                yield Violation("late", began, f"turns by {turn:.2f} rad/s: {until - began:.2f} s")
 
 
 def _spans(

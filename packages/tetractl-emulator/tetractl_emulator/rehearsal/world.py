@@ -22,24 +22,26 @@ FAR_SHARE, OFF_SHARE = 0.02, 0.02
 
 
 class World(NamedTuple):
-    """The section `emulation` of a day's script, and a regular expression of the reasons that are
-    right without a fault.
+    """The section `emulation` of a day's script, a regular expression of the reasons that are right
+    without a fault, and the share by which a wheel is slower than it should be.
     """
 
     emulation: dict[str, Any]
     right: str
+    slower: float
 
 
 def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = True) -> World:
     """Draw a world for a lab, as its spec allows if it is not `bad`."""
-    camera = lab.camera(random, False)
+    camera = lab.camera(random, 0.0)
     far, off = random.random() < FAR_SHARE * bad, random.random() < OFF_SHARE * bad
     right = [r"from its start|turned by"] * far + [OFF] * off
     emulation: dict[str, Any] = {"camera": camera}
     if lab.placed:
         emulation["robots"] = _placed(random, setup, 1.6 * lab.start_mm * far, 0.16 * lab.start_mm)
-    emulation["actuator"] = lab.actuator(random, off)
-    return World(emulation, "|".join([PLACE, *right]))
+    slower = random.uniform(0.17, 0.3) if off else 0.0
+    emulation["actuator"] = lab.actuator(random, slower)
+    return World(emulation, "|".join([PLACE, *right]), slower)
 
 
 def _placed(random: Random, setup: Setup, far_mm: float, near_mm: float) -> list[dict[str, Any]]:

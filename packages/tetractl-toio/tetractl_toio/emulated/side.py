@@ -66,7 +66,7 @@ class EmulatedCubes(PortedSide):
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of connections and cubes."""
 
-        def world(random: Random, off: bool) -> dict[str, Any]:
+        def world(random: Random, off: float) -> dict[str, Any]:
             drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda s: round(s, 4))
             return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 

@@ -40,6 +40,9 @@ LOST = {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "g
 SEEN = at(2.0, "fault", phase="start", name="untracked", row=0)
 STOPS = [command(2.31 + k / 50, 0, 0) for k in range(10)]
 STOP = at(2.31, "guard", state="abort", reason="green is not tracked (0.30 s)")
+LONG = [*RUN[:2], *[command(1.0 + k / 10, 20) for k in range(45)]]
+TURNS = at(4.5, "fault", phase="start", name="ghost", row=0)
+ENDS = at(5.5, "guard", state="abort", reason="green is not tracked (0.30 s)")
 SEEN_GHOST = at(0.2, "fault", phase="start", name="ghost", row=0)
 LATER = [at(1.5, "run"), at(1.5, "guard", state="run", reason=""), command(1.5, 20)]
 
@@ -62,9 +65,10 @@ def out(beyond, together):
 KEY = {"kind": "emergency stop", "strength": 0.5, "fault": "emergency", "at": 1.0}
 
 
-def found(*events, fault=LOST, said=ERROR, code=1, left="", run=RUN):
+def found(*events, fault=LOST, said=ERROR, code=1, left="", run=RUN, slower=0.0):
     events = sorted([*run, *events], key=lambda event: event["t_ns"])
-    day = Day(DayPlan(1, {}, [fault], ""), events, code, said, None, left, 1.0)
+    plan = DayPlan(1, {"actuator": {}}, [fault], "", slower=slower)
+    day = Day(plan, events, code, said, None, left, 1.0)
     names = {one.name for one in violations(Truth(day, SETUP), LabLimits(), 0.25)}
     return names - {"no log"}
 
@@ -92,6 +96,8 @@ def test_a_good_end_breaks_nothing():
         ("stops", [SEEN, STOP, *STOPS[:4], truth_at(4.0)], {}),
         ("emergency not sent", [pressed(2.0), truth_at(4.0)], {"fault": KEY}),
         ("late", [SEEN, at(2.9, "guard", state="abort", reason="")], {"fault": BUSY}),
+        ("late", [TURNS, ENDS], {"fault": GHOST | {"turn": 0.005}, "run": LONG}),
+        ("late", [ENDS], {"slower": 0.25, "run": LONG}),
         ("emergency released", [status_at(2.0, 2), status_at(2.1, 0)], {}),
         ("obeys an old command", [STOP, status_at(2.4, 0), status_at(2.5, 1)], {}),
         ("begins in motion", [SEEN_GHOST], {"fault": GHOST, "run": LATER}),

@@ -39,7 +39,7 @@ TIGHT = 1.1
 
 
 @lru_cache(maxsize=64)
-def cost_to_go(turn: float, radius: float) -> "Table":
+def cost_to_go(turn: float, radius: float) -> "CostToGo":
     """Return V for a T = `turn` and a radius in units of v / a."""
     reach = radius + BEYOND
     x, y = np.meshgrid(*[np.linspace(-reach, reach, SIDE)] * 2, indexing="ij")
@@ -65,7 +65,7 @@ def cost_to_go(turn: float, radius: float) -> "Table":
         at, share = (np.take_along_axis(of, best[None], 1)[:, 0] for of in (corners, shares))
         for _ in range(SWEEPS):
             value = least + kept * (share * value.ravel()[at]).sum(axis=0)
-    return Table(radius, kept, value)
+    return CostToGo(radius, kept, value)
 
 
 def _corners(x: Floats, y: Floats, reach: float) -> tuple[Integers, Floats, Floats]:
@@ -81,7 +81,7 @@ def _corners(x: Floats, y: Floats, reach: float) -> tuple[Integers, Floats, Floa
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class CostToGo:
     """V of one robot on the grid (SIDE, SIDE), in units of v / a, with R and gamma."""
 
     radius: float

@@ -148,7 +148,14 @@ FIGURES = Registry(
         "timing": "tetractl.view.figures.convergence:timing_figure",
     },
 )
-OTHERS = (SWEEPS, STATISTICS, FIGURES)
+PAPERS = Registry(
+    "tetractl.papers",
+    {
+        "ou": "tetractl.reproduce.ou:PAPER",
+        "khalil-2013": "tetractl.reproduce.khalil_2013:PAPER",
+    },
+)
+OTHERS = (SWEEPS, STATISTICS, FIGURES, PAPERS)
 REGISTRIES = (*SPEC_REGISTRIES, *OTHERS)
 
 COMMANDS = Registry(
@@ -172,6 +179,7 @@ COMMANDS = Registry(
         "stats": "tetractl.cli.stats:stats",
         "analyze": "tetractl.cli.stats:analyze",
         "study": "tetractl.cli.study:study",
+        "reproduce": "tetractl.cli.reproduce:reproduce",
         "design": "tetractl.cli.identify:design",
         "identify": "tetractl.cli.identify:identify",
     },

@@ -1,0 +1,1 @@
+"""Published papers reproduced: their figures next to ours, each with a verdict."""

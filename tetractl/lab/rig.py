@@ -62,6 +62,7 @@ class Rig:
             self._opened.enter_context(self.camera)
             if self._threaded:
                 self.loop.start()
+                wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
         except BaseException:
             self.close()
             raise

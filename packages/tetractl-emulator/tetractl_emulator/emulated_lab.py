@@ -67,6 +67,7 @@ class EmulatedLab:
         make_loop: type[Loop] = Loop,
         wires: Wires | None = None,
         process: Process | None = None,
+        blind: EmulatedCamera | None = None,
     ) -> None:
         _check_names(script, setup)
         self._setup, self._script, self._options = setup, script, options
@@ -85,7 +86,7 @@ class EmulatedLab:
         self.actuator: EmulatedActuator = sides.actuator(
             stage, emulated.actuator or sides.actuator.Settings()
         )
-        self.camera: EmulatedCamera = sides.camera(
+        self.camera: EmulatedCamera = blind or sides.camera(
             stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
         self._moving = [False] * len(self.actuator.bodies)

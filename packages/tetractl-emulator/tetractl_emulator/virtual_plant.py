@@ -6,6 +6,7 @@ simulation, planning takes no virtual time, unless a fault of its script says so
 """
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, Literal, Self
@@ -14,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Action, Command
+from tetractl.core.commands import EMULATED_DEVICES, Action, Command, PlantInfo
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
@@ -28,14 +29,29 @@ class EmulatedPlantSection(RigSection):
     faults: str | dict[str, Any] | None = None
     """A script of faults, as of `tetractl lab emulate --script`: a file, relative to the spec, or
     the script itself."""
+    real: Literal["camera", "actuator"] | None = None
+    """The device that is real, in real time: a camera above robots that are switched off, in whose
+    place emulated ones drive, or an actuator whose robots drive on blocks, while an emulated camera
+    shows emulated ones."""
     record: str | None = Field(default=None, min_length=1, exclude=True)
     """A folder for what truly happens in each trial, as JSON lines in `truth-000.jsonl` ..., as of
     `tetractl lab emulate --record`; it is not part of the spec in the log."""
 
     @property
     def real_time(self) -> bool:
-        """False: trials take virtual time and need no operator."""
-        return False
+        """Whether a device is real; otherwise trials take virtual time and need no operator."""
+        return self.real is not None
+
+    def bounds(self) -> dict[str, str]:
+        """Return the lab's limits and, if there is one, which device is real, for display."""
+        return super().bounds() | self.halves()
+
+    def halves(self) -> dict[str, str]:
+        """Return what is real and what is emulated, by names; nothing if all is emulated."""
+        if self.real is None:
+            return {}
+        other = "actuator" if self.real == "camera" else "camera"
+        return {"real": self.real, EMULATED_DEVICES: other}
 
     @classmethod
     def clock(cls) -> Clock:
@@ -60,6 +76,8 @@ class EmulatedPlantSection(RigSection):
         from tetractl_emulator.script import Sides
 
         Sides.of(self.camera.type, self.actuator.type)
+        if self.real == "actuator":
+            self.actuator.require_port()
 
     def rig(
         self,
@@ -72,6 +90,7 @@ class EmulatedPlantSection(RigSection):
         """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
         in the dish; the trial's `seed` gives everything else.
         """
+        from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator, refuse_cells
         from tetractl_emulator.script import NOTHING, script_of
         from tetractl_emulator.sides import Options
         from tetractl_emulator.virtual_wires import LabClock, outlive, started
@@ -88,14 +107,26 @@ class EmulatedPlantSection(RigSection):
         faults = self.with_files(Path()).faults
         types = self.camera.type, self.actuator.type
         script = script_of(faults, *types) if isinstance(faults, dict) else NOTHING
-        emulation, wake = started(self, setup, clock, options, script, watched), threading.Event()
+        if self.real:
+            refuse_cells(chosen, *types)
+        blind, wake = Blind() if self.real == "camera" else None, threading.Event()
+        emulation = started(self, setup, clock, options, script, watched, blind)
         join, ports = emulation.camera.join, emulation.wires.ports
-        camera = resolve_name(self.camera.device)(self.camera, setup, clock, wake.set, join)
         actuator = resolve_name(self.actuator.device)(self.actuator, setup, clock, ports)
-        rig = Rig(
-            camera, actuator, self.limits, setup, clock, watched.emergency, wake, threaded=False
-        )
-        clock.steps.append(rig.loop.turn)
+        if self.real == "camera":
+            real = self.camera.build(setup, clock, wake.set)
+            camera = MovedCamera(real, emulation, clock, setup.metres * 1000)
+            clock.steps.append(camera.look)
+        else:
+            camera = resolve_name(self.camera.device)(self.camera, setup, clock, wake.set, join)
+        if self.real == "actuator":
+            actuator = TwinActuator(self.actuator.build(setup, clock), actuator)
+        devices, half = (camera, actuator, self.limits, setup, clock), self.real is not None
+        rig = Rig(*devices, watched.emergency, wake, threaded=half)
+        if half:
+            rig.after_close(clock.run_in_real_time())
+        else:
+            clock.steps.append(rig.loop.turn)
         if record is not None:
             clock.steps.append(lambda: emulation.ruled(rig.guard.state, rig.guard.reason))
             rig.after_close(lambda: outlive(emulation))
@@ -103,13 +134,24 @@ class EmulatedPlantSection(RigSection):
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> LabPlant:
         """Return the plant of a rig, on whose clock planning may take time."""
-        return BusyPlant(rig, supervision, self.type)
+        return BusyPlant(rig, supervision, self.type, self.halves())
 
 
 class BusyPlant(LabPlant):
     """A `LabPlant` in virtual time: between a frame and the action that is planned from it, the
-    clock's `plan_s` [s] passes.
+    clock's `plan_s` [s] passes. `halves` says what is real, for the log.
     """
+
+    def __init__(
+        self, rig: Rig, supervision: LabSupervision, kind: str, halves: dict[str, str]
+    ) -> None:
+        super().__init__(rig, supervision, kind)
+        self._halves = halves
+
+    def open(self) -> PlantInfo:
+        """Open the lab; return its facts, with what is real."""
+        info = super().open()
+        return replace(info, facts={**info.facts, **self._halves})
 
     def send(self, action: Action) -> Command:
         """Let the time of the plan pass, and hold an action."""

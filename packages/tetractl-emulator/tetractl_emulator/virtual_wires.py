@@ -3,13 +3,15 @@
 What travels is what travels on real wires, byte for byte; nothing is lost or late.
 """
 
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tetractl.core.clock import MILLISECOND, VirtualClock
+from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
@@ -21,7 +23,7 @@ from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.process import AFTER_NS, ThisProcess
 from tetractl_emulator.script import NOTHING, Script
-from tetractl_emulator.sides import Options
+from tetractl_emulator.sides import EmulatedCamera, Options
 from tetractl_emulator.wires import Wires
 
 
@@ -32,7 +34,8 @@ class LabClock(VirtualClock):
 
     def __init__(self, step_ns: int = MILLISECOND) -> None:
         super().__init__()
-        self._step_ns = step_ns
+        self._step_ns, self._made_ns = step_ns, time.monotonic_ns()
+        self._ended: threading.Event | None = None  # in real time: whether that has ended
         self.timeline: Timeline | None = None
         self.steps: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
@@ -41,16 +44,41 @@ class LabClock(VirtualClock):
 
     def now(self) -> int:
         """Return the time on the host's clock [ns]."""
-        return self._now + self.ahead_ns
+        real = time.monotonic_ns() - self._made_ns if self._ended else self._now
+        return real + self.ahead_ns
 
     @property
     def true_ns(self) -> int:
         """The true time [ns], which no fault of the host sets."""
         return self._now
 
+    def run_in_real_time(self) -> Callable[[], None]:
+        """From now on time is this computer's, and a thread runs timeline and steps every
+        millisecond, until what is returned is called."""
+        ended = self._ended = threading.Event()
+
+        def run() -> None:
+            while not ended.wait(0.001):
+                self._now = self.now()
+                if self.timeline is not None:
+                    self.timeline.run_to(self._now)
+                for step in tuple(self.steps):
+                    step()
+
+        thread = threading.Thread(target=run, name="emulated half", daemon=True)
+        thread.start()
+
+        def end() -> None:
+            ended.set()
+            thread.join(2.0)
+
+        return end
+
     def sleep_until(self, when: int) -> None:
         """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
-        while self.stopped or self.now() < when:
+        while self._ended and (left := when - self.now()) > 0:
+            time.sleep(left / SECOND)
+        while not self._ended and (self.stopped or self.now() < when):
             passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
             self._now += passed
             self.ahead_ns -= passed * self.asleep
@@ -81,6 +109,7 @@ def started(
     options: Options,
     script: Script = NOTHING,
     supervision: LabSupervision | None = None,
+    blind: EmulatedCamera | None = None,
 ) -> EmulatedLab:
     """Return an emulated lab that runs on a clock, with the faults of this process, of the trial
     under `supervision`; only a record has to be released.
@@ -90,7 +119,7 @@ def started(
     watched = supervision or LabSupervision()
     process = ThisProcess(wires.ports, lambda: emulation.port, clock, watched)
     emulation = EmulatedLab(
-        lab, setup, script, options, make_loop=loop, wires=wires, process=process
+        lab, setup, script, options, make_loop=loop, wires=wires, process=process, blind=blind
     ).__enter__()
     process.end = lambda: outlive(emulation)
     assert isinstance(emulation.loop, VirtualLoop)
@@ -167,7 +196,7 @@ class MemoryPort(PseudoPort):
         self._name = str(link)
         self.near: MemorySerial | None = None
         self.written: Callable[[], None] = lambda: None
-        self.stalled, self.taken, self._plugged = False, b"", plugged
+        self.stalled, self.taken, self._plugged = False, deque[bytes](), plugged
 
     def plug(self) -> None:
         """Make the port known by its name."""
@@ -176,7 +205,8 @@ class MemoryPort(PseudoPort):
 
     def unplug(self) -> None:
         """Remove the port; our end fails. May be called twice."""
-        self.fd, self.taken = -1, b""
+        self.fd = -1
+        self.taken.clear()
         self._plugged.pop(self._name, None)
         if self.near is not None:
             self.near.hear(b"")
@@ -194,8 +224,7 @@ class MemoryPort(PseudoPort):
 
     def read(self) -> bytes:
         """Return the bytes that our end has written."""
-        data, self.taken = self.taken, b""
-        return data
+        return b"".join([self.taken.popleft() for _ in range(len(self.taken))])
 
     def write(self, data: bytes) -> None:
         """Pass bytes to our end, if it is open."""
@@ -226,7 +255,7 @@ class MemorySerial(SerialPort):
             raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
         if self._far.stalled:
             raise self._fail(f"takes no more bytes: {self._device} is stuck")
-        self._far.taken += data
+        self._far.taken.append(data)
         self._far.written()
         return self._clock.now()
 

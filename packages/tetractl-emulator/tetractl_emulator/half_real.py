@@ -1,0 +1,171 @@
+"""Labs of which one device is real and the other emulated, in real time.
+
+With a real camera the robots stand switched off below it, and emulated ones drive in their place:
+what the camera sees of each is moved by what the emulated robot has driven, so that rate, latency,
+losses and noise are the camera's. With a real actuator robots drive wherever they are, such as on
+blocks with their wheels in the air; a second actuator sends the same to emulated robots, which the
+emulated camera shows.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any, ClassVar, Self
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Health, RobotStatus, Steer, Transmission, Turn
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import Actuator, Camera
+from tetractl.experiment.base import Model
+from tetractl_emulator.emulated_lab import EmulatedLab
+from tetractl_emulator.faults import Fault
+from tetractl_emulator.loop import Loop
+
+KEPT_NS = 2 * SECOND  # for how long emulated poses are known, longer than frames are old
+
+
+class Blind:
+    """The emulated camera of a lab with a real one: it shows nothing."""
+
+    Settings: ClassVar[type[Model]] = Model
+    faults: ClassVar[Sequence[type[Fault]]] = ()
+    shown_ns: Sequence[int] = ()
+    join: Any = None
+
+    def open(self, loop: Loop) -> dict[str, Any]:
+        """Open nothing."""
+        return {"camera": "real"}
+
+    def close(self) -> dict[str, Any]:
+        """Release nothing."""
+        return {}
+
+    def hide(self, hidden: bool) -> None:
+        """Do nothing."""
+
+
+class MovedCamera:
+    """A real camera whose robots stand, with their poses moved as emulated ones drive; see
+    `tetractl.core.protocols.Camera`. `look` is to be called each millisecond."""
+
+    def __init__(self, camera: Camera, emulation: EmulatedLab, clock: Clock, mm: float) -> None:
+        self._camera, self._emulation, self._clock, self._mm = camera, emulation, clock, mm
+        bodies = emulation.actuator.bodies
+        self._home: list[Pose | None] = [None] * len(bodies)
+        self._past = deque[tuple[int, list[tuple[float, float, float]]]]()
+        self._drove = False
+
+    def __enter__(self) -> Self:
+        self._camera.__enter__()
+        return self
+
+    def __exit__(self, *reason: Any) -> None:
+        self._camera.__exit__(*reason)
+
+    @property
+    def damaged(self) -> int:
+        """Number of messages that could not be decoded."""
+        return self._camera.damaged
+
+    def check(self) -> Health:
+        """Return what the real camera says."""
+        return self._camera.check()
+
+    def look(self) -> None:
+        """Keep the emulated poses; before they drive, put the robots where real ones stand."""
+        bodies, now = self._emulation.actuator.bodies, self._clock.now()
+        self._drove = self._drove or self._emulation.actuator.driven
+        if not self._drove:
+            for body, home in zip(bodies, self._home, strict=True):
+                if home is not None:
+                    body.place(home.x * self._mm, home.y * self._mm, home.heading)
+        self._past.append((now, [(body.x, body.y, body.heading) for body in bodies]))
+        while now - self._past[0][0] > KEPT_NS:
+            self._past.popleft()
+
+    def frames(self) -> list[CameraFrame]:
+        """Return the frames since the last call."""
+        return [self._moved(frame) for frame in self._camera.frames()]
+
+    def _moved(self, frame: CameraFrame) -> CameraFrame:
+        if not self._drove:
+            self._home = [new or old for new, old in zip(frame.poses, self._home, strict=True)]
+            return frame
+        times = frame.exposed_ns or (frame.sampled_ns,) * len(frame.poses)
+        poses = [
+            self._at(i, t, pose) for i, (t, pose) in enumerate(zip(times, frame.poses, strict=True))
+        ]
+        return replace(frame, poses=tuple(poses))
+
+    def _at(self, i: int, at_ns: int, pose: Pose | None) -> Pose | None:
+        home = self._home[i]
+        if pose is None or home is None:
+            return None
+        past = tuple(self._past)
+        x, y, heading = next((each for t, each in reversed(past) if t <= at_ns), past[0][1])[i]
+        return replace(
+            pose,
+            x=x / self._mm + pose.x - home.x,
+            y=y / self._mm + pose.y - home.y,
+            heading=heading + pose.heading - home.heading,
+        )
+
+
+class TwinActuator:
+    """A real actuator, and an emulated one that sends the same; see
+    `tetractl.core.protocols.Actuator`."""
+
+    def __init__(self, real: Actuator, twin: Actuator) -> None:
+        self._real, self._twin, self._opened = real, twin, ExitStack()
+        self.individual, self.halts = real.individual, real.halts
+        self.period_ns = real.period_ns
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            opened.enter_context(self._real)
+            opened.enter_context(self._twin)
+            self._opened = opened.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why the real actuator cannot send; None without a fault."""
+        return self._real.failure
+
+    def check(self) -> Health:
+        """Return what the real actuator says."""
+        return self._real.check()
+
+    def send(
+        self,
+        action: Steer | Turn,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Send by both; return what the real one has sent."""
+        sent = self._real.send(action, poses, moving, exposed_ns)
+        self._twin.send(action, poses, moving, exposed_ns)
+        return sent
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Stop the robots of both, the emulated ones though the real ones cannot be reached."""
+        try:
+            return self._real.stop(emergency)
+        finally:
+            self._twin.stop(emergency)
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Ask the real robots."""
+        return self._real.poll(timeout_s)
+
+
+def refuse_cells(chosen: bool, camera: str, actuator: str) -> None:
+    """Raise AbortError for labs whose devices cannot be parted."""
+    if chosen or camera == actuator or actuator == "field":
+        raise AbortError(f"{camera} and {actuator} cannot be real and emulated one by one")

@@ -12,7 +12,7 @@ from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.port_camera import PortCamera
 from tetractl.lab.serial_port import Ports
-from tetractl_motioncapture.process import ports_of
+from tetractl_motioncapture.process_port import ports_of
 from tetractl_motioncapture.section import MotionCaptureSection
 
 

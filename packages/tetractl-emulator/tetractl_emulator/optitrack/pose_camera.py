@@ -15,7 +15,7 @@ from tetractl_emulator.sides import Stage
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
 
 
-class Frame(Protocol):
+class BodyFrame(Protocol):
     """A frame: its bodies, those tracked and others."""
 
     @property
@@ -45,7 +45,7 @@ class PoseCamera(ABC):
         self._start_ns = self._exposures = 0
 
     @abstractmethod
-    def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> Frame:
+    def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> BodyFrame:
         """Return the frame of an exposure."""
 
     @abstractmethod
@@ -97,7 +97,7 @@ class PoseCamera(ABC):
             self.timeline.at(leaves, partial(self._leave, self._exposures, now, frame))
         self._plan()
 
-    def _leave(self, exposure: int, exposed_ns: int, frame: Frame) -> None:
+    def _leave(self, exposure: int, exposed_ns: int, frame: BodyFrame) -> None:
         slow = exposed_ns != self._left_ns < exposed_ns < self._left_ns + SECOND / self.trouble.hz
         if self.trouble.frozen and self._last is not None:
             frame = self._last
@@ -109,7 +109,7 @@ class PoseCamera(ABC):
                 self._show(exposed_ns, frame)
         self._stage.sent(exposure)
 
-    def _show(self, exposed_ns: int, frame: Frame) -> None:
+    def _show(self, exposed_ns: int, frame: BodyFrame) -> None:
         """Remember when each robot was last shown as tracked."""
         seen = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
         for i, body in enumerate(self.tracked):

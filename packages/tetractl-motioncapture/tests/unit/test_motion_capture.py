@@ -15,7 +15,7 @@ from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_wires import LabClock, started
 from tetractl_motioncapture.bridge import stream
 from tetractl_motioncapture.camera import MotionCapture
-from tetractl_motioncapture.process import ProcessPort
+from tetractl_motioncapture.process_port import ProcessPort
 
 from tetractl.core.clock import MonotonicClock, wait_for
 from tetractl.core.errors import AbortError

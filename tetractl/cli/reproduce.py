@@ -1,14 +1,16 @@
 """`tetractl reproduce`: the figures of published papers next to ours, each with a verdict."""
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
-from tetractl.cli.options import argument, option, out_option, switch
+from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.cli.specs import examples
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
+from tetractl.core.table.table_files import json_text
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.experiment.yaml.problems import did_you_mean
 
@@ -29,6 +31,7 @@ def reproduce(
     ] = None,
     jobs: Annotated[int, option("N", "Number of trials run at a time.", min=1)] = 1,
     out: Annotated[Path, out_option("DIR", "Folder for the logs.")] = Path("logs/reproduce"),
+    as_json: AsJson = False,
 ) -> int:
     """Run what published papers did, and print each figure next to ours, with a verdict.
 
@@ -41,23 +44,27 @@ def reproduce(
     from tetractl.reproduce.paper import Paper, table
 
     names = PAPERS.names() if every else papers or []
-    if not names:
+    if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
     for name in names:
         if name not in PAPERS:
             text = f"there is no paper '{name}'{did_you_mean(name, PAPERS.names())}"
             raise UsageError(text, f"the papers are {', '.join(PAPERS.names())}")
-    same = True
+    same, found = True, dict[str, list[dict[str, Any]]]()
     for name in names:
         paper: Paper = PAPERS.load(name)
         run = partial(_logs, trials=trials, jobs=jobs)
         logs = {kind: run(arm, out / name / kind) for kind, arm in paper.arms.items()}
         figures = list(paper.figures(logs))
-        print_tables([table(name, paper, figures)])
+        found[name] = [asdict(one) for one in figures]
+        if not as_json:
+            print_tables([table(name, paper, figures)])
         for one in figures:
             if one.verdict is not one.page:
                 same = False
                 ui.tell(f"{name}: {one.what}: {one.verdict}, but {one.page} on the page")
+    if as_json:
+        print(json_text({"papers": found or {name: [] for name in PAPERS.names()}}))
     return Exit.DONE if same else Exit.FAILED
 
 

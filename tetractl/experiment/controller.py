@@ -189,6 +189,11 @@ def without_retired(data: dict[str, Any]) -> None:
         control["time_limit"] = limit
 
 
-def as_given(fields: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a controller with the keys, also retired ones, `given` in a log."""
-    return {key: fields.get(key, value) for key, value in given.items()}
+def as_given(fields: Any, given: Any) -> Any:
+    """Return the fields of a spec with the keys, also retired ones, `given` in a log: a field that
+    was added since has its default in it."""
+    if isinstance(fields, dict) and isinstance(given, dict):
+        return {k: as_given(fields[k], v) if k in fields else v for k, v in given.items()}
+    if isinstance(fields, list) and isinstance(given, list) and len(fields) == len(given):
+        return [as_given(*pair) for pair in zip(fields, given, strict=True)]
+    return fields

@@ -121,9 +121,8 @@ def spec_hash(experiment: Experiment, resolved: str = "") -> str:
     an earlier log it is that of the keys in its `resolved` spec."""
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
-    if resolved and "time_limit" not in resolved:
-        given = parse_document(resolved, "").data["controller"]
-        fields["controller"] = as_given(fields["controller"], given)
+    if resolved:
+        fields = as_given(fields, parse_document(resolved, "").data)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 

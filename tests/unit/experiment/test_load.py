@@ -1,9 +1,12 @@
+import hashlib
 import itertools
+import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from support.paths import ROOT, SPECS
 from support.trials import experiment
 
@@ -387,3 +390,18 @@ def test_free_targets_are_dealt_out_by_the_least_squares_of_the_paths():
         )
         assert np.square(starts - dealt).sum() == pytest.approx(least)
         assert type(found).model_validate(found.model_dump()) == found
+
+
+def test_the_hash_of_an_earlier_log_is_that_of_the_keys_in_its_resolved_spec():
+    """Regression: a field with a default that was added later failed `verify` of every log."""
+    found = parse_spec(GOOD, "s.yaml").experiment
+    today = resolved_yaml(found)
+    assert spec_hash(found, today) == spec_hash(found)
+    earlier = yaml.safe_load(today)
+    del earlier["plant"]["heading_noise"], earlier["robots"][0]["via"]
+    text = yaml.safe_dump(earlier)
+    kept = parse_spec(text, "s.yaml", written=True).experiment
+    assert kept == found
+    assert spec_hash(kept, text) != spec_hash(found)
+    fields = json.dumps(earlier, sort_keys=True, separators=(",", ":"))
+    assert spec_hash(kept, text) == hashlib.sha256(fields.encode()).hexdigest()

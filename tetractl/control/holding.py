@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from tetractl.control.cost import evaluate
+from tetractl.control.cost import Foreseen, evaluate
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_search
 from tetractl.control.hold_one import hold_signals
@@ -88,14 +88,16 @@ class CircleSearch(OptimizerSection):
 
 def held(
     step: StepStart, setup: Setup, period: float, circler: Optimizer, key: int, limits: Limits
-) -> tuple[Problem, Search]:
-    """Return the search of the directions by which robots are held in a control step, and the
-    problem that it is of: of one robot by `hold_one`, of several by `circler`."""
+) -> tuple[Search, Foreseen]:
+    """Return the search of the directions by which robots are held in a control step, and where
+    they lead: of one robot by `hold_one`, of several by `circler`."""
     assert setup.hold is not None
     if len(setup.names) > 1:
         problem = replace(step.problem, within=setup.hold.radius)
         length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
-        return problem, circler.search(problem, length, step.warm, key, limits)
+        found = circler.search(problem, length, step.warm, key, limits)
+        return found, compiled_foresee(problem, found.signals)
     problem = replace(step.problem, period=period, first_period=period)
-    found = hold_signals(problem, float(setup.a[0]), float(setup.speed[0]), setup.hold.radius)
-    return problem, given_search(problem, found, compiled_foresee(problem, found))
+    signals = hold_signals(problem, float(setup.a[0]), float(setup.speed[0]), setup.hold.radius)
+    seen = compiled_foresee(problem, signals)
+    return given_search(problem, signals, seen), seen

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -69,7 +70,8 @@ Attached = tuple[tuple[str, str], ...]
 class LoadedSpec:
     """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
-    `resolved`, its YAML with every field, and `hash` are computed once, for all trials.
+    `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `given` is
+    the data of a resolved spec that tetractl has written.
     """
 
     experiment: Experiment
@@ -77,6 +79,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: Attached = field(default=(), repr=False)
+    given: Any = field(default=None, repr=False)
 
     @cached_property
     def resolved(self) -> str:
@@ -86,7 +89,7 @@ class LoadedSpec:
     @cached_property
     def hash(self) -> str:
         """The SHA-256 of the experiment, by `spec_hash`."""
-        return spec_hash(self.experiment)
+        return spec_hash(self.experiment, self.given)
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
@@ -96,7 +99,7 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     wrong; what would be right`.
     """
     text = read_text(path)
-    experiment, attached = _experiment(text, str(path), sets, path.parent)
+    experiment, attached, _ = _experiment(text, str(path), sets, path.parent)
     return LoadedSpec(experiment, text, printable(path.name), path, attached)
 
 
@@ -107,8 +110,8 @@ def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = F
     places of a resolved spec that tetractl has `written` are not checked: a trial may have measured
     them.
     """
-    experiment, _ = _experiment(text, name, sets, None, written)
-    return LoadedSpec(experiment, text, name)
+    experiment, _, given = _experiment(text, name, sets, None, written)
+    return LoadedSpec(experiment, text, name, given=given)
 
 
 def resolved_yaml(experiment: Experiment) -> str:
@@ -116,13 +119,13 @@ def resolved_yaml(experiment: Experiment) -> str:
     return dump(experiment.model_dump(mode="json"))
 
 
-def spec_hash(experiment: Experiment, resolved: str = "") -> str:
+def spec_hash(experiment: Experiment, given: Any = None) -> str:
     """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count. Of
-    an earlier log it is that of the keys in its `resolved` spec."""
+    an earlier log it is that of the keys `given` in its resolved spec."""
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
-    if resolved:
-        fields = as_given(fields, parse_document(resolved, "").data)
+    if given is not None:
+        fields = as_given(fields, given)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -181,10 +184,12 @@ def document_of(
 
 def _experiment(
     text: str, origin: str, sets: Sequence[str], folder: Path | None, written: bool = False
-) -> tuple[Experiment, Attached]:
-    """Return the experiment, and the texts of files in `folder` that the spec names."""
-    document = document_of(text, origin, sets)
+) -> tuple[Experiment, Attached, Any]:
+    """Return the experiment, the texts of files in `folder` that the spec names, and what is given
+    in a spec that tetractl has `written`."""
+    document, given = document_of(text, origin, sets), None
     if written:
+        given = deepcopy(document.data)
         without_retired(document.data)
     if "base" in document.data and "robots" not in document.data:
         hint = f"run it with: tetractl study {origin}"
@@ -218,7 +223,7 @@ def _experiment(
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment, attached
+    return experiment, attached, given
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:

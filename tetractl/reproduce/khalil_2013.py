@@ -4,11 +4,13 @@ Speeds and boundary frequencies are given to the specs; the diameter in which a 
 outcome. A disc of 23 um for 95 % of the time is out of the bacterium's reach at 2 mT: see the page.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
+
 import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce.paper import Fate, Paper, Runs, mean
+from tetractl.reproduce.paper import Fate, Figure, Paper, Runs, mean
 
 SETTLING_S = 5.0
 """Time of a hold that is not counted [s]."""
@@ -25,7 +27,7 @@ def disc(log: TrialLog) -> float:
     return 2 * float(np.quantile(setup.distances(poses[counted, :, :2])[:, 0], 0.95))
 
 
-def _figures(logs):
+def _figures(logs: Mapping[str, Sequence[TrialLog]]) -> Iterator[Figure]:
     found = {name: [disc(log) for log in trials] for name, trials in logs.items()}
     what = "diameter of the disc of 95 % of a hold"
     yield mean(

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, wrap
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.reproduce.paper import Fate, Figure, Paper, Runs, mean, share
 
@@ -63,7 +63,7 @@ def spinning(log: TrialLog) -> float:
     sent = [step.plan.direction for step in log.steps]
     direction = np.array([np.nan if one is None else one for one in sent], dtype=float)
     time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
-    turned = np.remainder(np.diff(direction) + np.pi, 2 * np.pi) - np.pi
+    turned = wrap(np.diff(direction))
     on = np.isfinite(turned)
     bounds = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
     return sum(

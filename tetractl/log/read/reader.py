@@ -17,7 +17,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.trial import OWN_FILES, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec, spec_hash
+from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
@@ -228,8 +228,8 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 @lru_cache(maxsize=16)
 def _resolved(text: str) -> tuple[Experiment, str]:
     """Return the experiment of a resolved spec, and its hash."""
-    experiment = parse_spec(text, channels.RESOLVED_SPEC, written=True).experiment
-    return experiment, spec_hash(experiment, text)
+    spec = parse_spec(text, channels.RESOLVED_SPEC, written=True)
+    return spec.experiment, spec.hash
 
 
 def _frames(contents: RawLog, robots: int) -> Frames:

@@ -97,26 +97,23 @@ class _Response:
         self.name, self.parts, self.dead_time = name, parts, dead_time
         self.span = np.concatenate([np.diff(part.time) for part in parts])
         moved = np.concatenate([part.moved for part in parts])
-        first = [self._driven(dead_time, LAG_S)[:, k] for k in (0, 1)]
+        first = self._driven(dead_time, LAG_S)
         good = self.span < LONGEST_S
         ends = np.cumsum([len(part.moved) for part in parts])[:-1]
-        self.moves = np.hypot(*first) > 1e-9
-        good &= self.moves
+        good &= np.hypot(*first.T) > 1e-9
         if good.sum() < INTERVALS_MIN:
             raise UsageError(f"robot {name} drives in only {good.sum()} steps of {STEP_S:g} s")
-        if np.linalg.matrix_rank(np.column_stack(first)[good]) < 2:
+        if np.linalg.matrix_rank(first[good]) < 2:
             raise UsageError(f"robot {name} is sent one speed and turning rate only")
         off = np.zeros(len(good), dtype=np.bool_)
         for k in (0, 1):
-            basis = np.column_stack(first)[good]
-            rest = moved[:, k] - np.column_stack(first) @ np.linalg.lstsq(basis, moved[good, k])[0]
+            rest = moved[:, k] - first @ np.linalg.lstsq(first[good], moved[good, k])[0]
             off |= np.abs(rest) > FAR * 1.48 * np.median(np.abs(rest[good])) + 1e-9
         self.left_out, self.rows = int((good & off).sum()), np.flatnonzero(good & ~off)
         self.shared = (np.diff(self.rows) == 1) & ~np.isin(self.rows[1:], ends)
         self.moved, self.span = moved[self.rows], self.span[self.rows]
         speed = float(np.median(np.abs(self.moved[:, 1]) / self.span))
         self.walk, self.noise = WALK * (1, speed), NOISE * (1, speed)
-        self.at = np.zeros((1, 7))
         grid = [(tau / TAU_S, np.log(lag / LAG_S)) for tau in TAUS for lag in LAGS]
         tried = np.zeros((1, len(grid), 7))
         tried[0, :, 0], tried[0, :, 1] = np.array(grid).T

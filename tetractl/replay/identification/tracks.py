@@ -63,8 +63,9 @@ class Track:
     @property
     def exposed(self) -> Floats:
         """The times of the poses (M, N) [s]."""
-        every = np.repeat(self.time[:, None], len(self.names), axis=1)
-        return self.own if self.own.size else every
+        if self.own.size:
+            return self.own
+        return np.repeat(self.time[:, None], len(self.names), axis=1)
 
 
 def track_of(log: TrialLog) -> Track:

@@ -130,6 +130,7 @@ class LabPlant:
         self._stop: Command | None = None
         self._stopped_ns = 0
         self._recent: deque[Observation] = deque(maxlen=600)  # of some seconds
+        self._settled = False  # whether the frames up to the verdict are still to be returned
 
     def open(self) -> PlantInfo:
         """Connect, run the preflight check, and wait until the robots are on their starts."""
@@ -178,8 +179,12 @@ class LabPlant:
         return self._command(sent)
 
     def samples(self) -> list[Sample]:
-        """Return every camera frame since the last call, oldest first."""
-        self._take_frames()
+        """Return every camera frame since the last call, oldest first; the first call after
+        `settle` ends with the frame that its verdict's final poses are from.
+        """
+        if not self._settled:
+            self._take_frames()
+        self._settled = False
         fresh, self._fresh = self._fresh, []
         return fresh
 
@@ -240,6 +245,7 @@ class LabPlant:
         if self.rig.guard.state is GuardState.ABORT:
             not_at_rest = not_at_rest or self.rig.guard.reason
         self._take_frames()
+        self._settled = True
         turn, error = self.rig.guard.drift.turning()
         verdict = self._path_check.verdict(self._final(), not_at_rest)
         return replace(verdict, turn=turn, turn_std=error)

@@ -21,7 +21,8 @@ from tetractl.replay.comparison import Difference
 
 DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
 STOP_REPEATED_NS = 500_000_000  # longest time from a stop's first repetition to its last
-LAST_FRAMES = 120  # a lab trial's final poses must be those of one of this many last frames
+# A lab trial's final poses must be those of one of this many last frames: once, logs had some more.
+LAST_FRAMES = 120
 SLACK = 2.0  # frames after the guard's last check may exceed the guard's limits by this factor
 
 
@@ -31,12 +32,20 @@ def lab_differences(log: TrialLog, result: Result, stop: Command) -> Iterator[Di
     yield from _steps(log)
     if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
         yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
-    if not _stands(log, result.verdict.final, stop):
-        yield Difference(None, "result.final", "differs from the robots' last poses")
     if result.outcome.complete:
         yield from _rest(log)
     yield from _lasted(log, result, stop)
+    if not result.outcome.complete and _untold(result.verdict):
+        return  # an error ended the trial while the robots came to rest
+    if not _stands(log, result.verdict.final, stop):
+        yield Difference(None, "result.final", "differs from the robots' last poses")
     yield from _obstacles(log, result.verdict, stop)
+
+
+def _untold(verdict: Verdict) -> bool:
+    """Return whether a verdict states nothing, as `Verdict.unknown`."""
+    told = any(verdict.entered) or bool(np.isfinite(verdict.clearance).any())
+    return not told and bool(np.isnan(verdict.final.array()).all())
 
 
 def _frames(log: TrialLog) -> Iterator[Difference]:

@@ -200,6 +200,15 @@ def test_robots_that_stand_already_are_watched_for_a_while_all_the_same():
     assert lab.clock.now() - before >= REST_NS
 
 
+def test_the_last_frame_is_that_of_the_final_poses_however_late_it_is_asked_for():
+    """Regression: a slow computer logged over a second of frames after that of the result."""
+    lab = stopped()
+    final = lab.plant.settle().final.array()
+    lab.world.poses[:, 0] += 40  # carried away
+    wait(lab, 2.0)
+    assert (lab.plant.samples()[-1].observation.poses.array() == final).all()
+
+
 def test_a_robot_that_turns_on_the_spot_does_not_stand():
     lab = stopped()
     held = lab.world.advance

@@ -14,7 +14,7 @@ from support.mutate import of_host, rewrite, stating, with_entry
 from support.paths import ROOT
 from support.trials import three_robots
 
-from tetractl.core.commands import HALTS, PlantInfo
+from tetractl.core.commands import HALTS, PlantInfo, Verdict
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
@@ -337,6 +337,20 @@ def test_cells_whose_pictures_ended_before_the_stop_have_the_last_poses(tmp_path
     )
     found = {one.field for one in lab_differences(log, result, stop)}
     assert ("result.final" not in found) == agrees
+
+
+def test_a_trial_whose_end_was_torn_by_an_error_may_state_no_final_poses(tmp_path):
+    """Regression: an error while the robots came to rest left a log that `verify` called false."""
+    log = lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
+    untold = Verdict.unknown(3)
+    for outcome, verdict, said in (
+        (Outcome.ABORTED, untold, set()),
+        (Outcome.ARRIVED, untold, {"result.final"}),
+        (Outcome.ABORTED, replace(untold, final=Poses.of(log.mocap[-1] + 1)), {"result.final"}),
+    ):
+        result = replace(log.result, outcome=outcome, verdict=verdict)
+        found = {one.field for one in lab_differences(log, result, log.stop)}
+        assert {one for one in found if one == "result.final"} == said
 
 
 @pytest.mark.parametrize("metres", [0.001, 1.0])

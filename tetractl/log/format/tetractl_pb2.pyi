@@ -1,8 +1,7 @@
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from collections.abc import Iterable as _Iterable, Mapping as _Mapping
-from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Mapping, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
@@ -20,7 +19,7 @@ class CameraFrames(_message.Message):
     truth: bytes
     exact: bool
     late: bytes
-    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: _Optional[bool] = ..., late: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: bool = ..., late: _Optional[bytes] = ...) -> None: ...
 
 class MocapSample(_message.Message):
     __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid", "exposed_ns")
@@ -58,7 +57,7 @@ class WheelCommand(_message.Message):
     left: _containers.RepeatedScalarFieldContainer[float]
     right: _containers.RepeatedScalarFieldContainer[float]
     facing: float
-    def __init__(self, direction: _Optional[float] = ..., stop: _Optional[bool] = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
+    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
 
 class Search(_message.Message):
     __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")
@@ -154,7 +153,7 @@ class StepTiming(_message.Message):
     k: int
     solve_ns: int
     deadline_missed: bool
-    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: _Optional[bool] = ...) -> None: ...
+    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: bool = ...) -> None: ...
 
 class Fact(_message.Message):
     __slots__ = ("key", "value")

@@ -33,9 +33,17 @@ def test_the_generated_code_is_up_to_date(tmp_path):
     ours = FileDescriptorProto()
     tetractl_pb2.DESCRIPTOR.CopyToProto(ours)
     assert ours == fresh, (
-        "run, with grpcio-tools 1.71 so that protobuf 5.29 can read it: python -m "
+        "run, with grpcio-tools 1.70 so that protobuf 5.29 can read it: python -m "
         "grpc_tools.protoc -I. --python_out=. --pyi_out=. tetractl/log/format/tetractl.proto"
     )
+
+
+def test_the_oldest_protobuf_that_is_allowed_reads_the_generated_code():
+    """Regression: code of a newer compiler refused to be imported."""
+    lowest = re.search(r'"protobuf>=([\d.]+)"', (ROOT / "pyproject.toml").read_text())[1]
+    made = re.search(r"Protobuf Python Version: ([\d.]+)", Path(tetractl_pb2.__file__).read_text())
+    old, new = (tuple(map(int, one.split("."))) for one in (made[1], lowest))
+    assert old <= new
 
 
 def test_the_reference_names_every_channel_field_and_fact(tmp_path):

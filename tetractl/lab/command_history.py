@@ -8,6 +8,8 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 
+KEPT = 256  # transmissions for which there is room at first
+
 
 class CommandHistory:
     """Rates in arrays of a `shape`, each commanded from its transmission until the next; 0 before
@@ -17,18 +19,23 @@ class CommandHistory:
     def __init__(self, *shape: int) -> None:
         self._none = np.zeros(shape)
         self._times: list[int] = []
-        self._sent: list[Floats] = []
+        self._sent = np.zeros((KEPT, *shape))  # of which the first rows are used
 
     def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
         """Take the rates of a transmission."""
+        count = len(self._times)
+        if count == len(self._sent):
+            self._sent = np.concatenate([self._sent, np.zeros_like(self._sent)])
+        self._sent[count] = rates
         self._times.append(now_ns)
-        self._sent.append(np.array(rates, dtype=np.float64))
         old = bisect_right(self._times, now_ns - 2 * SECOND)
         if old > 64:  # old entries are removed occasionally, all at once
-            del self._times[: old - 1], self._sent[: old - 1]
+            self._sent[: count + 2 - old] = self._sent[old - 1 : count + 1].copy()
+            del self._times[: old - 1]
 
-    def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], list[Floats]]:
-        """Return the transmissions of which one acted between two times: times and rates."""
+    def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
+        """Return the transmissions of which one acted between two times: times (K,), and rates (K,
+        ...), a view."""
         first = max(0, bisect_right(self._times, since_ns) - 1)
         last = bisect_right(self._times, until_ns)
         return self._times[first:last], self._sent[first:last]

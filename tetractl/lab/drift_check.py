@@ -129,15 +129,13 @@ class DriftCheck:
             return NOTHING
         moved = seen * (self._mm, self._mm, 1.0)
         if dt_ns < WATCHDOG_NS:
-            commanded = dict[tuple[int, int], Floats]()
+            blocks: list[tuple[int, Pose, Floats, tuple[int, int]]] = []
             for i, (then, pose) in enumerate(zip(self._then, poses, strict=True)):
                 if then is not None and pose is not None and times[i] > then[2]:
                     before, was, then_ns = then
-                    span = times[i], times[i] - then_ns
-                    if span not in commanded:
-                        commanded[span] = self._commanded(*span)
-                    sent = commanded[span][:, :, i]
-                    self._add(i, before, was, moved[i], sent, span[1] / SECOND)
+                    blocks.append((i, before, moved[i] - was, (times[i], times[i] - then_ns)))
+            if blocks:
+                self._add(*zip(*blocks, strict=True))
             self._blocks += 1
         self._then_ns = now_ns
         self._then = [p and (p, way, at) for p, way, at in zip(poses, moved, times, strict=True)]
@@ -191,53 +189,76 @@ class DriftCheck:
         """
         total, variance = np.zeros((3, 1 + KNOWN + len(LARGEST))), 2 * self._noise**2
         for (then_ns, then), (now_ns, now) in pairwise(seen):
-            sent = self._commanded(now_ns, now_ns - then_ns)[:, :, i]
             moved = motion(then, now) * (self._mm, self._mm, 1.0)
-            x, walk = self._regressors(then, moved, sent, (now_ns - then_ns) / SECOND)
-            total, variance = total + x, variance + walk
+            x, walk = self._regressors([i], [then], moved[None], [(now_ns, now_ns - then_ns)])
+            total, variance = total + x[0], variance + walk[0]
         known = total[:, 1 : 1 + KNOWN]
         variance = variance + np.einsum("rp,pq,rq->r", known, self._spread[i], known)
         off, spread = total[:, 0] - known @ self._fit[i], np.sqrt(variance)
         return off / spread, total[:, 4 + KNOWN :] / spread[:, None]
 
-    def _commanded(self, until_ns: int, dt_ns: int) -> Floats:
-        return np.array([self.commands.mean(until_ns - tap, dt_ns) for tap in TAPS_NS])
+    def _commanded(self, robots: Sequence[int], spans: Sequence[tuple[int, int]]) -> Floats:
+        """Return what was commanded to robots over the `spans` that end at a time and are so long,
+        [ns], with each delay: (K, TAPS, 2)."""
+        taps = {
+            (until_ns, dt_ns): [self.commands.mean(until_ns - tap, dt_ns) for tap in TAPS_NS]
+            for until_ns, dt_ns in set(spans)
+        }
+        every = np.array([taps[span] for span in spans])
+        return every[np.arange(len(robots)), :, :, robots]
 
     def _regressors(
-        self, then: Pose, moved: Floats, sent: Floats, dt: float
+        self,
+        robots: Sequence[int],
+        then: Sequence[Pose],
+        moved: Floats,
+        spans: Sequence[tuple[int, int]],
     ) -> tuple[Floats, Floats]:
-        """Return residual and regressors (3, 1 + KNOWN + 7) of a block that began at the pose
-        `then`, in which a robot `moved` (3,) under the commands `sent` (TAPS, 2); and the variance
-        (3,) of that motion.
+        """Return residuals and regressors (K, 3, 1 + KNOWN + 7) of blocks that began at the poses
+        `then` (K,), in which robots `moved` (K, 3) over `spans`; and the variances (K, 3) of those
+        motions.
         """
-        r, (v, w) = self._radius, sent[0] * dt
-        x = np.zeros((3, 1 + KNOWN + len(LARGEST)))
-        x[:, 0] = moved - (v, 0.0, w)
-        others, taps = (sent[1:] - sent[0]).T * dt, 1 + 6 + len(TAPS_NS) - 1
-        x[0, [1, 3, 6]], x[0, 7:taps] = (v, w * r, w), others[0]
-        x[1, [4, 5]] = v, w
-        x[2, [1, 2, 3]], x[2, taps : 1 + KNOWN] = (w, w, v / r if r else 0.0), others[1]
-        (cos, sin), (px, py) = (np.cos(then.heading), np.sin(then.heading)), (then.x, then.y)
-        px, py = px * self._mm, py * self._mm
-        shift = np.array([[1.0, 0.0, -py, px], [0.0, 1.0, px, py]])
-        x[:, 1 + KNOWN : 4 + KNOWN] = np.eye(3) * dt
-        x[:2, 4 + KNOWN :] = np.array([[cos, sin], [-sin, cos]]) @ shift * dt
-        x[2, 6 + KNOWN] = dt
-        unlike = np.ptp(sent[:LATEST], axis=0)[[0, 0, 1]] * dt
-        return x, SLIP**2 * dt + (LOST * unlike) ** 2
+        sent = self._commanded(robots, spans)
+        dt = np.array([dt_ns / SECOND for _, dt_ns in spans])
+        r, (v, w) = self._radius, sent[:, 0].T * dt
+        x = np.zeros((len(robots), 3, 1 + KNOWN + len(LARGEST)))
+        x[:, :, 0] = moved
+        x[:, 0, 0] -= v
+        x[:, 2, 0] -= w
+        others, taps = (sent[:, 1:] - sent[:, :1]) * dt[:, None, None], 1 + 6 + len(TAPS_NS) - 1
+        x[:, 0, 1], x[:, 0, 3], x[:, 0, 6], x[:, 0, 7:taps] = v, w * r, w, others[:, :, 0]
+        x[:, 1, 4], x[:, 1, 5] = v, w
+        x[:, 2, 1] = x[:, 2, 2] = w
+        x[:, 2, 3], x[:, 2, taps : 1 + KNOWN] = v / r if r else 0.0, others[:, :, 1]
+        px, py, heading = np.array([(one.x, one.y, one.heading) for one in then]).T
+        cos, sin, px, py = np.cos(heading), np.sin(heading), px * self._mm, py * self._mm
+        shift = np.array([[1.0 + 0 * px, 0 * px, -py, px], [0 * px, 1.0 + 0 * px, px, py]])
+        axes = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
+        x[:, :, 1 + KNOWN : 4 + KNOWN] = np.eye(3) * dt[:, None, None]
+        x[:, :2, 4 + KNOWN :] = axes @ shift.transpose(2, 0, 1) * dt[:, None, None]
+        x[:, 2, 6 + KNOWN] = dt
+        unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt[:, None]
+        return x, SLIP**2 * dt[:, None] + (LOST * unlike) ** 2
 
-    def _add(self, i: int, then: Pose, was: Floats, now: Floats, sent: Floats, dt: float) -> None:
-        """Add a block of robot i: its motion from `was` to `now` under the commands (TAPS, 2)."""
-        x, walk = self._regressors(then, now - was + self._carried[i], sent, dt)
+    def _add(
+        self,
+        robots: Sequence[int],
+        then: Sequence[Pose],
+        moved: Sequence[Floats],
+        spans: Sequence[tuple[int, int]],
+    ) -> None:
+        """Add blocks of robots, which `moved` (K, 3) from the poses `then`, over `spans` [ns]."""
+        rows = list(robots)
+        x, walk = self._regressors(robots, then, np.array(moved) + self._carried[rows], spans)
         spread = np.sqrt(2 * self._noise**2 + walk)
-        x /= spread[:, None]
-        known = x[:, 1 : 1 + KNOWN]
-        expected = known @ self._fit[i]
-        bound = CLIP * np.sqrt(1 + np.einsum("rp,pq,rq->r", known, self._spread[i], known))
-        whole = x[:, 0].copy()
-        x[:, 0] = np.clip(whole, expected - bound, expected + bound)
-        self._carried[i, :2] = ((whole - x[:, 0]) * spread)[:2]
-        self._sums[i] += x.T @ x
+        x /= spread[:, :, None]
+        known, covariance = x[:, :, 1 : 1 + KNOWN], self._spread[rows]
+        expected = (known @ self._fit[rows, :, None])[..., 0]
+        bound = CLIP * np.sqrt(1 + ((known @ covariance) * known).sum(axis=2))
+        whole = x[:, :, 0].copy()
+        x[:, :, 0] = np.clip(whole, expected - bound, expected + bound)
+        self._carried[rows, :2] = ((whole - x[:, :, 0]) * spread)[:, :2]
+        self._sums[rows] += x.swapaxes(1, 2) @ x
 
     def _fault(self) -> Found:
         sums, known, motion = self._sums, slice(1, 1 + KNOWN), slice(1 + KNOWN, None)
@@ -245,34 +266,40 @@ class DriftCheck:
         self._fit = np.einsum("npq,nq->np", self._spread, sums[:, known, 0])
         squares = sums[:, 0, 0] - np.einsum("np,np->n", self._fit, sums[:, known, 0])
         count = 3.0 * max(self._blocks, 1)
-        self.worst, found = 0.0, NOTHING
-        for block, then in self._grid:
-            if self._blocks - block < LEAST_BLOCKS:
-                break
-            since = sums - then
-            mixed = since[:, known, motion]
-            left = since[:, motion, motion] - mixed.swapaxes(1, 2) @ self._spread @ mixed
-            pull = since[:, motion, 0] - np.einsum("npf,np->nf", mixed, self._fit)
-            one = np.linalg.solve(left[:, :3, :3] + np.diag(LARGEST[:3]), pull[:, :3, None])[..., 0]
-            gain = np.einsum("nf,nf->n", pull[:, :3], one)
-            gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
-            i = int(gain.argmax())
-            if gain[i] > self.worst:
-                self.worst, kind = gain[i], int((pull[i, :3] * one[i]).argmax())
-                found = f"{self._names[i]} {ANOTHER.format(KINDS[kind])}", (i,)
-            noise = np.maximum(1.0, squares / count)[:, None]
-            total = (pull[:, 3:] / noise).sum(axis=0)
-            every = (left[:, 3:, 3:] / noise[..., None]).sum(axis=0) + np.diag(LARGEST[3:])
-            shift = np.linalg.solve(every, total)
-            if len(gain) > 1 and total @ shift > max(self.worst, gain.max()):
-                self.worst = total @ shift
-                each = (2 * pull[:, 3:] - left[:, 3:, 3:] @ shift) @ shift / noise[:, 0]
-                i = int(each.argmax())
-                if each.sum() - each[i] > LIMIT / 4:  # it explains the others' motion as well
-                    found = TOGETHER, tuple(range(len(gain)))
-                else:
-                    kind = int((pull[i, :3] * one[i]).argmax())
-                    found = f"{self._names[i]} {ANOTHER.format(KINDS[kind])}", (i,)
+        self.worst = 0.0
+        old = [then for block, then in self._grid if self._blocks - block >= LEAST_BLOCKS]
+        if not old:
+            return self._next(sums, NOTHING)
+        since = sums - np.array(old)  # (G, N, ...), as all that follows
+        mixed = since[..., known, motion]
+        left = since[..., motion, motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
+        pull = since[..., motion, 0] - (self._fit[:, None] @ mixed)[..., 0, :]
+        one = np.linalg.solve(left[..., :3, :3] + np.diag(LARGEST[:3]), pull[..., :3, None])[..., 0]
+        gain = (pull[..., :3] * one).sum(axis=2)
+        gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
+        noise = np.maximum(1.0, squares / count)[:, None]
+        total = (pull[..., 3:] / noise).sum(axis=1)
+        every = (left[..., 3:, 3:] / noise[..., None]).sum(axis=1) + np.diag(LARGEST[3:])
+        shift = np.linalg.solve(every, total[..., None])[..., 0]
+        together = (total * shift).sum(axis=1) if len(squares) > 1 else np.zeros(len(old))
+        alone = gain.max(axis=1)
+        g = int(np.maximum(alone, together).argmax())
+        i, self.worst = int(gain[g].argmax()), float(max(alone[g], together[g]))
+        found = self._of_one(i, pull[g, i, :3] * one[g, i])
+        if together[g] > alone[g]:
+            each = (2 * pull[g, :, 3:] - left[g, :, 3:, 3:] @ shift[g]) @ shift[g] / noise[:, 0]
+            i = int(each.argmax())
+            found = self._of_one(i, pull[g, i, :3] * one[g, i])
+            if each.sum() - each[i] > LIMIT / 4:  # it explains the others' motion as well
+                found = TOGETHER, tuple(range(len(squares)))
+        return self._next(sums, found)
+
+    def _of_one(self, i: int, gains: Floats) -> Found:
+        """Return that robot i moves by itself, in the way that has the greatest of `gains` (3,)."""
+        return f"{self._names[i]} {ANOTHER.format(KINDS[int(gains.argmax())])}", (i,)
+
+    def _next(self, sums: Floats, found: Found) -> Found:
+        """Keep the moment, if it is one of the grid; return what was found, if it is enough."""
         if self._blocks - self._grid[-1][0] >= SPACING:
             self._grid.append((self._blocks, sums.copy()))
             if len(self._grid) > GRID:  # old moments are kept less densely

@@ -34,6 +34,7 @@ WATCHDOG_NS = SECOND // 4  # robots that received nothing for this time have sto
 WINDOW_NS = SECOND
 SLACK_S = 0.03  # time of driving at full speed that is allowed as slack
 SLACK_RAD = 0.08
+NEAR = 1e-9  # share of the slack within which a bound is compared again, exactly
 STANDS = 0.3  # a robot that makes less than this fraction of the commanded motion stands still
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
@@ -79,6 +80,7 @@ class MotionCheck:
         steps = np.array([math.sqrt(2) * sight.grid_mm / mm] * 2 + [sight.grid_rad])
         late = np.column_stack([SLACK_S * np.array(speeds)] * 2 + [np.full(n, SLACK_RAD)])
         self._coarse, self._step = sight.coarse, steps + late  # (N, 3)
+        self._nearly = ((1.0 - NEAR) * self._slack).tolist()
         # least and most of each transmission: along, across, around
         self._sent = CommandHistory(2, n, 3)
         self._times = (0,) * n  # of the newest poses [ns]
@@ -92,6 +94,9 @@ class MotionCheck:
         self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start
         # per robot: times [ns], and the motion and integrals of both bounds up to then, (3, 3)
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
+        # per robot: by how much the motion up to a kept time exceeds its least bound at most, and
+        # its greatest bound at least, (2, 3)
+        self._beyond: list[list[list[float]]] = [[] for _ in range(n)]
         self._changed = self._allowed.copy()  # at each robot's last pose that differs
 
     def forget(self, i: int) -> None:
@@ -116,8 +121,9 @@ class MotionCheck:
         self._allowed = self._allowed.copy()
         for span in set(spans):
             bounds, robots = self._between(*span), [one == span for one in spans]
-            self._bounds[:, robots] = bounds[:, robots]
-            self._allowed[:, robots] += bounds[:, robots] * ((span[1] - span[0]) / SECOND)
+            own = slice(None) if all(robots) else robots  # which is faster
+            self._bounds[:, own] = bounds[:, own]
+            self._allowed[:, own] += bounds[:, own] * ((span[1] - span[0]) / SECOND)
         self._times = times
 
     def _between(self, since_ns: int, now_ns: int) -> Floats:
@@ -125,11 +131,10 @@ class MotionCheck:
         since_ns -= DELAY_NS
         times, sent = self._sent.acting(since_ns, now_ns)
         gaps = (after - before for before, after in pairwise([*times, now_ns]))
-        if not sent or times[0] > since_ns or max(gaps) > WATCHDOG_NS:
+        if not times or times[0] > since_ns or max(gaps) > WATCHDOG_NS:
             # before the first transmission, and after a silence
-            sent = [*sent, np.zeros_like(self._bounds)]
-        least, most = np.array(sent).swapaxes(0, 1)
-        return np.array([least.min(axis=0), most.max(axis=0)])
+            sent = np.concatenate([sent, np.zeros((1, *self._bounds.shape))])
+        return np.array([sent[:, 0].min(axis=0), sent[:, 1].max(axis=0)])
 
     def stays(self, i: int) -> bool:
         """Return whether robot i, whose pose repeats, must have moved: every command that may act
@@ -149,7 +154,7 @@ class MotionCheck:
         past, allowed, now_ns = self._past[i], self._allowed[:, i], self._times[i]
         self._changed[:, i] = allowed
         seen = self.seen[i] + motion(before, pose) if past else self.seen[i]
-        if past:
+        if past and self._may_disagree(i, seen, allowed):
             moved = np.array([seen, *allowed]) - np.array([row for _, row in past])  # (K, 3, 3)
             slack = self._slack[i]
             below, above = moved[:, 1] - slack, moved[:, 2] + slack
@@ -159,11 +164,25 @@ class MotionCheck:
                 why = _diagnosis(way, least, most, slack)
                 return why if self._radius else OF_CELLS.get(why, why)
         self.seen[i] = seen
+        kept = len(past)
         if not past or now_ns - past[-1][0] >= SECOND // 20:
             past.append((now_ns, np.array([seen, *allowed])))
+            kept = -1
         while len(past) > 1 and now_ns - past[0][0] > WINDOW_NS:
             past.popleft()
+        if len(past) != kept:
+            rows = np.array([row for _, row in past])  # (K, 3, 3)
+            over = rows[:, :1] - rows[:, 1:]
+            self._beyond[i] = [over[:, 0].max(axis=0).tolist(), over[:, 1].min(axis=0).tolist()]
         return ""
+
+    def _may_disagree(self, i: int, seen: Floats, allowed: Floats) -> bool:
+        """Return whether motion since any kept time may be out of its bounds, but for rounding."""
+        ways = zip(seen.tolist(), *allowed.tolist(), *self._beyond[i], self._nearly[i], strict=True)
+        return any(
+            way - least - over_least < -slack or way - most - over_most > slack
+            for way, least, most, over_least, over_most, slack in ways
+        )
 
 
 def motion(before: Pose, pose: Pose) -> Floats:

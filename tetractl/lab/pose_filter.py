@@ -95,19 +95,17 @@ class PoseFilter:
         """Return whether the robot cannot have reached `pose` from earlier poses in the window."""
         if self.pose is None:
             return False
-        return any(
-            self._too_far(then, pose, (at_ns - then_ns) / SECOND)
-            for then_ns, then in (*self._past, (self.seen_ns, self.pose))
-        )
-
-    def _too_far(self, then: Pose, pose: Pose, dt: float) -> bool:
-        limits = self.limits
-        gone = math.hypot(pose.x - then.x, pose.y - then.y)
-        turned = abs(math.remainder(pose.heading - then.heading, math.tau))
-        return (
-            gone > FASTER * limits.speed * dt + limits.jump
-            or turned > FASTER * limits.turning * dt + limits.jump_heading
-        )
+        limits, x, y, heading = self.limits, pose.x, pose.y, pose.heading
+        for then_ns, then in (*self._past, (self.seen_ns, self.pose)):
+            dt = (at_ns - then_ns) / SECOND
+            gone = math.hypot(x - then.x, y - then.y)
+            turned = abs(math.remainder(heading - then.heading, math.tau))
+            if (
+                gone > FASTER * limits.speed * dt + limits.jump
+                or turned > FASTER * limits.turning * dt + limits.jump_heading
+            ):
+                return True
+        return False
 
     def _off_the_floor(self, pose: Pose) -> str:
         """Return why a body's height or tilt is wrong for a robot on the floor; "" if both fit."""

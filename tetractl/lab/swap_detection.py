@@ -19,6 +19,7 @@ Robots with the same commands cannot be distinguished.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,6 @@ class SwapDetector:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self._sent = CommandHistory(len(self._names))
-        self._shared: tuple[tuple[int, int], Floats] | None = None  # a frame's commands
         self.restart()
 
     def restart(self) -> None:
@@ -61,10 +61,13 @@ class SwapDetector:
         # duration of the stretch while commanded to turn
         self._watched_ns = np.zeros(n, dtype=np.int64)
         self._found: str | None = None  # the fault's message; None before the search
+        # turns of one frame that are still to be compared: robots and angles [rad]
+        self._turns: dict[int, float] = {}
+        self._span = 0, 0  # their time [ns], and the time in which they were made
 
     def sent(self, now_ns: int, turning: Sequence[float]) -> None:
         """Take the turning rates of a transmission [rad/s], 0 for robots that stand."""
-        self._shared = None
+        self._compare()
         self._sent.sent(now_ns, turning)
 
     def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:
@@ -75,26 +78,40 @@ class SwapDetector:
         """
         if dt_ns > GAP_NS:
             return
-        self._found = None
-        dt, key = dt_ns / SECOND, (now_ns, dt_ns)
-        if self._shared is None or self._shared[0] != key:
-            commanded = np.array([self._sent.mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
-            self._shared = key, commanded
-        commanded = self._shared[1]  # (D, N)
-        stretch, apart = self._stretch, commanded[0] - commanded[0, i]
-        terms = commanded**2 * dt, angle * commanded, apart**2 * dt, commanded[:, i] * dt
-        self._all.add(i, *terms, angle, dt)
-        stretch.add(i, *terms, angle, dt)
-        self._watched_ns[i] += dt_ns if commanded[0].any() else 0
-        if self._watched_ns[i] >= ALONE_NS:
-            followed = stretch.follows_alone(i)
+        if self._span != (now_ns, dt_ns):
+            self._compare()
+        self._found, self._span = None, (now_ns, dt_ns)
+        self._turns[i] = angle
+
+    def _compare(self) -> None:
+        """Compare the turns of a frame with the commands."""
+        if not self._turns:
+            return
+        (now_ns, dt_ns), n = self._span, len(self._names)
+        robots, dt = np.array([*self._turns]), dt_ns / SECOND
+        turned = np.array([*self._turns.values()])
+        rows = slice(None) if [*self._turns] == [*range(n)] else robots  # the first is faster
+        self._turns = {}
+        commanded = np.array([self._sent.mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
+        terms = (
+            (commanded**2 * dt)[:, None],
+            turned[:, None] * commanded[:, None],
+            (commanded[0] - commanded[0, robots, None]) ** 2 * dt,
+            commanded[:, robots] * dt,
+        )
+        for integrals in (self._all, self._stretch):
+            integrals.add(rows, *terms, turned, dt)
+        self._watched_ns[rows] += dt_ns if commanded[0].any() else 0
+        for i in robots[self._watched_ns[robots] >= ALONE_NS]:
+            followed = self._stretch.follows_alone(i)
             self._alone[i] = followed & self._followed[i]
             self._followed[i] = followed
             self._watched_ns[i] = 0
-            stretch.forget(i)
+            self._stretch.forget(i)
 
     def fault(self) -> str:
         """Return a text about robots that follow the commands of other robots, "" if none does."""
+        self._compare()
         if self._found is None:
             self._found = self._fault()
         return self._found
@@ -124,21 +141,22 @@ class _TurnIntegrals:
 
     def add(
         self,
-        i: int,
+        rows: Any,
         commanded: Floats,
         common: Floats,
         differ: Floats,
         way: Floats,
-        angle: float,
+        turned: Floats,
         dt: float,
     ) -> None:
-        """Add a turn of robot i by `angle` [rad] within `dt` [s], and the integrals over it."""
-        self._commanded[:, i] += commanded
-        self._common[:, i] += common
-        self._differ[i] += differ
-        self._way[:, i] += way
-        self._turned[i] += angle
-        self._seconds[i] += dt
+        """Add turns of robots `rows` by `turned` [rad] within `dt` [s], and the integrals over
+        them."""
+        self._commanded[:, rows] += commanded
+        self._common[:, rows] += common
+        self._differ[rows] += differ
+        self._way[:, rows] += way
+        self._turned[rows] += turned
+        self._seconds[rows] += dt
 
     def forget(self, i: int) -> None:
         """Forget the turning of robot i."""

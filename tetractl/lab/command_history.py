@@ -42,13 +42,14 @@ class CommandHistory:
 
     def mean(self, until_ns: int, dt_ns: int) -> Floats:
         """Return the mean of the rates commanded during the `dt_ns` before a time."""
-        total, first = self._none, until_ns - dt_ns
-        while True:
-            k = bisect_left(self._times, until_ns) - 1
-            if k < 0:
-                return total / dt_ns
+        first, k = until_ns - dt_ns, bisect_left(self._times, until_ns) - 1
+        if k >= 0 and self._times[k] <= first:  # the most frequent case
+            return self._sent[k] * dt_ns / dt_ns
+        total = self._none
+        while k >= 0:
             since = max(self._times[k], first)
             total = total + self._sent[k] * (until_ns - since)
             if since == first:
-                return total / dt_ns
-            until_ns = since
+                break
+            until_ns, k = since, bisect_left(self._times, since) - 1
+        return total / dt_ns

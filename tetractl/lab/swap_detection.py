@@ -166,8 +166,11 @@ class _TurnIntegrals:
     def follows(self) -> np.ndarray:
         """Return whether robot i follows the commands of robot j better than its own, (N, N)."""
         misfit = (self._commanded - 2.0 * self._common).min(axis=0)
+        least = BETTER * self._differ + CLEAR
+        if not (np.diagonal(misfit)[:, None] - misfit > 0.99 * least).any():
+            return np.zeros(misfit.shape, dtype=np.bool_)  # with the best gain still less
         better = self._own(GAINS)[:, None] - misfit
-        return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
+        return (self._differ > DISTINCT) & (better > least)
 
     def follows_alone(self, i: int) -> np.ndarray:
         """Return, for each robot (N,), whether robot i follows that robot's commands in a way that

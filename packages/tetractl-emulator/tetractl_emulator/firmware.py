@@ -159,10 +159,11 @@ class WheelsCore(Core):
     """The firmware core of a robot with two wheels."""
 
     _stands = False  # whether its speeds are 0 until a byte comes
+    _known: tuple[int, Counts] = -1, (0, 0)  # the speeds, and the time of that [ms]
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """As `Core.push`; the speeds may be others then."""
-        self._stands = False
+        self._stands, self._known = False, (-1, (0, 0))
         return super().push(data, now_ms)
 
     def wheels(self, now_ms: int) -> Counts:
@@ -170,9 +171,10 @@ class WheelsCore(Core):
         0."""
         if self._stands:
             return 0, 0
-        counts = self._pair("wheels", now_ms)
-        self._stands = counts == (0, 0)
-        return counts
+        if self._known[0] != now_ms:
+            self._known = now_ms, self._pair("wheels", now_ms)
+            self._stands = self._known[1] == (0, 0)
+        return self._known[1]
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now; nothing changes in the core."""

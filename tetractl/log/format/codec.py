@@ -89,7 +89,7 @@ def packed(columns: NDArray[Any]) -> bytes:
     size, (count, width) = columns.itemsize, columns.shape
     bits = np.zeros((DIFFERENCES + count, width), f"<i{size}")
     bits[DIFFERENCES:] = np.ascontiguousarray(columns).view(bits.dtype)
-    steps = np.diff(bits, DIFFERENCES, axis=0)
+    steps = np.diff(bits, DIFFERENCES, axis=0) if count > 1 else bits[DIFFERENCES:]
     zigzag = (steps << 1) ^ (steps >> (8 * size - 1))
     return np.ascontiguousarray(zigzag.T).view(np.uint8).reshape(-1, size).T.tobytes()
 
@@ -98,10 +98,12 @@ def unpacked(data: bytes, width: int, kind: str) -> NDArray[Any]:
     """Return the columns (M, `width`) of numbers of type `kind` in packed bytes; ValueError for
     another number of bytes."""
     size = np.dtype(kind).itemsize
+    if not data:
+        return np.zeros((0, width), kind)
     planes = np.frombuffer(data, np.uint8).reshape(size, width, -1).transpose(2, 1, 0)
     zigzag = np.ascontiguousarray(planes).view(f"<u{size}")[..., 0]
     found = (zigzag >> 1) ^ -(zigzag & 1)
-    for _ in range(DIFFERENCES):
+    for _ in range(DIFFERENCES if len(found) > 1 else 0):
         found = np.cumsum(found, axis=0, dtype=found.dtype)
     return found.view(kind)
 

@@ -98,22 +98,22 @@ class EmulatedRobot:
     @property
     def x(self) -> float:
         """Position x [mm]."""
-        return self.robots.poses[self.row][0]
+        return self.robots.now()[1][self.row][0]
 
     @property
     def y(self) -> float:
         """Position y [mm]."""
-        return self.robots.poses[self.row][1]
+        return self.robots.now()[1][self.row][1]
 
     @property
     def heading(self) -> float:
         """Heading [rad]."""
-        return self.robots.poses[self.row][2]
+        return self.robots.now()[1][self.row][2]
 
     @property
     def wheels(self) -> Speeds:
         """The speeds of the left and the right wheel [mm/s]."""
-        return self.robots.wheel_speeds[self.row]
+        return self.robots.now()[2][self.row]
 
     @property
     def load(self) -> float:
@@ -182,7 +182,7 @@ class EmulatedRobots:
         self.robots, self._drivetrains = robots, drivetrains
         self._now_ns = self._settled_ns = start_ns
         self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
-        # `poses`, `wheel_speeds` and `standing`, and when they were computed [ns]
+        # what `now` returns, `standing`, and when they were computed [ns]
         self._known: tuple[int, list[Place], list[Speeds]] = -1, [], []
         self._stood: tuple[int, list[bool]] = -1, []
         self._held: list[tuple[Counts, tuple[bool, bool], tuple[float, float]]] = []
@@ -193,16 +193,6 @@ class EmulatedRobots:
     def now_ms(self) -> int:
         """The time of the robots' firmware [ms]."""
         return self._now_ns // MILLISECOND
-
-    @property
-    def poses(self) -> list[Place]:
-        """The present poses."""
-        return self._now()[1]
-
-    @property
-    def wheel_speeds(self) -> list[Speeds]:
-        """The present speeds of each robot's wheels."""
-        return self._now()[2]
 
     @property
     def standing(self) -> list[bool]:
@@ -244,7 +234,8 @@ class EmulatedRobots:
     def _forget(self) -> None:
         self._known, self._stood = (-1, [], []), (-1, [])
 
-    def _now(self) -> tuple[int, list[Place], list[Speeds]]:
+    def now(self) -> tuple[int, list[Place], list[Speeds]]:
+        """Return the present time [ns], poses, and speeds of each robot's wheels."""
         if self._known[0] != self._now_ns:
             body = self._settled().bodies[0]
             places = list(zip(*body[:3].tolist(), strict=True))

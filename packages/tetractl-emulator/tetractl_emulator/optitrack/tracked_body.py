@@ -92,14 +92,14 @@ class TrackedBody:
         return self.change(self.seen) if self.change and not self.repeats else self.seen
 
     def _look(self, view: View) -> None:
-        robot, draw = self.robot, self.random.gauss
-        self.shift += self.step * (cmath.rect(1.0, robot.heading) if self.own else 1.0)
+        robot, draw, heading = self.robot, self.random.gauss, self.robot.heading
+        self.shift += self.step * (cmath.rect(1.0, heading) if self.own else 1.0)
         self.turned += self.turn
         way, angle = self.noise
-        off = self.shift + self.plate * cmath.rect(1.0, robot.heading)
+        off = self.shift + self.plate * cmath.rect(1.0, heading)
         x, y = robot.x + off.real + draw(0, way), robot.y + off.imag + draw(0, way)
         turned = self.turned + self.plate_turned - self.offset
-        heading = robot.heading + turned + draw(0, angle)
+        heading = heading + turned + draw(0, angle)
         self.seen = view.body(self.id, x, y, heading, self.height)
 
 

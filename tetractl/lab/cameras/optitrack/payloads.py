@@ -12,6 +12,7 @@ data set of unknown layout, and `ModelDef.complete` is then False.
 """
 
 from collections.abc import Callable
+from functools import cache
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -50,6 +51,7 @@ LAYOUTS = {  # by the first version of each
 }
 
 
+@cache  # for each frame and body
 def layout_of(version: natnet.Version) -> Layout:
     """Return the layout of a version; WireError for versions that are too old."""
     if version < natnet.OLDEST:

@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 DEMO := logs/demo
 PACKAGES := ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
 
-.PHONY: demo demo-ours demo-paper test test-fast test-all test-lowest test-newest lint dist docs clean
+.PHONY: demo demo-ours demo-paper test test-fast test-long test-system test-all test-lowest test-newest lint dist docs clean
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml constraints.txt
@@ -61,15 +61,22 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)
-	$(PYTEST) -m "not system"
+	$(PYTEST) -m "not long and not system"
 
 # What needs neither other processes nor much time: for work on the code.
 test-fast: $(STAMP)
-	$(PYTEST) -m "not slow and not system"
+	$(PYTEST) -m "not slow and not long and not system"
 
-# The rest: real wires in real time, browser, cluster, cold compiles, pages to the last digit.
-test-all: $(STAMP)
+# Whole days, films and all faults, in virtual time.
+test-long: $(STAMP)
+	$(PYTEST) -m "long and not system"
+
+# Real wires in real time, browser, cluster, cold compiles, pages to the last digit.
+test-system: $(STAMP)
 	$(PYTEST) -m system
+
+# All that `make test` leaves out.
+test-all: test-long test-system
 
 # The tests with the lowest versions that pyproject.toml allows, and with the newest, each installed
 # into an environment of its own. Half an hour each on two cores: .ci/run leaves them out.

@@ -51,6 +51,7 @@ def test_exported_tables_say_the_same(folder):
         assert one["a"]["value"] == pytest.approx(two["a"]["value"], rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_design_is_proposed_as_a_spec_and_driven(folder):
     words = ("design", "quick.yaml", "--seconds", "6")
     done = tetractl(folder, *words, "-o", "motion.yaml").ok()

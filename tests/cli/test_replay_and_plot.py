@@ -47,6 +47,7 @@ def at(seconds):
     return re.escape(f"{seconds:.1f} / {three_robots().result.duration_s:.1f} s")
 
 
+@pytest.mark.long
 def test_every_key_reaches_the_player(folder):
     """What a key does there is tested of the player; here, what then stands on the screen."""
     with play(folder, "--paused") as terminal:
@@ -224,6 +225,7 @@ def test_plot_names_its_file_after_the_log_here(folder, tmp_path, kind):
     assert [path.name for path in tmp_path.iterdir()] == [f"whole-{kind}.png"]
 
 
+@pytest.mark.long
 def test_a_figure_of_two_folders_is_named_after_what_holds_them(folder, tmp_path):
     for arm in ("ours", "paper"):
         (tmp_path / "demo" / arm).mkdir(parents=True)

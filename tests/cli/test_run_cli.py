@@ -93,6 +93,7 @@ def test_logs_go_to_a_folder_named_after_spec_and_hour(tmp_path):
     assert "1 of 1 trials valid" in done.stdout
 
 
+@pytest.mark.long
 def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_path):
     folder, _ = batch
     assert run(folder / "quick.yaml", "--jobs", 2, "--out", "two", cwd=tmp_path).returncode == 0

@@ -17,7 +17,7 @@ from tetractl.log.read.reader import read_result
 WITHOUT = "import sys; sys.modules['websockets'] = None; from tetractl.cli import main; main()"
 ADDRESS = re.compile(r"((?:ws|http)://127\.0\.0\.1:\d+/[\w-]{16,}/?)\n")
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

@@ -71,6 +71,7 @@ def test_a_study_is_checked_previewed_and_run_from_python_alike(whole, tmp_path,
     assert [row["total_error_mm"] for row in table(tmp_path / "again")] == totals
 
 
+@pytest.mark.long
 def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
     write(tmp_path)
     out = tmp_path / "out"

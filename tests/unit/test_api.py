@@ -51,6 +51,7 @@ def batch(tmp_path_factory):
     return folder, found
 
 
+@pytest.mark.long
 def test_a_notebook(tmp_path, batch):
     """Load, run, read, tabulate, summarise, compare, draw, verify."""
     (tmp_path / "two.yaml").write_text(SPEC, encoding="utf-8")

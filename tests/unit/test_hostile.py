@@ -8,7 +8,7 @@ from support import hostile
 from support.bounded_work import bounded, withstands
 from support.targets import TARGETS
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -106,6 +106,7 @@ def test_the_core_imports_whole_without_the_packages_and_opencv():
     assert code == 0, said
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("package", "words"),
@@ -126,6 +127,7 @@ def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_
     assert f"pip install ./packages/{package}" in said
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_kinds_lists_what_it_can_without_the_packages():
     code, said = python(COMMAND.format(["kinds"]))

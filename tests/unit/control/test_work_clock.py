@@ -37,6 +37,7 @@ def test_searches_advance_the_clock_while_they_run_and_after_them():
     assert clock() == end + SEARCH_NS + 10 * each
 
 
+@pytest.mark.long
 def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     from anywhere import instance

@@ -119,6 +119,7 @@ def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
     assert mat.go(0.5).state is GuardState.ABORT
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sight", [Sight(), MAT])
 def test_poses_30_ms_apart_do_not_abort_robots_that_turn_at_6_rad_s(sight):
     mat = Mat(replace(RULES, sight=sight), late=(0, 30 * MS), sight=sight)

@@ -108,6 +108,7 @@ HARMLESS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("directions", [CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
 @pytest.mark.parametrize("why", HARMLESS)
 def test_no_robot_is_taken_for_another_where(why, directions):

@@ -69,6 +69,7 @@ def test_the_clearance_counts_walls_where_there_are_any():
     np.testing.assert_allclose(clearance(found, x, y, walls=False), [380, 460])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("margin", [0.0, 15.0])
 @pytest.mark.parametrize("seed", range(5))
 def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):

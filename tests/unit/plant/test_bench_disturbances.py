@@ -111,6 +111,7 @@ def test_robots_are_put_down_near_their_starts():
     assert abs(np.corrcoef(np.array(off)[:, 0].T)[0, 1]) < 0.2
 
 
+@pytest.mark.long
 def test_each_robot_drifts_always_to_its_own_side():
     rates = []
     for seed in range(100):
@@ -207,6 +208,7 @@ def test_a_watchdog_shorter_than_the_time_between_two_commands_is_refused():
         load_spec(ROOT / "experiments" / "three_m3pi.yaml", ["wheels.watchdog=0.05"])
 
 
+@pytest.mark.long
 def test_each_robot_sticks_as_often_and_as_long_as_the_spec_says():
     section = {"type": "sticking", "every": 1.0, "duration": 0.5}
     samples = driven(plant(section, seed=2, camera_rate=50, truth_rate=50), 300)

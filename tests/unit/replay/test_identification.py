@@ -81,6 +81,7 @@ def test_without_noise_everything_is_found_exactly():
     assert [one.heading_bias.value for one in found.robots] == pytest.approx([0] * 3, abs=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dead_time", [0.05, 0.2])
 def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time):
     sets = (*NOISY, f"plant.dead_time={dead_time}", "plant.a_error=0.2", "plant.lost_commands=0.05")
@@ -136,6 +137,7 @@ def noise_is_right(*found):
     return all(near) and held >= 7 / 9 * len(each)
 
 
+@pytest.mark.long
 def test_a_lost_command_that_stops_a_robot_by_its_watchdog_is_no_noise():
     sets = (*NOISY[:2], "plant.dead_time=0.08", "plant.lost_commands=0.05")
     found = [identify([drive(seed, *sets)[1]], EXPECTED) for seed in (9, 10, 11)]
@@ -143,6 +145,7 @@ def test_a_lost_command_that_stops_a_robot_by_its_watchdog_is_no_noise():
     assert noise_is_right(*found)
 
 
+@pytest.mark.long
 def test_commands_that_follow_before_a_frame_tells_are_no_noise():
     """Directions as of a controller at 20 Hz: each sent four times, and most turn little."""
     rng = np.random.default_rng(6)
@@ -177,6 +180,7 @@ def test_a_is_found_where_nothing_is_expected():
     assert [one.a.value for one in found.robots] == pytest.approx([6, 4, 3], rel=0.03)
 
 
+@pytest.mark.long
 def test_pooled_tracks_tell_more_than_one():
     tracks = [drive(seed, *NOISY, "plant.dead_time=0.1")[1] for seed in (1, 2)]
     one, both = identify(tracks[:1], EXPECTED), identify(tracks, EXPECTED)
@@ -220,6 +224,7 @@ def test_a_model_that_does_not_fit_is_told():
     assert "the model does not fit" in tables(wrong)[0].note
 
 
+@pytest.mark.long
 def test_a_design_stays_clear_and_tells_much():
     experiment = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
     design = propose(experiment, 6.0, 1)

@@ -8,7 +8,7 @@ from tetractl.log.format.channels import RUN
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 SHORT = ("controller.time_limit=0.8", "controller.horizon_max=5")
 

@@ -124,6 +124,7 @@ class Late:
         return self.time
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "swarm",
     ["{type: pso, iterations: 60, stop: {type: budget}}", "{type: multistart, tolerance: 1.0e-9}"],
@@ -228,6 +229,7 @@ run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("settings", "key"),
     [

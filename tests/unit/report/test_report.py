@@ -34,6 +34,7 @@ def pictures(html):
     return [b64decode(data) for data in re.findall(r"base64,([^\"]+)", html)]
 
 
+@pytest.mark.long
 @pytest.mark.slow  # draws
 def test_a_batch_is_drawn_as_plot_draws_it_though_little_of_it_is_kept(logs):
     shown = of_batch("one & two", [lean(log) for log in logs])

@@ -98,6 +98,7 @@ def test_one_that_stands_while_another_drives_is_dead(way_s, dead):
     assert not ends.lost.any()
 
 
+@pytest.mark.long
 def test_a_trial_ends_or_goes_on_without_a_robot_that_does_not_move(tmp_path):
     """Blue sticks for good after 4 s: the others reach their targets without it."""
     sets = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]", "trials.seed=2"

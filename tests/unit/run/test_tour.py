@@ -102,6 +102,7 @@ def test_a_tour_that_cannot_be_is_refused(old, new, said):
     assert said in str(found.value)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_shipped_cells_are_kept_as_near_as_the_common_field_allows(tmp_path):
     spec = load_spec(ROOT / "experiments" / "tetrahymena_hold.yaml", ["hold.time=8"])

@@ -33,6 +33,7 @@ def milliseconds(path):
         return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["gif", "webp"])
 def test_a_video_lasts_as_long_as_the_trial(tmp_path, log, ending):
     said = []

@@ -19,7 +19,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.long,
     pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found"),
 ]
 

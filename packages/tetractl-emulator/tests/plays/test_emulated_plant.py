@@ -27,6 +27,7 @@ def digests(folder):
     return [content_digest(path) for path in sorted(folder.glob("*.mcap"))]
 
 
+@pytest.mark.long
 @needs_compiler
 def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path):
     for out, jobs in (("one", "1"), ("two", "2")):

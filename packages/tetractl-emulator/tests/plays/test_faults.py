@@ -9,11 +9,17 @@ from support.virtual_lab import play_faults
 pytestmark = pytest.mark.slow
 
 
-# this one is of the bytes of a server, which is not in memory
-PATHS = [path for path in SCRIPTS if path.stem != "drips"]
+# one of each device, and of what process, clock and disk do; the others are of `make test-long`
+OFTEN = "asleep_host bad_bytes clock_back ctrl_c disk_full emergency frames_doubled ghost jump"
+OFTEN += " into_obstacle lifted lost_commands no_frames radio_unplugged robot_off swapped_wheels"
+PATHS = [
+    pytest.param(path, id=path.stem, marks=() if path.stem in OFTEN.split() else pytest.mark.long)
+    for path in SCRIPTS
+    if path.stem != "drips"  # of the bytes of a server, which is not in memory
+]
 
 
-@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", PATHS)
 def test_fault(path, tmp_path):
     if camera_of(path) == "apriltag":
         pytest.importorskip("cv2")

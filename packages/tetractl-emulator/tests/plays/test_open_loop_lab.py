@@ -9,7 +9,7 @@ from support.virtual_lab import virtual_lab
 
 from tetractl.log.read.reader import read_trial
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 def test_a_design_is_driven_and_its_robots_are_identified(tmp_path):

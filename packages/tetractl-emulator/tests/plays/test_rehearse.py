@@ -36,6 +36,7 @@ def rows(folder):
     return {row["day"]: row for row in map(json.loads, lines)}
 
 
+@pytest.mark.long
 def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp_path):
     (tmp_path / "two").mkdir()
     done = rehearse(tmp_path, "--days", "2").ok()
@@ -47,6 +48,7 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     assert "| frames frozen |" in done.stdout
 
 
+@pytest.mark.long
 def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
     robots = "robots: [{name: green}, {name: blue}, {name: red}]"
     lines = f"lab.actuator={{type: twist, port: radio, {robots}}}"
@@ -55,6 +57,7 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
     assert any(row["ended"] != "refused" for row in rows(tmp_path).values())
 
 
+@pytest.mark.long
 def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     """Without pictures the field goes off; a guard whose clock stands with them is found."""
     pytest.importorskip("cv2")
@@ -95,6 +98,7 @@ def test_days_of_pictures_break_nothing(tmp_path, spec):
     assert done.stdout.endswith("3 days, 0 violations\n")
 
 
+@pytest.mark.long
 def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs(
     tmp_path, monkeypatch
 ):

@@ -7,6 +7,8 @@ import pytest
 from support.ghosts import CAMERA, Ghost, trial_of
 from support.running import first_of
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("trial", first_of([364, 1, 517]))
 def test_robots_of_wheels_that_are_10_percent_off_end_their_trial(trial):

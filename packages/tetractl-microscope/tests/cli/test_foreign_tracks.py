@@ -8,7 +8,7 @@ from support.cli import tetractl
 
 from tetractl.core.errors import AbortError
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 RATE_HZ, UM_PX, SPEED, A = 30.0, 2.0, 300.0, (2.0, 4.0)
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 from support.paths import EXAMPLES
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 MISSING = """
 import sys

@@ -63,6 +63,7 @@ def tracks(dish):
     return dish / "found", tetractl(dish, "track", "dish.avi", *words).ok().stdout
 
 
+@pytest.mark.long
 def test_the_log_is_read_back_as_it_was_printed(tracks):
     out, printed = tracks
     for path in (".", "track.mcap"):
@@ -74,6 +75,7 @@ def test_the_log_is_read_back_as_it_was_printed(tracks):
     assert refused.returncode == 2 and "was analysed already" in refused.stderr
 
 
+@pytest.mark.long
 def test_all_figures_are_drawn_of_the_log(tracks, tmp_path):
     out, _ = tracks
     tetractl(out, "track", ".", "-o", tmp_path / "again").ok()

@@ -31,6 +31,7 @@ def field_of(direction):
     return lambda times: np.exp(1j * np.array([direction(round(t * SECOND)) for t in times]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("rotated", [0.0, 0.5, -2.0])
 def test_side_and_rotation_are_found(mirrored, rotated):

@@ -45,6 +45,7 @@ def test_a_run_reads_the_mat_and_verifies(folder):
     assert any(event["event"] == "command" and any(event["drives"]) for event in events)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("row", "why"),
     [
@@ -73,6 +74,7 @@ def test_a_lab_of_cubes_is_checked_though_messages_are_lost(folder, lost):
     assert all(robot["answers"] for robot in found["robots"])
 
 
+@pytest.mark.long
 def test_cubes_are_calibrated_by_what_they_read_of_the_mat(folder, tmp_path):
     out = tmp_path / "calibration.yaml"
     odd = "emulation: {actuator: {robots: [{name: blue, left_gain: 0.9, right_gain: 1.1}]}}"

@@ -87,7 +87,7 @@ print(sum(kernel.stats.cache_hits.values()), found.hex())
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("script", "kernels"),
     [
@@ -157,7 +157,7 @@ def test_a_damaged_cache_is_compiled_again(tmp_path, monkeypatch, capsys, damage
     assert loaded(tmp_path, monkeypatch) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
 def test_a_full_disk_only_costs_the_cache(tmp_path):
     with small_disk(tmp_path / "disk", "8k") as disk:
@@ -169,7 +169,7 @@ def test_a_full_disk_only_costs_the_cache(tmp_path):
         assert list(disk.rglob("tmp*")) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cache_that_others_can_write_to_is_never_read(tmp_path):
     """Regression: the index in it is a pickle, which runs what its writer likes."""
     shared = tmp_path / "cache"
@@ -181,7 +181,7 @@ def test_a_cache_that_others_can_write_to_is_never_read(tmp_path):
     assert "NUMBA_CACHE_DIR is not used: others can write to" in notes
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
     (tmp_path / "file").write_text("")
     nowhere = str(tmp_path / "file" / "below")
@@ -190,7 +190,7 @@ def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
     assert "Not a directory" in found[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("lost", ["_rebuild", "_reduce"])
 def test_without_a_private_class_of_numba_kernels_are_compiled_each_time(tmp_path, lost):
     before = f"import numba\ndel numba.core.compiler.CompileResult.{lost}\n"
@@ -201,7 +201,7 @@ def test_without_a_private_class_of_numba_kernels_are_compiled_each_time(tmp_pat
         assert "compiled code is not kept: numba" in notes
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_numba_that_was_never_tried_compiles_and_keeps_kernels(tmp_path):
     before = "import numba; numba.__version__ = '99.0.0'\n"
     assert [small(tmp_path, before)[0][:2] for _ in range(2)] == [["42", "0"], ["42", "1"]]
@@ -216,7 +216,7 @@ kernel_cache.SHIPPED = Path({folder!r})
 OLD = "kernel_cache.binding = SimpleNamespace(get_host_cpu_features=lambda: {'avx': True})"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="such code is for x86-64 alone")
 def test_code_in_the_package_runs_where_the_processor_and_the_settings_allow(tmp_path):
     level = {"NUMBA_CPU_NAME": cache.LEVEL, "NUMBA_CPU_FEATURES": ""}

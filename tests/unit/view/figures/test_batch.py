@@ -15,6 +15,7 @@ ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", STARTS)
 def test_the_suffix_chooses_the_format_and_a_batch_always_gives_the_same_bytes(tmp_path, suffix):
     paths = [tmp_path / f"{name}.{suffix}" for name in ("one", "two")]

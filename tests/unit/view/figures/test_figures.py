@@ -258,6 +258,7 @@ def test_the_estimate_figure_shows_what_was_estimated(log):
     assert "dead time [ms]" in words(figure)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", FIGURES.names())
 def test_no_text_hides_another_dashes_are_in_the_legend_and_the_plant_is_named(log, kind):
     info = PlantInfo("lab", False, 120.0, {"emulated": "camera"})

@@ -13,7 +13,7 @@ from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_comma
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import Drivetrains
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 COUNT = 1000 / 127
 ROBOTS = experiment().robots

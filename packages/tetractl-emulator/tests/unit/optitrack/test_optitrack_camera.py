@@ -225,6 +225,7 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert camera.damaged == 0
 
 
+@pytest.mark.long
 def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
     """Regression: four times a second, for as long as the bit lasted."""
     with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:

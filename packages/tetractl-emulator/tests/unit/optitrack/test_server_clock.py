@@ -141,6 +141,7 @@ def test_single_frames_of_a_wrong_time_are_dropped_and_are_no_fault():
     assert server.stream.counts.bad == 24
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("drift", "delay_ms"), [(1e-4, (0.1, 0.5)), (-9e-4, (0.1, 0.5)), (5e-4, (0.1, 150.0))]

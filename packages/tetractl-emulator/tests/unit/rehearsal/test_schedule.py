@@ -32,6 +32,7 @@ def test_a_day_without_faults_is_as_the_spec_allows():
     assert any(plan_of_day(7, day, SETUP, LAB).off for day in range(300))
 
 
+@pytest.mark.long
 def test_every_tenth_day_is_a_valid_script():
     for day in range(0, 3000, 10):
         plan = plan_of_day(1, day, SETUP, LAB)

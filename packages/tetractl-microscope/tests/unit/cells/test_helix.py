@@ -147,6 +147,7 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
     assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 2.0
 
 
+@pytest.mark.long
 def test_a_heading_that_walks_does_not_lower_a():
     """The heading's walk takes a cell with it within a step: its way does not say where the cell
     headed before.

@@ -15,6 +15,7 @@ from tetractl_microscope.film.field_file import no_field
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
 def test_poses_of_swimming_cells(seed, known):
     made = film(seed=seed, side=512, cells=5)
@@ -57,6 +58,7 @@ def test_the_polarity_is_found_and_specks_are_no_cells(bright):
     assert Score().add(made, found).f1 > 0.97
 
 
+@pytest.mark.long
 def test_a_resting_cell_is_not_lost_in_the_background():
     made = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=0.0)
     resting = np.flatnonzero((made.times > 0.42 * 6) & (made.times < 0.58 * 6))[10:]

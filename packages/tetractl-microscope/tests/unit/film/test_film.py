@@ -24,6 +24,7 @@ from tetractl.core.errors import TetractlError, UsageError
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_speeds_and_biases_are_within_their_intervals():
     inside, found = [], 0
     for seed in (31, 33, 35, 39):
@@ -44,6 +45,7 @@ def test_a_speeds_and_biases_are_within_their_intervals():
     assert np.mean(inside) >= 0.85
 
 
+@pytest.mark.long
 def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
     made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
     before = followed(made)
@@ -58,6 +60,7 @@ def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
     assert np.median(np.linalg.norm(path.places - made.body[path.frames, i, :2], axis=1)) < 1.0
 
 
+@pytest.mark.long
 def test_no_cell_responds_to_a_field_that_was_off():
     made = film(seed=32, side=512, cells=0, strangers=6, crossings=False, seconds=4.0)
     cells = fit_cells(followed(made), record(made))[1]
@@ -66,6 +69,7 @@ def test_no_cell_responds_to_a_field_that_was_off():
     assert all(cell.a.low < 0 < cell.a.high for cell in fitted)
 
 
+@pytest.mark.long
 def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
     made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
     before = followed(made)
@@ -109,6 +113,7 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
     assert (np.abs(off) > 0.8).sum() < 17  # it backs in 15 pictures
 
 
+@pytest.mark.long
 def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
     made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
     sure = followed(made)
@@ -133,6 +138,7 @@ def test_cells_that_fade_are_said():
     assert _faded_line(recorded([{}], [0.0])) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("numbers", "said"),
     [
@@ -157,6 +163,7 @@ def test_of_many_uncertain_meetings_a_few_are_listed():
         assert [line[:15] for line in lines if "more meetings" in line] == more
 
 
+@pytest.mark.long
 def test_without_a_field_there_is_no_a():
     made = film(seed=34, side=512, cells=3, crossings=False)
     seen = followed(made, known=False)

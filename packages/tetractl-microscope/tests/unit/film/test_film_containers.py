@@ -182,6 +182,7 @@ def test_a_picture_is_measured_before_it_is_decoded(tmp_path):
             open_film(path, 30.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(set(BOMBS) - SLOW))
 def test_a_hostile_film_ends_with_one_line(tmp_path, name):
     """Those that take seconds are among the films of `benchmarks/hostile_films.py`."""
@@ -192,6 +193,7 @@ def test_a_hostile_film_ends_with_one_line(tmp_path, name):
     assert len([line for line in told if not line.startswith("hint: ")]) == 1
 
 
+@pytest.mark.long
 def test_the_decoder_has_no_more_memory_than_it_says(tmp_path):
     """400 MB of zeros in a strip of 0.4 MB are one picture that cannot be read."""
     BOMBS["deflate bomb"](tmp_path / "film.tif")

@@ -92,10 +92,10 @@ def stop(
         lab, experiment = _lab(spec, sets)
         stop_all = partial(lab.actuator.stop_all, experiment.setup, lab.clock())
     else:
+        from tetractl.core.clock import MonotonicClock
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
-        from tetractl.plant.lab_plant import RigSection
 
-        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud), RigSection.clock())
+        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud), MonotonicClock())
     try:
         typer.echo(stop_all())
     except PortHeldError as held:

@@ -65,9 +65,8 @@ class PlantSection(Model):
         """Rate at which a simulation computes poses [Hz]; 0 if it has no rate of its own."""
         return 0.0
 
-    @classmethod
     @abstractmethod
-    def clock(cls) -> Clock:
+    def clock(self) -> Clock:
         """Return a new clock, virtual for a simulation and monotonic for the lab."""
 
     @property

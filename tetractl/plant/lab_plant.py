@@ -47,8 +47,7 @@ PAUSED_NS = 3 * REST_NS  # time after a stop after which robots have stood for R
 class RigSection(LabSection):
     """A lab whose camera and actuator, real or emulated, work together in a rig."""
 
-    @classmethod
-    def clock(cls) -> Clock:
+    def clock(self) -> Clock:
         """Return the host's monotonic clock."""
         return MonotonicClock()
 

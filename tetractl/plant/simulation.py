@@ -142,8 +142,7 @@ class SimSection(PlantSection):
         made = self.drive is not None or self.cells is not None
         return made or any((*sizes, *chances, *self.disturbances))
 
-    @classmethod
-    def clock(cls) -> Clock:
+    def clock(self) -> Clock:
         """Return a new virtual clock."""
         return VirtualClock()
 

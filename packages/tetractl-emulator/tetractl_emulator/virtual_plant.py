@@ -53,12 +53,11 @@ class EmulatedPlantSection(RigSection):
         other = "actuator" if self.real == "camera" else "camera"
         return {"real": self.real, EMULATED_DEVICES: other}
 
-    @classmethod
-    def clock(cls) -> Clock:
-        """Return a clock in virtual time."""
-        from tetractl_emulator.virtual_wires import LabClock
+    def clock(self) -> Clock:
+        """Return a clock in virtual time, or in real time if a device is real."""
+        from tetractl_emulator.virtual_wires import LabClock, LiveClock
 
-        return LabClock()
+        return LiveClock() if self.real else LabClock()
 
     def with_files(self, folder: Path) -> Self:
         """Return the section with the script in place of its file's name."""
@@ -93,7 +92,7 @@ class EmulatedPlantSection(RigSection):
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator, refuse_cells
         from tetractl_emulator.script import NOTHING, script_of
         from tetractl_emulator.sides import Options
-        from tetractl_emulator.virtual_wires import LabClock, outlive, started
+        from tetractl_emulator.virtual_wires import LabClock, LiveClock, outlive, started
 
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
@@ -121,10 +120,11 @@ class EmulatedPlantSection(RigSection):
             camera = resolve_name(self.camera.device)(self.camera, setup, clock, wake.set, join)
         if self.real == "actuator":
             actuator = TwinActuator(self.actuator.build(setup, clock), actuator)
-        devices, half = (camera, actuator, self.limits, setup, clock), self.real is not None
-        rig = Rig(*devices, watched.emergency, wake, threaded=half)
-        if half:
-            rig.after_close(clock.run_in_real_time())
+        live = isinstance(clock, LiveClock)
+        devices = camera, actuator, self.limits, setup, clock
+        rig = Rig(*devices, watched.emergency, wake, threaded=live)
+        if live:
+            rig.after_close(clock.start())
         else:
             clock.steps.append(rig.loop.turn)
         if record is not None:

@@ -4,14 +4,13 @@ What travels is what travels on real wires, byte for byte; nothing is lost or la
 """
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
+from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
@@ -34,8 +33,7 @@ class LabClock(VirtualClock):
 
     def __init__(self, step_ns: int = MILLISECOND) -> None:
         super().__init__()
-        self._step_ns, self._made_ns = step_ns, time.monotonic_ns()
-        self._ended: threading.Event | None = None  # in real time: whether that has ended
+        self._step_ns = step_ns
         self.timeline: Timeline | None = None
         self.steps: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
@@ -44,26 +42,51 @@ class LabClock(VirtualClock):
 
     def now(self) -> int:
         """Return the time on the host's clock [ns]."""
-        real = time.monotonic_ns() - self._made_ns if self._ended else self._now
-        return real + self.ahead_ns
+        return self._now + self.ahead_ns
 
     @property
     def true_ns(self) -> int:
         """The true time [ns], which no fault of the host sets."""
         return self._now
 
-    def run_in_real_time(self) -> Callable[[], None]:
-        """From now on time is this computer's, and a thread runs timeline and steps every
-        millisecond, until what is returned is called."""
-        ended = self._ended = threading.Event()
+    def sleep_until(self, when: int) -> None:
+        """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
+        while self.stopped or self.now() < when:
+            passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
+            self.ahead_ns -= passed * self.asleep
+            self._step_to(self._now + passed)
+
+    def _step_to(self, true_ns: int) -> None:
+        self._now = true_ns
+        if self.timeline is not None:
+            self.timeline.run_to(self._now)
+        for step in () if self.stopped else tuple(self.steps):
+            step()
+
+
+class LiveClock(LabClock):
+    """A `LabClock` in this computer's time: a thread makes a step each millisecond, from `start`
+    until what it returns is called."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._host = MonotonicClock()
+
+    def now(self) -> int:
+        """Return the time on the host's clock [ns]."""
+        return self._host.now()
+
+    def sleep_until(self, when: int) -> None:
+        """Wait until `when` [ns]."""
+        self._host.sleep_until(when)
+
+    def start(self) -> Callable[[], None]:
+        """Begin to make steps; return what ends it."""
+        ended = threading.Event()
 
         def run() -> None:
-            while not ended.wait(0.001):
-                self._now = self.now()
-                if self.timeline is not None:
-                    self.timeline.run_to(self._now)
-                for step in tuple(self.steps):
-                    step()
+            while not ended.wait(self._step_ns / SECOND):
+                self._step_to(self._host.now())
 
         thread = threading.Thread(target=run, name="emulated half", daemon=True)
         thread.start()
@@ -73,19 +96,6 @@ class LabClock(VirtualClock):
             thread.join(2.0)
 
         return end
-
-    def sleep_until(self, when: int) -> None:
-        """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
-        while self._ended and (left := when - self.now()) > 0:
-            time.sleep(left / SECOND)
-        while not self._ended and (self.stopped or self.now() < when):
-            passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
-            self._now += passed
-            self.ahead_ns -= passed * self.asleep
-            if self.timeline is not None:
-                self.timeline.run_to(self._now)
-            for step in () if self.stopped else tuple(self.steps):
-                step()
 
 
 class VirtualLoop(Loop):

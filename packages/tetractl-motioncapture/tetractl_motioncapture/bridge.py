@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import os
 import signal
 import sys
 import time
@@ -21,7 +22,8 @@ def stream(connect: Callable[[str, dict[str, str]], Any], name: str, out: TextIO
         while True:
             capture.waitForNextFrame()
             bodies = {key: _numbers(body) for key, body in capture.rigidBodies.items()}
-            print(time.monotonic_ns(), json.dumps({"bodies": bodies}), file=out, flush=True)
+            if bodies or system != "vrpn":  # of which every other turn has no news
+                print(time.monotonic_ns(), json.dumps({"bodies": bodies}), file=out, flush=True)
 
 
 def _numbers(body: Any) -> list[float]:
@@ -32,12 +34,14 @@ def _numbers(body: Any) -> list[float]:
 
 def main() -> None:
     """Stream the system named by the first argument, as long as the parent lives."""
+    out = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # libraries print to the standard output what is no frame
     import motioncapture
 
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
     try:
-        stream(motioncapture.connect, sys.argv[1], sys.stdout)
+        stream(motioncapture.connect, sys.argv[1], out)
     except RuntimeError as error:
         sys.exit(f"motion capture: {error}")
 

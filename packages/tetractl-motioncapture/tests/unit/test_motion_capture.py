@@ -34,7 +34,7 @@ CAPTURE = """
       - {{name: blue, body: B}}
 """
 LIBRARY = """
-import time
+import os, time
 
 class Body:
     position = [0.1, 0.2, 0.0]
@@ -48,7 +48,13 @@ class Capture:
 def connect(system, options):
     if system == "vrpn":
         raise RuntimeError("no connection")
+    os.write(1, b"VRPN Error: no response\\n")  # as VRPN's library does
     return Capture()
+"""
+TURNS = """
+class Turns(Capture):
+    def waitForNextFrame(self):
+        self.rigidBodies = {} if self.rigidBodies else Capture.rigidBodies
 """
 
 
@@ -93,12 +99,22 @@ def test_a_robot_without_a_body_is_named():
         assert [pose is None for pose in camera.frames()[0].poses] == [False, True]
 
 
-def test_the_process_prints_bodies_until_no_program_reads_them():
-    class Pipe(io.StringIO):
-        def flush(self):
-            if self.getvalue().count("\n") == 3:
-                raise BrokenPipeError
+class Pipe(io.StringIO):
+    def flush(self):
+        if self.getvalue().count("\n") == 3:
+            raise BrokenPipeError
 
+
+@pytest.mark.parametrize(("system", "empty"), [("vrpn", 0), ("vicon", 2)])
+def test_a_turn_of_vrpn_without_news_is_no_frame(system, empty):
+    """Regression, found with VRPN's own server: robots were lost in every other frame."""
+    library, out = {}, Pipe()
+    exec(LIBRARY + TURNS, library)
+    stream(lambda *_: library["Turns"](), json.dumps([system, "", {}]), out)
+    assert out.getvalue().count('"bodies": {}') == empty
+
+
+def test_the_process_prints_bodies_until_no_program_reads_them():
     library, out = {}, Pipe()
     exec(LIBRARY.replace("time.sleep(0.01)", "pass"), library)
     stream(library["connect"], '["vicon", "there", {}]', out)

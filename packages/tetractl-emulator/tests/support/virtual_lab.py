@@ -24,7 +24,7 @@ from support.paths import EXAMPLES
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING, parse_script
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_wires import LabClock, started
+from tetractl_emulator.virtual_wires import LabClock, LiveClock, started
 from tetractl_microscope.cells.section import CellsSection
 
 from tetractl.core.clock import SECOND, wait_for
@@ -67,9 +67,9 @@ class Joined:
     lab: EmulatedLab
     devices: ClassVar = {kind: kind.device for kind in (OptitrackSection, CellsSection)}
 
-    def __new__(cls, section, setup, clock, wake):
+    def __new__(cls, section, setup, clock, wake, join=None):
         return resolve_name(cls.devices[type(section)])(
-            section, setup, clock, wake, cls.lab.camera.join
+            section, setup, clock, wake, join or cls.lab.camera.join
         )
 
 
@@ -81,6 +81,13 @@ def joined(lab, clock):
     def close(loop):
         if loop.turn in clock.steps:
             clock.steps.remove(loop.turn)
+
+    def live(own):
+        def step():
+            own._step_to(own.now())
+
+        clock.steps.append(step)
+        return lambda: clock.steps.remove(step)
 
     with contextlib.ExitStack() as stack:
         for name, value in (
@@ -94,6 +101,9 @@ def joined(lab, clock):
         stack.enter_context(made)
         start = mock.patch.object(InnerLoop, "start", lambda loop: clock.steps.append(loop.turn))
         stack.enter_context(start)
+        host = mock.patch(f"{LiveClock.__module__}.MonotonicClock", lambda: TrialClock(clock))
+        stack.enter_context(host)
+        stack.enter_context(mock.patch.object(LiveClock, "start", live))
         stack.enter_context(mock.patch.object(InnerLoop, "close", close))
         for kind in Joined.devices:
             device = f"{__name__}:{Joined.__name__}"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.reproduce.paper import Runs
 
-SEED = 20261127
+SEED = 20261128
 
 
 def reproduce(
@@ -41,7 +41,7 @@ def reproduce(
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
-    from tetractl.reproduce.paper import Paper, table
+    from tetractl.reproduce.paper import Paper, figure_table
 
     names = PAPERS.names() if every else papers or []
     if not names and not as_json:
@@ -50,21 +50,26 @@ def reproduce(
         if name not in PAPERS:
             text = f"there is no paper '{name}'{did_you_mean(name, PAPERS.names())}"
             raise UsageError(text, f"the papers are {', '.join(PAPERS.names())}")
-    same, found = True, dict[str, list[dict[str, Any]]]()
+    same, found = True, dict[str, dict[str, Any]]()
     for name in names:
         paper: Paper = PAPERS.load(name)
         run = partial(_logs, trials=trials, jobs=jobs)
-        logs = {kind: run(arm, out / name / kind) for kind, arm in paper.arms.items()}
+        logs = dict[str, Any]()
+        for kind, arm in paper.arms.items():
+            logs[kind] = run(arm, out / name / kind)
+        for kind, work in paper.work.items():
+            ui.tell(f"{out / name / kind}: {trials or work.trials} times")
+            logs[kind] = work.results(out / name / kind, SEED, trials or work.trials, jobs)
         figures = list(paper.figures(logs))
-        found[name] = [asdict(one) for one in figures]
+        found[name] = {"source": paper.source, "figures": [asdict(one) for one in figures]}
         if not as_json:
-            print_tables([table(name, paper, figures)])
+            print_tables([figure_table(name, paper.source, figures)])
         for one in figures:
             if one.verdict is not one.page:
                 same = False
                 ui.tell(f"{name}: {one.what}: {one.verdict}, but {one.page} on the page")
     if as_json:
-        print(json_text({"papers": found or {name: [] for name in PAPERS.names()}}))
+        print(json_text({"papers": found or {name: {} for name in PAPERS.names()}}))
     return Exit.DONE if same else Exit.FAILED
 
 

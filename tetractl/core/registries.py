@@ -126,6 +126,7 @@ STATISTICS = Registry(  # in the order in which tables show them
         "apart": "tetractl.results.outcomes:APART",
         "way_points": "tetractl.results.outcomes:WAY_POINTS",
         "time_inside": "tetractl.results.outcomes:TIME_INSIDE",
+        "disc": "tetractl.results.disc:DISC",
         "lost": "tetractl.results.outcomes:LOST",
         "turn": "tetractl.results.turning:TURN",
         "recovered": "tetractl.results.outcomes:RECOVERED",
@@ -153,6 +154,7 @@ PAPERS = Registry(
     {
         "ou": "tetractl.reproduce.ou:PAPER",
         "khalil-2013": "tetractl.reproduce.khalil_2013:PAPER",
+        "amoudruz-2021": "tetractl.reproduce.amoudruz_2021:PAPER",
     },
 )
 OTHERS = (SWEEPS, STATISTICS, FIGURES, PAPERS)

@@ -5,14 +5,20 @@ if the 95 % interval of ours lies on the right side of the published number, or 
 is to agree. It is out of reach only by a bound that no controller can break.
 """
 
+import json
+import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from tetractl.core.table.table import Table, lengths
-from tetractl.log.read.trial_log import TrialLog
 from tetractl.results.estimate import Interval, distributions, proportion_interval
 
 
@@ -50,12 +56,49 @@ class Runs:
 
 
 @dataclass(frozen=True, slots=True)
+class Work:
+    """What is computed n times and is no trial of a spec: `once`
+    returns what is found with a root seed and a number from 0 on."""
+
+    once: Callable[[int, int], dict[str, Any]]
+    trials: int = 20
+
+    def results(self, folder: Path, seed: int, count: int, jobs: int) -> list[dict[str, Any]]:
+        """Compute what the folder lacks, `jobs` at a time; return all, which it holds as JSON."""
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / f"{seed}-{number:03d}.json" for number in range(count)]
+        lacking = [number for number, file in enumerate(files) if not file.exists()]
+        once = partial(_keep, self.once, folder, seed)
+        if min(jobs, len(lacking)) < 2:
+            for number in lacking:
+                once(number)
+        else:
+            with get_context("spawn").Pool(jobs, _leave_to_parent) as pool:
+                for _ in pool.imap_unordered(once, lacking):
+                    pass
+        return [json.loads(file.read_text()) for file in files]
+
+
+def _keep(once: Callable[[int, int], dict[str, Any]], folder: Path, seed: int, number: int) -> None:
+    part = folder / f"{seed}-{number:03d}.part"
+    part.write_text(json.dumps(once(seed, number)))
+    part.rename(part.with_suffix(".json"))
+
+
+def _leave_to_parent() -> None:
+    """Ignore Ctrl-C in a worker: the parent ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@dataclass(frozen=True, slots=True)
 class Paper:
-    """A paper: its source, the trials by name, and the figures made of their logs."""
+    """A paper: its source, the trials by name, the figures made of their logs and of the results of
+    `work`, by name too."""
 
     source: str
     arms: Mapping[str, Runs]
-    figures: Callable[[Mapping[str, Sequence[TrialLog]]], Iterable[Figure]]
+    figures: Callable[[Mapping[str, Sequence[Any]]], Iterable[Figure]]
+    work: Mapping[str, Work] = field(default_factory=dict)
 
 
 def mean(
@@ -75,6 +118,19 @@ def mean(
     text = f"{show(ends.low)} to {show(ends.high)}" if found.ci95.known else "none"
     ours = f"{show(found.mean)} {unit}".strip()
     return Figure(what, published, ours, found.n, text, _verdict(reached(ends), page), page, why)
+
+
+def deviation(
+    what: str, published: float, values: Sequence[float], page: Fate, why: str = "", unit: str = ""
+) -> Figure:
+    """Return a figure whose own is the standard deviation over trials, with the chi-square interval
+    of normal values; it is reached if that holds the published one."""
+    n, found = len(values), float(np.std(values, ddof=1))
+    low, high = found * np.sqrt((n - 1) / chi2.ppf([0.975, 0.025], n - 1))
+    show = lengths(found)
+    ours, text = f"{show(found)} {unit}".strip(), f"{show(low)} to {show(high)}"
+    verdict = _verdict(bool(low <= published <= high), page)
+    return Figure(what, f"{published:g} {unit}".strip(), ours, n, text, verdict, page, why)
 
 
 def share(
@@ -99,10 +155,8 @@ def _verdict(reached: bool, page: Fate) -> Fate:
     return Fate.OUT if page is Fate.OUT else Fate.MISSED
 
 
-def table(name: str, paper: Paper, figures: Sequence[Figure]) -> Table:
+def figure_table(name: str, source: str, figures: Sequence[Figure]) -> Table:
     """Return the table of a paper's figures."""
     header = ("figure", "published", "ours", "n", "95 % interval", "verdict", "why")
-    rows = [
-        (f.what, f.published, f.ours, str(f.n), f.interval, f.verdict.value, f.why) for f in figures
-    ]
-    return Table.of_texts(f"{name}: {paper.source}", header, rows)
+    rows = [(f.what, f.published, f.ours, str(f.n), f.interval, f.verdict, f.why) for f in figures]
+    return Table.of_texts(f"{name}: {source}", header, rows)

@@ -116,6 +116,18 @@ HELICAL_MICROROBOT = Organism(
         "the wobble of the body: guess"
     ),
 )
+MAGNETOSPIRILLUM = Organism(
+    name="magnetospirillum",
+    long_um=(3.5, 6.5),
+    wide_um=(0.5, 0.9),
+    speed_um_s=(16.0, 64.0),
+    helix_hz=(2.0, 1.0),
+    helix_um=(0.1, 0.1),
+    source=(
+        "a magnetotactic bacterium of 5 um at 32 um/s: Khalil et al., IROS 2013; ends of the "
+        "ranges, width and helix: guess"
+    ),
+)
 
 
 def named(name: str) -> Organism:

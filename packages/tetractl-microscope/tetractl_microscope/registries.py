@@ -38,5 +38,6 @@ ORGANISMS = Registry(
         "paramecium": "tetractl_microscope.organisms:PARAMECIUM",
         "euglena": "tetractl_microscope.organisms:EUGLENA",
         "helical-microrobot": "tetractl_microscope.organisms:HELICAL_MICROROBOT",
+        "magnetospirillum": "tetractl_microscope.organisms:MAGNETOSPIRILLUM",
     },
 )

@@ -1,13 +1,19 @@
 """Verdicts on published figures, and what is measured of trials."""
 
+import json
+import signal
+
+import make_reproduce
 import numpy as np
 import pytest
 
+from tetractl import api
 from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
+from tetractl.reproduce.amoudruz_2021 import STEP_OUT, along_axes, drive
 from tetractl.reproduce.ou import _spinning
-from tetractl.reproduce.paper import Fate, Paper, Runs, mean, share
+from tetractl.reproduce.paper import Fate, Paper, Runs, Work, deviation, mean, share
 
 VALUES = (10.0, 11.0, 12.0, 13.0)
 
@@ -34,6 +40,13 @@ def test_equal_values_count_as_a_point():
 def test_a_share_above_the_published_one_is_missed():
     assert share("what", "not", [True, False], 0).verdict is Fate.MISSED
     assert share("what", "not", [False, False], 0).verdict is Fate.REACHED
+
+
+def test_a_standard_deviation_is_reached_by_its_interval():
+    values = np.random.default_rng(1).normal(0, 3, 40)
+    near = deviation("what", 3.0, values, Fate.MISSED, unit="mm")
+    assert (near.published, near.n, near.verdict) == ("3 mm", 40, Fate.REACHED)
+    assert deviation("what", 6.0, values, Fate.MISSED).verdict is Fate.MISSED
 
 
 def test_a_field_spins_from_a_whole_turn_on():
@@ -64,6 +77,69 @@ def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys
     monkeypatch.setattr(PAPERS, "load", lambda name: wrong)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.FAILED
     assert "mine: e: missed, but reached on the page" in capsys.readouterr().err
+
+
+def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch):
+    run_batch = api.run_batch
+
+    def interrupted(*given, **named):
+        return run_batch(*given, **named, on_result=lambda *_: signal.raise_signal(signal.SIGINT))
+
+    monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
+    monkeypatch.setattr(api, "run_batch", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        command.reproduce(["mine"], trials=3, out=tmp_path)
+    done = {path: path.read_bytes() for path in (tmp_path / "mine/one").glob("*.mcap")}
+    assert 1 <= len(done) < 3
+    monkeypatch.setattr(api, "run_batch", run_batch)
+    assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.DONE
+    assert {path: path.read_bytes() for path in done} == done
+
+
+def test_what_was_computed_before_ctrl_c_is_kept(tmp_path):
+    asked = []
+
+    def once(seed, number):
+        asked.append(number)
+        if asked == [0, 1]:
+            raise KeyboardInterrupt
+        return {"found": float(seed + number)}
+
+    work = Work(once)
+    with pytest.raises(KeyboardInterrupt):
+        work.results(tmp_path, 7, 3, 1)
+    assert [one["found"] for one in work.results(tmp_path, 7, 3, 1)] == [7, 8, 9]
+    assert asked == [0, 1, 1, 2]
+
+
+@pytest.mark.slow
+def test_work_is_the_same_in_several_processes(tmp_path):
+    work = PAPERS.load("amoudruz-2021").work["goals"]
+    assert work.results(tmp_path / "a", 1, 2, 2) == work.results(tmp_path / "b", 1, 2, 1)
+
+
+def test_helices_reach_their_goals_in_about_the_least_time():
+    goals = np.array([[120.0, -40.0], [30.0, 90.0]])
+    rng = np.random.default_rng(1)
+    assert drive(goals, rng, False) == pytest.approx(1, abs=1e-4)
+    assert 0.9 < drive(goals, rng, True, 0.98) < 1.15
+    assert 1 <= along_axes(goals) < np.sqrt(2)
+    assert STEP_OUT[0] > STEP_OUT[1]
+
+
+def test_the_page_shows_what_the_command_printed():
+    text = make_reproduce.PAGE.read_text(encoding="utf-8")
+    assert make_reproduce.page(text) == text, "run: python docs/make_reproduce.py"
+
+
+@pytest.mark.slow
+def test_the_command_prints_what_the_page_shows(tmp_path, capsys):
+    """The quickest paper; the others take minutes: `tetractl reproduce --all`."""
+    assert command.reproduce(["amoudruz-2021"], out=tmp_path, as_json=True) is Exit.DONE
+    stored = json.loads(make_reproduce.FOUND.read_text(encoding="utf-8"))["papers"]
+    printed = json.loads(capsys.readouterr().out)["papers"]
+    assert printed["amoudruz-2021"] == stored["amoudruz-2021"]
+    assert stored.keys() >= PAPERS.builtin.keys()
 
 
 def test_an_unknown_paper_is_refused():

@@ -1,0 +1,140 @@
+"""Pichel and others, Magnetic response of Magnetospirillum gryphiswaldense, arXiv 1710.00405.
+
+How fast bacteria turn in fields of 1 to 12 mT, from films of their U-turns in a channel of 5 um.
+Here the films are emulated, one per strength, and followed as by `tetractl track`. So the slope of
+a against B is put in, drawn for each set of films, and what is shown is the method.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy import stats
+from tetractl_microscope.film.field_file import read_field
+from tetractl_microscope.film.fit_cell import CellSummary, fit_cells
+from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.pictures import open_film
+from tetractl_microscope.organisms import MAGNETOSPIRILLUM
+
+from tetractl.core.poses import Floats, Grey
+from tetractl.model.swimmers import Swimmers, bodies
+from tetractl.reproduce.paper import Figure, Paper, Work, mean, share
+from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
+
+STRENGTHS_MT, CELLS = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0), 34
+SLOPES = 0.5, 1.0
+"""Range of the slopes put in [rad/(mT s)], which the fit does not know."""
+SPREAD, WALK = 0.15, 0.1
+"""Assumed standard deviations: of ln of the slope among cells, and of headings [rad/sqrt(s)]."""
+LOOK = PictureLook(width=768, height=768, um_px=0.25, vignetting=0.1)
+RATE_HZ, HOLD_S, REVERSALS = 15, 3.0, 4
+REFERENCE_MT = 4.0
+"""The strength for which `track` states a: a field's file has strengths relative to it."""
+OUTLIER, ROUNDS = 3.0, 20
+"""Deviations beyond which a track is left out: it is of more cells than one."""
+
+
+def _bacteria(slope: float, rng: np.random.Generator) -> Swimmers:
+    cells = Swimmers.drawn(rng, CELLS)
+    span = LOOK.width * LOOK.um_px
+    cells.x[:], cells.y[:] = rng.uniform(0.15 * span, 0.85 * span, (2, CELLS))
+    cells.length[:], cells.width[:] = rng.normal(5, 0.5, CELLS), rng.normal(0.7, 0.05, CELLS)
+    cells.speed[:] = 32 * np.exp(rng.normal(0, 0.2, CELLS))
+    cells.helix_um[:], cells.helix_hz[:], cells.walk[:] = 0.1, 2.0, WALK
+    cells.a[:] = slope * np.exp(rng.normal(-(SPREAD**2) / 2, SPREAD, CELLS))  # at 1 mT
+    return cells
+
+
+def _pictures(
+    cells: Swimmers, field: Sequence[complex], rng: np.random.Generator
+) -> Iterator[Grey]:
+    """Yield pictures of cells in a field [mT], given for each picture."""
+    painter = DishPainter(LOOK, int(rng.integers(2**32)))
+    for number, now in enumerate(field):
+        cells.depth[:] = 0.0  # the channel is so shallow that all are in focus
+        shown = [bodies(cells)] * SUB_EXPOSURES
+        yield painter.picture(cells, shown, np.ones(len(cells), bool), number / RATE_HZ)
+        cells.swim((now.real, now.imag), 1 / RATE_HZ, rng)
+
+
+def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequence[CellSummary]:
+    """Return what `track` says of the cells of a film with a field that reverses."""
+    count = round(REVERSALS * HOLD_S * RATE_HZ)
+    axis = rng.uniform(-math.pi, math.pi)
+    angles = [axis + math.pi * (k // round(HOLD_S * RATE_HZ)) for k in range(count)]
+    field = [strength * complex(math.cos(u), math.sin(u)) for u in angles]
+    with tempfile.TemporaryDirectory() as folder:
+        film, record = Path(folder, "film.avi"), Path(folder, "field.csv")
+        code, size = cv2.VideoWriter.fourcc(*"MJPG"), (LOOK.width, LOOK.height)
+        writer = cv2.VideoWriter(str(film), code, RATE_HZ, size, isColor=False)
+        for picture in _pictures(_bacteria(slope, rng), field, rng):
+            writer.write(picture)
+        writer.release()
+        rows = [f"{k / RATE_HZ},{u},{strength / REFERENCE_MT}" for k, u in enumerate(angles)]
+        record.write_text("\n".join(["time_s,direction_rad,strength", *rows, ""]))
+        known = read_field(record)
+        found = follow(open_film(film, None, LOOK.um_px), LOOK.um_px, known, MAGNETOSPIRILLUM)
+        return fit_cells(found, known)[1]
+
+
+def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
+    """Return the mean of the slopes a / B of tracks (T,), the ends of its 95 % interval by
+    Student's t.
+
+    It is the line through the origin of a on B, each track weighted by its own variance and the
+    variance among cells. Tracks over OUTLIER deviations away are left out.
+    """
+    middle = float(np.median(slopes))
+    among = float(np.median(np.abs(slopes - middle))) / stats.norm.ppf(0.75)
+    weights = 1 / (among**2 + deviations**2)
+    kept = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
+    for _ in range(ROUNDS):
+        middle = float(np.average(slopes[kept], weights=weights[kept]))
+        kept = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
+    share_of = weights[kept] / weights[kept].sum()
+    error = float(np.sqrt(np.sum((share_of * (slopes[kept] - middle)) ** 2)))
+    half = float(stats.t.ppf(0.975, kept.sum() - 1)) * error
+    return middle, middle - half, middle + half
+
+
+def films(seed: int, number: int) -> dict[str, Any]:
+    """Return the slope put into a set of films, one per strength, and a / B of each track with its
+    standard deviation [rad/(mT s)]."""
+    rng = np.random.default_rng([seed, number])
+    put_in = float(rng.uniform(*SLOPES))
+    cells = [cell for mt in STRENGTHS_MT for cell in _tracked(mt, put_in, rng)]
+    found = [cell.a for cell in cells if cell.a is not None and cell.sure]
+    deviations = [(a.high - a.low) / 2 / stats.norm.ppf(0.975) / REFERENCE_MT for a in found]
+    slopes = [a.value / REFERENCE_MT for a in found]
+    return {"put in": put_in, "slopes": slopes, "deviations": deviations}
+
+
+def _figures(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[Figure]:
+    ends = [fitted(np.array(one["slopes"]), np.array(one["deviations"])) for one in found["films"]]
+    put_in = [one["put in"] for one in found["films"]]
+    yield mean(
+        "a over B: width of its interval, 204 cells",
+        "0.06 rad/(mT s), of 0.74 +- 0.03",
+        [high - low for _, low, high in ends],
+        lambda ci: ci.high <= 0.06,
+        unit="rad/(mT s)",
+    )
+    yield share(
+        "a over B: the slope put in is not in its interval",
+        "at most 1 of 20",
+        [not low <= true <= high for true, (_, low, high) in zip(put_in, ends, strict=True)],
+        0.05,
+    )
+
+
+PAPER = Paper(
+    "Pichel and others, 2018: turning rate against the field's strength (emulated films; the slope "
+    "is put in)",
+    {},
+    _figures,
+    {"films": Work(films)},
+)

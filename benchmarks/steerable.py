@@ -6,7 +6,8 @@
 Draws sets of 1 to 6 robots, moved by the plant's three motions in short steps, half of them near
 the border: two robots differ so little that a combination of their ends is within a factor 3 of the
 tolerance. The plant drives each set under 1,000 random sequences; the rank of the differences of
-its ends says what can be reached, and which robots move alike. Nothing is shared with
+its ends says what can be reached, and which robots move alike; sequences that part nearly equal
+robots by chance, beyond 4 deviations by quartiles, count as that much. Nothing is shared with
 `tetractl.analysis`. A verdict is right if rank and names agree, or, where the plant's value is
 within a factor 3 of the tolerance, if it says "barely" or has the same rank. What is advised to
 part robots is tried in the plant.
@@ -75,8 +76,13 @@ def judged(setup, motion, seed):
     off = found - found.mean(axis=0)
 
     def values(robots):
-        rows = off[:, robots].reshape(TRIALS, -1)
-        return np.linalg.svd(rows, compute_uv=False) / math.sqrt(TRIALS)
+        rows = some = off[:, robots].reshape(TRIALS, -1)
+        for _ in range(6):
+            _, value, axes = np.linalg.svd(some, full_matrices=False)
+            parts = rows @ axes.T
+            usual = (np.quantile(parts, 0.75, axis=0) - np.quantile(parts, 0.25, axis=0)) / 1.349
+            some = np.clip(parts, -4 * usual, 4 * usual) @ axes
+        return value / math.sqrt(TRIALS)
 
     whole = values(range(len(setup.a)))
     least = {

@@ -4,11 +4,13 @@ SEQUENCES sequences of LENGTH directions, drawn uniformly, move all N robots fro
 direction is held for the time in which a robot turns by some 60 degrees, 1/a by the geometric mean
 of the rates a. Their ends, as displacements over the speed, are 2N numbers; the square roots of the
 eigenvalues of their covariance, over the greatest, say how far each combination of ends can be
-moved. The rank is the number of those of at least TOLERANCE. Two robots move alike if a combination
-of them alone is below it. Nothing of this depends on the controller or on the targets.
+moved. A sequence that moves a combination by over CHANCE times its usual spread counts as that
+much: nearly equal robots are parted so by a direction that happens to be opposite to their heading,
+too rarely to be counted on. The rank is the number of spreads of at least TOLERANCE. Two robots
+move alike if a combination of them alone is below it. Nothing of this depends on the controller or
+on the targets.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,6 +27,9 @@ from tetractl.run.plausibility import OVERSHOOTING
 SEQUENCES, LENGTH = 1000, 96
 TOLERANCE = 0.01
 """Least spread of a combination that can be reached, over that of the one that moves furthest."""
+CHANCE = 4.0
+"""Multiple of the usual spread of a combination beyond which a sequence has moved it by chance."""
+ROUNDS, QUARTILE = 4, 0.6745
 NEAR = 3.0
 """Combinations within this factor of TOLERANCE are reached barely, if at all."""
 ROBOTS_MAX = 40
@@ -93,8 +98,8 @@ def reach(experiment: Experiment) -> Reach | None:
 def reach_of(setup: Setup, motion: str) -> Reach:
     """Return what the signal can reach of the robots of a setup under a motion."""
     count, moves = len(setup.names), setup.speed > 0
-    found = _covariance(setup, motion)
-    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(found)[::-1], 0.0))
+    found = _ends(setup, motion)
+    spread = _spreads(found)
     most = max(float(spread[0]), 1e-300)
     groups = list(_alike(found, moves, TOLERANCE * most))
     parted = [one for group in groups for one in _parted(setup, motion, group, most)]
@@ -106,8 +111,8 @@ def reach_of(setup: Setup, motion: str) -> Reach:
     )
 
 
-def _covariance(setup: Setup, motion: str) -> Floats:
-    """Return the covariance (2N, 2N) of the ends of random sequences [s^2]."""
+def _ends(setup: Setup, motion: str) -> Floats:
+    """Return the ends (SEQUENCES, 2N) of random sequences, about their means [s]."""
     step, speed = MOTIONS.load(motion).step, (setup.speed > 0) * 1.0
     held = min(float(np.exp(-np.log(setup.a).mean())), setup.time_limit_s / LENGTH)
     shape = SEQUENCES, len(speed)
@@ -118,28 +123,37 @@ def _covariance(setup: Setup, motion: str) -> Floats:
         u = random.uniform(-np.pi, np.pi, (SEQUENCES, 1))
         x, y, heading = step(x, y, heading, u, setup.a, speed, held)
     ends = np.stack([x, y], axis=-1).reshape(SEQUENCES, -1)
-    return np.cov(ends, rowvar=False)
+    return ends - ends.mean(axis=0)
 
 
-def _alike(covariance: Floats, moves: Bools, least: float) -> Iterator[list[int]]:
+def _spreads(ends: Floats) -> Floats:
+    """Return the spreads (M,) of the combinations of ends (SEQUENCES, M) [s], descending."""
+    counted, values = ends, np.zeros(ends.shape[1])
+    for _ in range(ROUNDS):
+        values, axes = np.linalg.eigh(counted.T @ counted / len(ends))
+        moved = ends @ axes
+        most = CHANCE * np.median(np.abs(moved), axis=0) / QUARTILE
+        counted = np.clip(moved, -most, most) @ axes.T
+    return np.sqrt(np.maximum(values[::-1], 0.0))
+
+
+def _alike(ends: Floats, moves: Bools, least: float) -> Iterator[list[int]]:
     """Yield groups of moving robots of which every one moves like another one of the group."""
     left = set(np.flatnonzero(moves).tolist())
     while left:
         group = [min(left)]
         left.remove(group[0])
         for i in group:
-            near = [j for j in sorted(left) if _apart(covariance, i, j) < least]
+            near = [j for j in sorted(left) if _apart(ends, i, j) < least]
             left -= set(near)
             group += near
         if len(group) > 1:
             yield sorted(group)
 
 
-def _apart(covariance: Floats, i: int, j: int) -> float:
+def _apart(ends: Floats, i: int, j: int) -> float:
     """Return the least spread of a combination of two robots' ends [s]."""
-    rows = [2 * i, 2 * i + 1, 2 * j, 2 * j + 1]
-    least = np.linalg.eigvalsh(covariance[np.ix_(rows, rows)])[0]
-    return math.sqrt(max(float(least), 0.0))
+    return float(_spreads(ends[:, [2 * i, 2 * i + 1, 2 * j, 2 * j + 1]])[-1])
 
 
 def _parted(
@@ -150,7 +164,7 @@ def _parted(
     for step in STEPS:
         a[group[1:]] = setup.a[first] * (1 + step) ** np.arange(1, len(group))
         some = replace(setup.only(group), a=a[group])
-        found = _covariance(some, motion)
+        found = _ends(some, motion)
         if all(
             _apart(found, i, j) > NEAR * TOLERANCE * most
             for j in range(len(group))

@@ -195,7 +195,8 @@ class Guard:
             seen = pose is not None and i not in self.lost and not track.refused
             fresh.append(seen and now - track.seen_ns <= UNTRACKED_STOP_S * SECOND)
         poses = tuple(track.pose for track in self._filters)
-        accepted = AcceptedFrame(frame, poses, tuple(fresh), times if self._apart else ())
+        own = tuple(track.seen_ns for track in self._filters) if self._apart else ()
+        accepted = AcceptedFrame(frame, poses, tuple(fresh), own)
         if self._active and self.rules.individual:
             wrong, ghosts = self.drift.frame(now, times, accepted.poses, self._motion.seen)
             if wrong:

@@ -90,9 +90,7 @@ class ToioCamera:
         if not told or min(times) < 0:
             return []
         self._number += 1
-        own = times if len(set(times)) > 1 else ()
-        sampled = tuple(self._sampled(at) for at in own)
-        now = self._clock.now()
+        sampled, now = tuple(map(self._sampled, times)), self._clock.now()
         return [CameraFrame(self._number, self._sampled(newest), now, poses, exposed_ns=sampled)]
 
     def _sampled(self, at_ns: int) -> int:

@@ -157,6 +157,17 @@ def test_a_robot_whose_own_times_stand_still_is_lost_though_its_pose_is_repeated
     assert guard.reason.startswith("blue is not tracked")
 
 
+def test_a_pose_that_is_refused_leaves_the_time_of_the_pose_before():
+    """Regression: the old pose was logged with the new one's time, which went back later."""
+    mat = Mat(late=(0, 30 * MS))
+    guard = mat.go(1.0)
+    kept, now = guard._filters[0].seen_ns, mat.now + 10 * MS
+    for i, pose in enumerate((Pose(9e3, 9e3, 0.0), None)):
+        own = (now + i * MS, now)
+        frame = CameraFrame(10**6 + i, max(own), now + MS, (pose, mat.held[1][1]), exposed_ns=own)
+        assert guard.see(frame).exposed_ns == (kept, now)
+
+
 def test_the_spread_of_a_grid_is_uniform():
     values = np.random.default_rng(1).uniform(0, 100, 100_000)
     errors = 1.36 * np.round(values / 1.36) - values

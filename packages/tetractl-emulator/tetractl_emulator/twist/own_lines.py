@@ -48,8 +48,10 @@ class OwnProgram:
         return self._speeds if now_ms - self._heard_ms < self._watchdog_ms else (0, 0)
 
     def status(self, now_ms: int) -> Status:
-        """Return whether it drives."""
-        return Status.RUNNING if any(self.wheels(now_ms)) else Status(0)
+        """Return whether it drives, or stands because no line came."""
+        if now_ms - self._heard_ms >= self._watchdog_ms:
+            return Status.SILENT
+        return Status.RUNNING if any(self._speeds) else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return nothing: it does not answer."""

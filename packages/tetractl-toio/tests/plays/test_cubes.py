@@ -5,9 +5,19 @@ import json
 import pytest
 import yaml
 from support.cli import tetractl
+from tetractl_toio.camera import ToioCamera
 from tetractl_toio.emulated.cube import CubeProgram
-from tetractl_toio.messages import Characteristic, encode_motor, encode_notify, pack
+from tetractl_toio.messages import (
+    Characteristic,
+    encode_motor,
+    encode_notify,
+    encode_reading,
+    pack,
+)
 
+from tetractl.core.clock import MILLISECOND, VirtualClock
+from tetractl.experiment.load import load_spec
+from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.slow
@@ -61,6 +71,25 @@ def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
     assert done.returncode == 1, done.stderr
     trial = read_trial(tmp_path / "out" / "trial-000.mcap")
     assert trial.result is not None and why in trial.result.reason, trial.result
+
+
+def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(folder):
+    """Regression: one that was refused got the instant for its old pose."""
+    experiment = load_spec(folder / "cubes.yaml").experiment
+    camera = ToioCamera(experiment.lab.camera, experiment.setup, VirtualClock())
+    for i in range(3):
+        camera._heard(i, Characteristic.ID, encode_reading(None), 9 * MILLISECOND)
+    assert len(camera.frames()[0].exposed_ns) == 3
+
+
+def test_a_cube_whose_command_has_ended_is_silent():
+    """Regression: an observer took it for one that had heard a stop."""
+    cube = CubeProgram()
+    assert cube.status(0) == Status.SILENT
+    cube.push(pack(Characteristic.MOTOR, encode_motor(50, 50, 250)), 10)
+    assert (cube.status(259), cube.status(260)) == (Status.RUNNING, Status.SILENT)
+    cube.push(pack(Characteristic.MOTOR, encode_motor(0, 0, 250)), 300)
+    assert cube.status(310) == Status(0)
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4])

@@ -31,6 +31,7 @@ class CubeProgram:
         self._unpacker, self._answers = Unpacker(), b""
         self._speeds: Counts = (0, 0)
         self._ends_ms: int | None = None
+        self._silent = True  # no command acts: the last one ended by itself
         self.notifies = False  # whether it reports its reading
         self.charge = 100
 
@@ -53,12 +54,13 @@ class CubeProgram:
     def wheels(self, now_ms: int) -> Counts:
         """Return the motor speeds that act now."""
         if self._ends_ms is not None and now_ms >= self._ends_ms:
-            self._speeds, self._ends_ms = (0, 0), None
+            self._speeds, self._ends_ms, self._silent = (0, 0), None, True
         return self._speeds
 
     def status(self, now_ms: int) -> Status:
-        """Return whether a motor is driven; a cube has no further states."""
-        return Status.RUNNING if any(self.wheels(now_ms)) else Status(0)
+        """Return whether a motor is driven, or stands because its last command ended."""
+        running = any(self.wheels(now_ms))
+        return Status.SILENT if self._silent else Status.RUNNING if running else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the answers since the last call."""
@@ -76,7 +78,8 @@ class CubeProgram:
         except WireError:
             return
         left, right = (speed if abs(speed) >= SPEED_MIN else 0 for speed in (left, right))
-        self._speeds, self._ends_ms = (left, right), now_ms + duration_ms if duration_ms else None
+        self._speeds, self._silent = (left, right), False
+        self._ends_ms = now_ms + duration_ms if duration_ms else None
 
 
 class Connection(RobotRadio):

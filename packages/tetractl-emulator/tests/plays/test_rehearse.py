@@ -122,6 +122,21 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
     assert "doubled_packets" not in script
 
 
+def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [], ""))
+    monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
+    kept, see = [], Guard.see
+
+    def keep(guard, frame):
+        kept.append([object() for _ in range(200)])
+        return see(guard, frame)
+
+    monkeypatch.setattr(Guard, "see", keep)
+    done = rehearse(tmp_path, "--days", "2")  # the first may load modules
+    assert "left behind" in done.stderr
+    assert "blocks of memory" in done.stderr
+
+
 FAULTS = (
     {"kind": "packets doubled", "strength": 0.5, "fault": "doubled_packets", "at": 0.2},
     {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "green", "at": 0.6},

@@ -30,6 +30,8 @@ from tetractl_emulator.rehearsal.world import world_of_day
 HANGS_S, STILL_S = 600.0, 60.0
 """Processor time after which a day counts as one that hangs, and the wall time in which a day that
 is not over has to use some [s]: a busy machine makes days long, and must not make them hang."""
+KEPT = 20_000
+"""Blocks of memory that a run may leave in its process, if it has loaded no module."""
 OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
 
 
@@ -145,13 +147,17 @@ def _run(words: list[str], folder: Path) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
         before, loaded = _open_files(), set(sys.modules)
+        gc.freeze()  # what there is need not be searched for garbage
+        blocks = sys.getallocatedblocks()
         sys.argv = ["tetractl", *words]
         code = int(run_app())
         gc.collect()
         threads = [one.name for one in threading.enumerate() if one is not threading.main_thread()]
         files = sorted(_open_files() - before)
-        (folder / "left.txt").write_text("; ".join([*threads, *files]))
-        (folder / "modules.txt").write_text("\n".join(sys.modules.keys() - loaded))
+        kept, new = sys.getallocatedblocks() - blocks, sys.modules.keys() - loaded
+        memory = [f"{kept} blocks of memory"] if kept > KEPT and not new else []
+        (folder / "left.txt").write_text("; ".join([*threads, *files, *memory]))
+        (folder / "modules.txt").write_text("\n".join(new))
         sys.stdout.flush()
         sys.stderr.flush()
     except BaseException as error:

@@ -50,6 +50,11 @@ def _commands(truth: Truth) -> Iterator[Violation]:
         if one.stops and all(run for run, fits in zip(flags, noted, strict=True) if fits):
             yield Violation("log", at, "says stop, and robots were driven")
             return
+    drives = [e["t_ns"] / 1e9 for e in truth.of("command") if any(truth.drives(e))]
+    stop_s = truth.trial.commands[-1].sent_ns / 1e9
+    if drives and drives[-1] > stop_s + NOTED_S:
+        yield Violation("log", stop_s, "its last stop came before robots were last driven")
+        return
     for at in sent[sent > truth.first("run")].tolist():
         if not ((said <= at) & (said >= at - NOTED_S)).any():
             yield Violation("log", at, "lacks a command")

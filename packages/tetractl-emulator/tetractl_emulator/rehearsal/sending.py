@@ -23,7 +23,9 @@ def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Viol
 
 def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
     """Drive commands need a new sight of each robot; after a stop only stops are sent."""
-    all_s = limits.stale + SLACK_S
+    # pictures without a number have no time: those that waited in the wire meanwhile count as new
+    waited_s = 0.0 if any(e["frame"] for e in truth.of("truth")) else truth.napped_s
+    all_s = limits.stale + SLACK_S + waited_s
     one_s = all_s + UNTRACKED_STOP_S
     emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
     for command in truth.of("command"):

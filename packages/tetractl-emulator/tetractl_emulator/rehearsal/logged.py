@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tetractl.core.commands import Stop
 from tetractl_emulator.rehearsal.sending import MUTE
 from tetractl_emulator.rehearsal.truth import RUN, Truth
 from tetractl_emulator.rehearsal.violation import Violation
@@ -47,7 +48,9 @@ def _commands(truth: Truth) -> Iterator[Violation]:
         if not noted.any():
             yield Violation("log", at, "has a command that was not sent")
             return
-        if one.stops and all(run for run, fits in zip(flags, noted, strict=True) if fits):
+        if one.action == Stop() and all(
+            run for run, fits in zip(flags, noted, strict=True) if fits
+        ):
             yield Violation("log", at, "says stop, and robots were driven")
             return
     drives = [e["t_ns"] / 1e9 for e in truth.of("command") if any(truth.drives(e))]

@@ -124,8 +124,8 @@ MAGNETOSPIRILLUM = Organism(
     helix_hz=(2.0, 1.0),
     helix_um=(0.1, 0.1),
     source=(
-        "a magnetotactic bacterium of 5 um at 32 um/s: Khalil et al., IROS 2013; ends of the "
-        "ranges, width and helix: guess"
+        "a magnetotactic bacterium of 5 um at 32 um/s: Khalil et al., IROS 2013; how it turns: "
+        "Pichel et al., doi:10.48550/arXiv.1710.00405; ends of the ranges, width and helix: guess"
     ),
 )
 

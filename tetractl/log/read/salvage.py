@@ -135,7 +135,9 @@ class _Scan:
             if opcode == Opcode.DATA_END:
                 stated = self._number(begin)
                 self._sealed = stated != 0
-                if self._sealed and stated != self._crc(0, begin - _HEAD.size):
+                if end - begin != 4:
+                    self._problems.append("the end of the data section has a wrong length")
+                elif self._sealed and stated != self._crc(0, begin - _HEAD.size):
                     self._problems.append("the checksum of the data section does not match")
                 return
             yield opcode, begin

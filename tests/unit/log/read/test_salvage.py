@@ -228,9 +228,9 @@ def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
     """Regression: `stats` and `--resume`, which read by the index, missed nine of ten."""
     data, rng = log.read_bytes(), random.Random(7)
     path = tmp_path / "trial.mcap"
-    for _ in range(100):
+    end = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))  # of the data, with its length
+    for at in (*range(end, end + 13), *(rng.randrange(len(data)) for _ in range(100))):
         changed = bytearray(data)
-        at = rng.randrange(len(data))
         changed[at] ^= 1 << rng.randrange(8)
         path.write_bytes(changed)
         try:

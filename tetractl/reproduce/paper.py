@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from tetractl.core.files import save_whole
 from tetractl.core.table.table import Table, lengths
 from tetractl.results.estimate import Interval, distributions, proportion_interval
 
@@ -80,9 +81,7 @@ class Work:
 
 
 def _keep(once: Callable[[int, int], dict[str, Any]], folder: Path, seed: int, number: int) -> None:
-    part = folder / f"{seed}-{number:03d}.part"
-    part.write_text(json.dumps(once(seed, number)))
-    part.rename(part.with_suffix(".json"))
+    save_whole(folder / f"{seed}-{number:03d}.json", json.dumps(once(seed, number)).encode())
 
 
 def _leave_to_parent() -> None:

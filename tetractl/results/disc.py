@@ -5,6 +5,7 @@ known, without the first SETTLING_S. It is read from the log: a trial without on
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,12 @@ def discs(log: TrialLog) -> Floats:
     return 2 * np.nanquantile(gaps, SHARE, axis=0) if len(gaps) else np.full(gaps.shape[1], np.nan)
 
 
+@lru_cache(maxsize=1024)
+def _of_log(log: Path, digest: str | None) -> Sequence[float]:
+    """Return `discs` of the log with a content digest: a table of trials and its means need it."""
+    return tuple(discs(read_trial(log)).tolist())
+
+
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:
     """Return the diameter of each robot's disc; None without a log or a complete hold."""
     hold, log = trial.experiment.hold, Path(trial.path)
@@ -39,7 +46,7 @@ def _of_trial(trial: ResultSummary) -> dict[str, Any]:
         return {}
     names = trial.experiment.setup.names
     known = trial.outcome.complete and log.suffix == ".mcap" and log.is_file()
-    found = discs(read_trial(log)).tolist() if known else [None] * len(names)
+    found = _of_log(log, trial.digest) if known else [None] * len(names)
     return {f"disc_{name}": one for name, one in zip(names, found, strict=True)}
 
 

@@ -67,6 +67,7 @@ class PoseStream(PoseCamera):
     """
 
     Settings: ClassVar[type[Model]] = PoseSettings
+    numbered = False
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
         one for one in FAULTS if one.__name__ not in OF_A_SERVER
     )

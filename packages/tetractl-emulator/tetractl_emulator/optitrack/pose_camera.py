@@ -4,7 +4,7 @@ import random
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
@@ -30,6 +30,9 @@ class PoseCamera(ABC):
     Exposures are numbered from 1, without gaps. `shown_ns` is when each robot was exposed in the
     newest frame sent in which it is tracked.
     """
+
+    numbered: ClassVar[bool] = True
+    """Whether a frame tells its number; otherwise the receiver counts what comes."""
 
     def __init__(
         self, stage: Stage, tracked: list[TrackedBody], rate: float, latency_s: float, view: View
@@ -79,7 +82,7 @@ class PoseCamera(ABC):
         """Expose one frame, and schedule its sending after the latency."""
         exposed = now = self.timeline.now_ns
         number = self._exposures - self.trouble.counter
-        self._stage.exposed(self._exposures, number)
+        self._stage.exposed(self._exposures, number if self.numbered else 0)
         jitter = self._random
         delay = self._latency_s + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < 1 / 250:

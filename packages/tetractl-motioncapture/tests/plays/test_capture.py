@@ -29,3 +29,10 @@ def test_robots_stop_when_the_process_ends_or_is_silent(folder, fault, why):
     script = f"plant.faults={{about: a test, faults: [{{fault: {fault}, at: 0.5}}]}}"
     done = tetractl(folder, *RUN, "--out", fault, "--set", script)
     assert done.returncode == 1 and why in done.stderr
+
+
+def test_a_rehearsed_day_of_slow_frames_knows_which_exposure_a_frame_shows(folder):
+    """Frames have no number: those that did not come must not be counted (day 13 of this seed)."""
+    day = ("--first", "13", "--days", "1", "--seed", "20261128")
+    played = tetractl(folder, "lab", "rehearse", "capture.yaml", *day).ok()
+    assert "1 days, 0 violations" in played.stdout

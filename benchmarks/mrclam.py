@@ -8,7 +8,7 @@ N from 1 to 5.
     .venv/bin/python benchmarks/mrclam.py MRCLAM_Dataset6 MRCLAM_Dataset7
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -82,9 +82,9 @@ def main(folders: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        raise SystemExit(__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folders", metavar="SET", nargs="+", type=Path)
     try:
-        main([Path(name) for name in sys.argv[1:]])
+        main(parser.parse_args().folders)
     except (OSError, ValueError, UsageError) as error:
         raise SystemExit(f"error: {error}") from None

@@ -25,7 +25,7 @@ RUNS = {
     "multicast, two trials": (
         "",
         ("lab.camera.transport=multicast", "trials.count=2", "lab.limits.placing=30"),
-        0.5,
+        3.0,  # longer than a rest within a trial, of 1 s of search on a host that may be slow
     ),
     "version 2.9, z up, elsewhere": (
         "emulation: {camera: {version: '2.9'}}",

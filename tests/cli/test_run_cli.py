@@ -63,7 +63,7 @@ def test_every_shipped_experiment_brings_its_robots_near_their_targets(path, tmp
     results = [read_result(tmp_path / "logs" / f"trial-00{i}.mcap") for i in range(trials)]
     assert all(found.outcome.complete and not found.recovered for found in results)
     setup = experiment.setup
-    circles = list(2 * setup.speed / setup.a) if experiment.hold is not None else [0.0] * len(setup.a)
+    circles = list(2 * setup.speed / setup.a * (experiment.hold is not None))
     errors = zip(*(found.result.robot_errors for found in results), strict=True)
     for robot, found in zip(results[0].experiment.robots, errors, strict=True):
         way = sum((t - s) ** 2 for s, t in zip(robot.start, robot.target, strict=True)) ** 0.5

@@ -25,6 +25,7 @@ class LogWriter(Relay):
 
     def __init__(self, path: Path, real_time: bool = False) -> None:
         self._path, self._real_time = path, real_time
+        self._full: OSError | None = None  # how the disk has failed before the log began
 
     @property
     def digest(self) -> str:
@@ -59,6 +60,8 @@ class LogWriter(Relay):
             batch_s=0.0 if self._real_time else 0.5,
         )
         self.put(lambda: self.observer.on_start(start))
+        if self._full is not None:
+            self.worker.put(self._sink.fail, self._full)
         self.worker.put(self._sink.sync)
         self.worker.drain()  # no robot moves before the start of the log is on the disk
 
@@ -71,8 +74,10 @@ class LogWriter(Relay):
             self.worker.check()
 
     def fail(self, error: OSError) -> None:
-        """Let the disk fail now, as an emulated lab does: the next call raises LogError."""
-        if self.worker and self.worker.failure is None:
+        """Let the disk fail from now on, as an emulated lab does: the next call raises LogError."""
+        if self.worker is None:
+            self._full = error
+        elif self.worker.failure is None:
             self.worker.put(self._sink.fail, error)
             self.worker.wait()
 

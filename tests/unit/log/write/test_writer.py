@@ -1,5 +1,6 @@
 """How the writer treats its file: names, flushes, and a file system that refuses."""
 
+import errno
 import shutil
 
 import pytest
@@ -83,6 +84,14 @@ def test_other_readers_find_metadata_and_attachments(tmp_path):
             ("tetractl", {"format": str(FORMAT_VERSION)})
         ]
         assert "spec.yaml" in {one.name for one in reader.iter_attachments()}
+
+
+def test_a_disk_that_was_full_before_the_log_began_takes_no_start(tmp_path):
+    start = trial().start
+    with LogWriter(tmp_path / "a.mcap", real_time=True) as writer:
+        writer.fail(OSError(errno.ENOSPC, "No space left on device"))
+        with pytest.raises(LogError, match="cannot write the log: No space left"):
+            writer.on_start(start)
 
 
 @pytest.mark.parametrize("left", ["trial.mcap", "trial.mcap.part"])

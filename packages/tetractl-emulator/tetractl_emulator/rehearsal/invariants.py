@@ -52,6 +52,7 @@ def _rest(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Violat
     end = min([truth.ended_s, *gone])
     # ten stops over 200 ms: with a radio that loses all of them the watchdog counts from the last
     late = (truth.times > end + bound)[:, None] & (truth.driving > 1.5)
+    bound += truth.repeats_s(limits.wheel_error)
     blind = truth.unseen > limits.stale + 0.05 + SLACK_S + bound
     for name, wrong in (("moves after stop", late), ("moves unseen", blind & (truth.driving > 5))):
         if wrong.any():
@@ -145,7 +146,12 @@ def reasons(truth: Truth) -> Iterator[Violation]:
     if reason and not truth.day.plan.faults:
         yield Violation("false alarm", min(truth.abort_s, 1e6), reason[:200])
         return
-    right = [truth.day.plan.right, *(truth.day.plan.kind(f).right for _, _, f in truth.faults)]
+    grid = "drift together" if truth.setup.sight.coarse and truth.met("freeze") else ""
+    right = [
+        truth.day.plan.right,
+        grid,
+        *(truth.day.plan.kind(f).right for _, _, f in truth.faults),
+    ]
     if reason and not re.search("|".join(filter(None, right)) or "$.", reason, re.IGNORECASE):
         yield Violation("reason", min(truth.abort_s, 1e6), reason[:200])
 

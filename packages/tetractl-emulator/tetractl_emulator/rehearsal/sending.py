@@ -25,7 +25,7 @@ def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
     """Drive commands need a new sight of each robot; after a stop only stops are sent."""
     # pictures without a number have no time: those that waited in the wire meanwhile count as new
     waited_s = 0.0 if any(e["frame"] for e in truth.of("truth")) else truth.napped_s
-    all_s = limits.stale + SLACK_S + waited_s
+    all_s = limits.stale + SLACK_S + waited_s + truth.repeats_s(limits.wheel_error)
     one_s = all_s + UNTRACKED_STOP_S
     emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
     for command in truth.of("command"):
@@ -37,7 +37,7 @@ def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
         if any(driven) and at > truth.ended_s + 0.004:
             yield Violation("drives after stop", at, f"{at - truth.ended_s:.3f} s after the stop")
             return
-        unseen = [ms / 1000 for ms in command["unseen_ms"]]
+        unseen = truth.unseen_at(command)
         blind = [u for u, drives in zip(unseen, driven, strict=False) if drives]
         if blind and (max(blind) > one_s or min(unseen) > all_s):
             yield Violation("drives blind", at, f"unseen for {max(blind):.3f} s")

@@ -3,6 +3,7 @@
 The observer of a rehearsal shares no code with the guard: distances are computed here.
 """
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,8 @@ from tetractl_emulator.rehearsal.day import Day
 
 RUN, EMERGENCY = 1, 2  # flags of a command
 NEAR_S = 0.02  # largest difference of the times of a picture
+ACTS_S = 0.3  # for which an earlier command may still act: radio, wheels, some lost commands
+SLACK_DRIVE_S = 0.03  # of driving, within which motion may differ
 
 
 @dataclass
@@ -72,10 +75,47 @@ class Truth:
         return command.get("drives", own)
 
     @cached_property
-    def unseen(self) -> Floats:
+    def _shown(self) -> Floats:
         """Time since each robot was last shown (T, N) [s]; 0 if not known."""
         shown = [e["unseen_ms"] or [0.0] * len(self.setup.names) for e in self.of("truth")]
         return np.array(shown).reshape(-1, len(self.setup.names)) / 1000
+
+    @cached_property
+    def _right(self) -> Floats:
+        """Last time at which what was shown of each robot was right (T, N) [s], on a camera's grid:
+        an old pose of a robot that has not left its step is right, and nothing tells it from a new
+        one. -inf before, and for cameras without a grid.
+        """
+        sight, times = self.setup.sight, self.times[:, None]
+        if not sight.coarse or not len(times):
+            return np.full_like(self._shown, -np.inf)
+        then = np.searchsorted(self.times, times - self._shown + 1e-3) - 1
+        moved = np.abs(self.poses - self.poses[np.maximum(then, 0), np.arange(then.shape[1])])
+        turned = np.minimum(moved[..., 2], 2 * np.pi - moved[..., 2])
+        same = (moved[..., :2].max(axis=-1) <= sight.grid_mm) & (turned <= sight.grid_rad)
+        return np.maximum.accumulate(np.where(same, times, -np.inf))
+
+    @cached_property
+    def unseen(self) -> Floats:
+        """Time since each robot was last shown where it is (T, N) [s]; 0 if not known."""
+        return np.minimum(self._shown, self.times[:, None] - self._right)
+
+    def unseen_at(self, command: dict[str, Any]) -> list[float]:
+        """Return the same (N,) at a command [s]."""
+        at_s, row = command["t_ns"] / SECOND, np.searchsorted(self.times, command["t_ns"] / SECOND)
+        since = at_s - self._right[row - 1] if row else np.inf
+        return np.minimum(np.array(command["unseen_ms"]) / 1000, since).tolist()
+
+    def repeats_s(self, wheel_error: float) -> float:
+        """Return for how long a pose may repeat on a camera's grid once its robot has left its step
+        [s]: until no command that may act lets it stand and wheels that are slower by `wheel_error`
+        have driven it, by the diagonal of a step and the slack of the motion, out of the step.
+        """
+        if not self.setup.sight.coarse:
+            return 0.0
+        slow_mm_s = float(self.setup.speed.min()) * self.setup.metres * 1000
+        way_s = math.sqrt(2) * self.setup.sight.grid_mm / slow_mm_s + SLACK_DRIVE_S
+        return ACTS_S + way_s / max(1.0 - wheel_error, 0.1)
 
     def sent(self, i: int) -> list[tuple[float, bool, bool]]:
         """Return each command's time [s], and whether it drives robot i ahead, or turns it."""

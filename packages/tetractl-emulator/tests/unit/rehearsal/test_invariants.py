@@ -1,6 +1,7 @@
 """Each invariant is broken by a record in which it does not hold, and by none in which it does."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from support.paths import ROOT
@@ -8,6 +9,7 @@ from tetractl_emulator.rehearsal.day import Day, DayPlan
 from tetractl_emulator.rehearsal.invariants import violations
 from tetractl_emulator.rehearsal.truth import Truth
 
+from tetractl.core.poses import Sight
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.experiment.load import load_spec
 
@@ -65,11 +67,11 @@ def out(beyond, together):
 KEY = {"kind": "emergency stop", "strength": 0.5, "fault": "emergency", "at": 1.0}
 
 
-def found(*events, fault=LOST, said=ERROR, code=1, left="", run=RUN, slower=0.0):
+def found(*events, fault=LOST, said=ERROR, code=1, left="", run=RUN, slower=0.0, setup=SETUP):
     events = sorted([*run, *events], key=lambda event: event["t_ns"])
     plan = DayPlan(1, {"actuator": {}}, [fault], "", slower=slower)
     day = Day(plan, events, code, said, None, left, 1.0)
-    names = {one.name for one in violations(Truth(day, SETUP), LabLimits(), 0.25)}
+    names = {one.name for one in violations(Truth(day, setup), LabLimits(), 0.25)}
     return names - {"no log"}
 
 
@@ -113,3 +115,15 @@ def test_a_good_end_breaks_nothing():
 )
 def test_an_invariant_is_broken(name, events, more):
     assert name in found(*events, **more)
+
+
+@pytest.mark.parametrize("x", [900.0, 900.9, 920.0])
+def test_an_old_pose_that_is_right_on_a_cameras_grid_misleads_nobody(x):
+    """A robot that stands within a step of the grid is shown by any frame, new or frozen."""
+    moved = [[x, 800.0, 0.0], *STARTS[1:]]
+    seen = [truth_at(1.0, unseen=0.0), truth_at(3.0, poses=moved, unseen=2000.0)]
+    grid = replace(SETUP, sight=Sight(grid_mm=1.36, grid_rad=0.02))
+    events = (SEEN, *seen, command(3.01, 20, unseen=2010.0))
+    late = [*events, truth_at(3.6, poses=moved, unseen=2600.0), command(3.61, 20, unseen=2610.0)]
+    assert "drives blind" in found(*events)
+    assert ("drives blind" in found(*late, setup=grid)) == (x > 901.36)

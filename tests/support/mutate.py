@@ -3,7 +3,7 @@
 import math
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, MutableSequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,8 @@ def places(message: Message, inside: Place = ()) -> Iterator[Place]:
     """Yield where each number, truth value and word of a message is."""
     for field, value in message.ListFields():
         here = (*inside, field.name)
-        items = list(enumerate(value)) if field.is_repeated else [(None, value)]
+        repeated = isinstance(value, MutableSequence)
+        items = list(enumerate(value)) if repeated else [(None, value)]
         for index, item in items:
             at = here if index is None else (*here, index)
             if isinstance(item, Message):

@@ -16,7 +16,8 @@ def seen(poses=STARTS, now=0):
 
 
 def mpc(experiment, key, optimizer=None):
-    host = Host() if optimizer is None else Host(lambda _: optimizer)
+    still = {"timer": lambda: 0}  # a slow computer must not end a search
+    host = Host(**still) if optimizer is None else Host(lambda _: optimizer, **still)
     return experiment.controller.build(experiment.setup, key, host)
 
 

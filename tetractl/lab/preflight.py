@@ -222,6 +222,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
 
 def _check_stream(rig: Rig) -> None:
-    silent_ns = rig.silent_ns()
+    silent_ns, newest = rig.silent_ns(), rig.frames.newest
+    if newest is not None and newest.frame.fault:
+        raise AbortError(newest.frame.fault)
     if silent_ns > max(rig.limits.stream_lost, 0.5) * SECOND:
         raise AbortError(rig.guard.no_frame(silent_ns))

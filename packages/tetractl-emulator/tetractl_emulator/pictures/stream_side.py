@@ -41,8 +41,10 @@ def cut_before_its_end(whole: bytes) -> bytes:
 
 
 def oversized(whole: bytes) -> bytes:
-    """Return a part whose JPEG claims to have 32767 x 32767 pixels."""
-    at = whole.index(b"\xff\xc0") + 5
+    """Return a part whose JPEG, if it has one, claims to have 32767 x 32767 pixels."""
+    at = whole.find(b"\xff\xc0") + 5
+    if at < 5:
+        return whole
     return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
 
 

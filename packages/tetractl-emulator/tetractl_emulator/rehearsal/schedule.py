@@ -178,7 +178,8 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("radio late", "late_radio", link, lambda d: {"by": d.between(0.005, 1)})
     overtaken = "overtaken_packets"
     yield FaultRow("packets overtaken", overtaken, link, lambda d: {"by": d.between(0.005, 0.3)})
-    yield FaultRow("stopped elsewhere", "stopped_elsewhere", link, at_once=True)
+    stopped = f"emergency-stopped|{link}"  # if a run then begins
+    yield FaultRow("stopped elsewhere", "stopped_elsewhere", stopped, at_once=True)
     yield FaultRow("packets doubled", "doubled_packets", r"$.", weight=0.5)
     yield FaultRow("radio resets", "radio_resets", link)
     yield FaultRow("other baud rate", "baud", link, lambda d: {"baud": 9600})

@@ -1,6 +1,7 @@
 """What our side sends: no drive without sight, only stops after a stop, and as often as it must."""
 
 from collections.abc import Iterator
+from itertools import zip_longest
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
 from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
 
 STOPS, STOPS_S = 10, 0.25  # stops after a run, and the time of ten, 20 ms apart, and a tick
+TICK_S = 0.004  # within which commands of one tick of our side are sent
 MUTE = ("unplug", "stuck_port", "stopped", "asleep", "host_clock")  # nothing can be sent
 
 
@@ -28,13 +30,17 @@ def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
     all_s = limits.stale + SLACK_S + waited_s + truth.repeats_s(limits.wheel_error)
     one_s = all_s + UNTRACKED_STOP_S
     emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
-    for command in truth.of("command"):
+    commands = truth.of("command")
+    for command, after in zip_longest(commands, commands[1:]):
         at = command["t_ns"] / 1e9
         driven = truth.drives(command)
         if at > emergency and not command["flags"] & EMERGENCY and at > truth.first("run"):
             yield Violation("emergency released", at, f"flags {command['flags']}")
             return
-        if any(driven) and at > truth.ended_s + 0.004:
+        # a plan may begin after a rest in the tick in which the run ends for another reason
+        ends = at < truth.abort_s and after is not None and not any(truth.drives(after))
+        at_once = ends and after["t_ns"] / 1e9 < at + TICK_S
+        if any(driven) and at > truth.ended_s + TICK_S and not at_once:
             yield Violation("drives after stop", at, f"{at - truth.ended_s:.3f} s after the stop")
             return
         unseen = truth.unseen_at(command)

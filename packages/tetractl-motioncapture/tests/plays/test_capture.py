@@ -31,6 +31,12 @@ def test_robots_stop_when_the_process_ends_or_is_silent(folder, fault, why):
     assert done.returncode == 1 and why in done.stderr
 
 
+def test_a_process_that_ends_before_the_robots_move_is_named(folder):
+    script = "plant.faults={about: a test, faults: [{fault: process_ends, since: start, at: 0.7}]}"
+    done = tetractl(folder, *RUN, "--out", "before", "--set", script)
+    assert done.returncode == 1 and "the camera is gone" in done.stderr
+
+
 def test_a_rehearsed_day_of_slow_frames_knows_which_exposure_a_frame_shows(folder):
     """Frames have no number: those that did not come must not be counted (day 13 of this seed)."""
     day = ("--first", "13", "--days", "1", "--seed", "20261128")

@@ -14,7 +14,9 @@ from tetractl_emulator.m3pi.wheeled_side import (
     WheelsSettings,
     robots_of_day,
 )
+from tetractl_emulator.rehearsal.due import after
 from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.rehearsal.schedule import RADIO, SIGHT, FaultRow
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.errors import UsageError
@@ -70,7 +72,9 @@ class EmulatedCubes(PortedSide):
             drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda s: round(s, 4))
             return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 
-        return Rehearsal(world=world)
+        seen = f"{RADIO}|{SIGHT}"  # a cube tells its pose over the same connection
+        gone = FaultRow("radio unplugged", "unplug", seen, due=after(0.1, False))
+        return Rehearsal(rows=[gone], world=world)
 
     def __init__(self, stage: Stage, settings: CubesSettings) -> None:
         section, names = stage.lab.actuator, stage.setup.names

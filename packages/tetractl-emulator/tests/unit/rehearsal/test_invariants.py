@@ -117,6 +117,16 @@ def test_an_invariant_is_broken(name, events, more):
     assert name in found(*events, **more)
 
 
+@pytest.mark.parametrize(
+    ("state", "stopped", "wrong"),
+    [("ready", 2.401, False), ("ready", 2.5, True), ("abort", 2.401, True)],
+)
+def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once(state, stopped, wrong):
+    left = at(2.31, "guard", state=state, reason="green is not tracked (0.30 s)")
+    events = (SEEN, left, *STOPS[:4], command(2.4, 20), command(stopped, 0, 0))
+    assert ("drives after stop" in found(*events)) == wrong
+
+
 @pytest.mark.parametrize("x", [900.0, 900.9, 920.0])
 def test_an_old_pose_that_is_right_on_a_cameras_grid_misleads_nobody(x):
     """A robot that stands within a step of the grid is shown by any frame, new or frozen."""

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.needs_opencv import finds_small_tags
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera
 from tetractl_microscope.apriltag.camera import AprilTagCamera
@@ -150,6 +151,7 @@ def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warn
     assert any(line.startswith(warning) for line in warnings) or not warning
 
 
+@finds_small_tags
 def test_a_slow_and_a_blurred_camera_are_warned_of(tmp_path):
     _, warnings = checked(tmp_path, rendered((1280, 720), blur_px=1.6), rate=10.0)
     assert any(line.startswith("only 10 pictures per second come") for line in warnings)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from support.needs_opencv import finds_small_tags
 from support.tag_scene import (
     FLOOR,
     LARGE,
@@ -32,6 +33,7 @@ def off(seen, i=0, truth=STANDING):
     return math.hypot(pose.x - truth.x[i], pose.y - truth.y[i])
 
 
+@finds_small_tags
 @pytest.mark.parametrize(
     ("size", "mm", "mm_95", "rad", "rad_95"),
     [(SMALL, 0.6, 1.5, 0.005, 0.02), (LARGE, 0.3, 0.7, 0.002, 0.006)],
@@ -45,6 +47,7 @@ def test_poses_are_right(size, mm, mm_95, rad, rad_95):
     assert np.quantile(angles, 0.95) < rad_95
 
 
+@finds_small_tags
 def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
     renderer = rendered(LARGE, gain=0.5, noise=4.0, exposure_s=0.01)
     speed = np.array([180.0, 200.0, 150.0])

@@ -31,7 +31,7 @@ def row_of(day: int, truth: Truth, found: Sequence[Violation], observed_s: float
     """Return what is kept of a day: what was met, how it ended, and the broken invariants; and the
     processor time, of which the observer took a part [s].
     """
-    result = getattr(truth.log, "result", None)
+    result = truth.trial.result if truth.trial is not None else None
     ended = "killed" if truth.day.exit < 0 else "refused"
     if truth.first("run") < np.inf and truth.day.exit >= 0:
         ended = str(result.outcome) if result is not None else "aborted"

@@ -15,7 +15,7 @@ from rich.console import Console
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(tests) for tests in (ROOT / "tests", *ROOT.glob("packages/*/tests"))]
 
 from support.chromium import chromium  # noqa: E402
 from support.dish_films import film  # noqa: E402

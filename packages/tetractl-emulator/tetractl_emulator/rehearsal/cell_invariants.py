@@ -47,13 +47,6 @@ class DishTruth(Truth):
         return min(self.abort_s, super().ended_s) if self.began_s < np.inf else self.abort_s
 
     @cached_property
-    def late_s(self) -> float:
-        """By how much pictures were older than they seemed: late ones, and those that waited."""
-        late = [f["by"] for _, _, f in self.faults if f["fault"] == "late_pictures"]
-        slept = [f["for"] for _, _, f in self.faults if f["fault"] in ("stopped", "asleep")]
-        return sum(late) + sum(slept)
-
-    @cached_property
     def seen(self) -> Integers:
         """The exposures of the logged frames, without those that are not known."""
         return np.array([row for row in self.rows if row is not None], int)

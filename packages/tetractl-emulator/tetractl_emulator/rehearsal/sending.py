@@ -1,7 +1,6 @@
 """What our side sends: no drive without sight, only stops after a stop, and as often as it must."""
 
 from collections.abc import Iterator
-from itertools import zip_longest
 
 import numpy as np
 
@@ -25,21 +24,21 @@ def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Viol
 
 def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
     """Drive commands need a new sight of each robot; after a stop only stops are sent."""
-    # pictures without a number have no time: those that waited in the wire meanwhile count as new
-    waited_s = 0.0 if any(e["frame"] for e in truth.of("truth")) else truth.napped_s
+    numbered = any(e["frame"] for e in truth.of("truth"))
+    waited_s = 0.0 if numbered else max(truth.napped_s, truth.late_s)
     all_s = limits.stale + SLACK_S + waited_s + truth.repeats_s(limits.wheel_error)
     one_s = all_s + UNTRACKED_STOP_S
     emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
     commands = truth.of("command")
-    for command, after in zip_longest(commands, commands[1:]):
+    for command, after in zip(commands, [*commands[1:], *commands[-1:]], strict=True):
         at = command["t_ns"] / 1e9
         driven = truth.drives(command)
         if at > emergency and not command["flags"] & EMERGENCY and at > truth.first("run"):
             yield Violation("emergency released", at, f"flags {command['flags']}")
             return
         # a plan may begin after a rest in the tick in which the run ends for another reason
-        ends = at < truth.abort_s and after is not None and not any(truth.drives(after))
-        at_once = ends and after["t_ns"] / 1e9 < at + TICK_S
+        stops = not any(truth.drives(after)) and after["t_ns"] / 1e9 < at + TICK_S
+        at_once = stops and at < truth.abort_s
         if any(driven) and at > truth.ended_s + TICK_S and not at_once:
             yield Violation("drives after stop", at, f"{at - truth.ended_s:.3f} s after the stop")
             return

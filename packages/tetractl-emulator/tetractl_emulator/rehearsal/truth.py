@@ -22,6 +22,7 @@ from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
 
 RUN, EMERGENCY = 1, 2  # flags of a command
+LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
 NEAR_S = 0.02  # largest difference of the times of a picture
 ACTS_S = 0.3  # for which an earlier command may still act: radio, wheels, some lost commands
 SLACK_DRIVE_S = 0.03  # of driving, within which motion may differ
@@ -158,6 +159,15 @@ class Truth:
         own = [fault for _, _, fault in self.faults]
         naps = [fault["for"] for fault in own if fault["fault"] in ("stopped", "asleep")]
         return sum(naps) + sum(fault["seconds"] for fault in own if fault["fault"] == "busy")
+
+    @cached_property
+    def late_s(self) -> float:
+        """By how much frames without a number, which count as new, were older than they seemed:
+        late ones, and those that waited in the wire [s].
+        """
+        late = [f["by"] for _, _, f in self.faults if f["fault"] in LATE_FRAMES]
+        slept = [f["for"] for _, _, f in self.faults if f["fault"] in ("stopped", "asleep")]
+        return sum(late) + sum(slept)
 
     @property
     def alive_s(self) -> float:

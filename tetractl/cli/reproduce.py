@@ -1,6 +1,6 @@
 """`tetractl reproduce`: the figures of published papers next to ours, each with a verdict."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -56,7 +56,9 @@ def reproduce(
         run = partial(_logs, trials=trials, jobs=jobs)
         logs = dict[str, Any]()
         for kind, arm in paper.arms.items():
-            logs[kind] = run(arm, out / name / kind)
+            count = trials or arm.trials
+            ui.tell(f"{out / name / kind}: {count} trials of {arm.example} {' '.join(arm.sets)}")
+            logs[kind] = run(replace(arm, sets=(*arm.sets, *arm.then(logs))), out / name / kind)
         for kind, work in paper.work.items():
             ui.tell(f"{out / name / kind}: {trials or work.trials} times")
             logs[kind] = work.results(out / name / kind, SEED, trials or work.trials, jobs)
@@ -83,6 +85,5 @@ def _logs(arm: "Runs", folder: Path, trials: int | None, jobs: int) -> "Sequence
     count = trials or arm.trials
     settings = (*arm.sets, f"trials.count={count}", f"trials.seed={SEED}")
     spec = load_spec(examples()[arm.example], settings)
-    ui.tell(f"{folder}: {count} trials of {arm.example} {' '.join(arm.sets)}".rstrip())
     run_batch(spec, folder, jobs=jobs, resume=True)
     return [read_trial(log_path(folder, trial)) for trial in range(count)]

@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce.paper import Fate, Figure, Paper, Runs, mean
+from tetractl.reproduce.paper import Fate, Figure, Paper, Runs, at_most, mean
 from tetractl.results.disc import discs
 
 PROOF = "v / a is 14.5 um, the least mean distance of any robot that never stops (3)"
@@ -27,7 +27,7 @@ def _figures(logs: Mapping[str, Sequence[TrialLog]]) -> Iterator[Figure]:
         f"{what}, bacterium at 2 mT",
         "23 um",
         found["bacterium"],
-        lambda ci: ci.high <= 23,
+        at_most(23),
         Fate.OUT,
         PROOF,
         "um",
@@ -37,7 +37,7 @@ def _figures(logs: Mapping[str, Sequence[TrialLog]]) -> Iterator[Figure]:
         f"{what}, bacterium at 2 mT, over its true 2 v / a",
         "none; at most 1.15",
         [disc / floor for disc, floor in zip(found["bacterium"], floors, strict=True)],
-        lambda ci: ci.high <= 1.15,
+        at_most(1.15),
         Fate.MISSED,
         "the least is about 1.14, with pose, a and v known exactly (benchmarks/least_disc.py)",
     )
@@ -45,11 +45,11 @@ def _figures(logs: Mapping[str, Sequence[TrialLog]]) -> Iterator[Figure]:
         f"{what}, bacterium, a of 11 mT",
         "23 um (at 2 mT)",
         found["bacterium-11mT"],
-        lambda ci: ci.high <= 23,
+        at_most(23),
         unit="um",
     )
     jet = found["jet"]
-    yield mean(f"{what}, microjet", "417 um", jet, lambda ci: ci.high <= 417, unit="um")
+    yield mean(f"{what}, microjet", "417 um", jet, at_most(417), unit="um")
 
 
 PAPER = Paper(

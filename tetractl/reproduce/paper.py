@@ -1,8 +1,9 @@
 """A paper to reproduce: the trials it needs, and its figures, each next to ours with a verdict.
 
-A figure is an outcome that the paper states, never a number that the spec is given. It is reached
-if the 95 % interval of ours lies on the right side of the published number, or holds it where ours
-is to agree. It is out of reach only by a bound that no controller can break.
+A figure is an outcome that the paper states, never a number that the spec is given. Each row says
+what it asks: it is reached if the 95 % interval of ours lies on the right side of the published
+number, and agrees if ours and the published one do not differ more than chance explains. It is out
+of reach only by a bound that no controller can break.
 """
 
 import json
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import stats
 
 from tetractl.core.files import save_whole
 from tetractl.core.table.table import Table, lengths
@@ -27,8 +28,33 @@ class Fate(StrEnum):
     """What became of a published figure."""
 
     REACHED = "reached"
+    AGREES = "agrees"
     MISSED = "missed"
     OUT = "out of reach"
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """What is asked of ours: in words, whether its interval meets that, and the verdict if so."""
+
+    text: str
+    met: Callable[[Interval], bool]
+    fate: Fate = Fate.REACHED
+
+
+def at_most(bound: float) -> Requirement:
+    """Return that the whole interval is at or below a bound."""
+    return Requirement("smaller is better", lambda ci: ci.high <= bound)
+
+
+def at_least(bound: float) -> Requirement:
+    """Return that the whole interval is at or above a bound."""
+    return Requirement("greater is better", lambda ci: ci.low >= bound)
+
+
+def near(value: float) -> Requirement:
+    """Return that the interval holds a published value whose own uncertainty is unknown."""
+    return Requirement("agreement", lambda ci: ci.low <= value <= ci.high, Fate.AGREES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +65,7 @@ class Figure:
 
     what: str
     published: str
+    asked: str
     ours: str
     n: int
     interval: str
@@ -54,6 +81,8 @@ class Runs:
     example: str
     sets: tuple[str, ...] = ()
     trials: int = 20
+    then: Callable[[Mapping[str, Sequence[Any]]], tuple[str, ...]] = lambda logs: ()
+    """Further values, which depend on the logs of the arms before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,32 +133,75 @@ def mean(
     what: str,
     published: str,
     values: Sequence[float],
-    reached: Callable[[Interval], bool],
+    asked: Requirement,
     page: Fate = Fate.REACHED,
     why: str = "",
     unit: str = "",
 ) -> Figure:
-    """Return a figure whose own is a mean over trials. It is `reached` as the mean's interval says
-    or, with equal values, as a point; if not, and the page says so, it is out of reach."""
+    """Return a figure whose own is a mean over trials. Its interval, or with equal values the
+    point, is to be as `asked`; if not, and the page says so, it is out of reach."""
     (found,) = distributions(np.array([values], dtype=float))
     show = lengths(found.mean)
     ends = found.ci95 if found.ci95.known else Interval(found.mean, found.mean)
     text = f"{show(ends.low)} to {show(ends.high)}" if found.ci95.known else "none"
     ours = f"{show(found.mean)} {unit}".strip()
-    return Figure(what, published, ours, found.n, text, _verdict(reached(ends), page), page, why)
+    verdict = _verdict(asked.met(ends), page, asked.fate)
+    return Figure(what, published, asked.text, ours, found.n, text, verdict, page, why)
 
 
-def deviation(
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """A published mean and standard deviation of n repetitions."""
+
+    mean: float
+    std: float
+    n: int
+
+    def of_mean(
+        self, what: str, values: Sequence[float], page: Fate, why: str = "", unit: str = ""
+    ) -> Figure:
+        """Return the figure of the mean: it agrees if Welch's t finds no difference (p > 0.05)."""
+        half = float(stats.t.ppf(0.975, self.n - 1)) * self.std / np.sqrt(self.n)
+        ours = float(np.mean(values)), float(np.std(values, ddof=1)), len(values)
+        p = stats.ttest_ind_from_stats(*ours, self.mean, self.std, self.n, equal_var=False).pvalue
+        published = f"{self.mean:g} +- {half:.1f} {unit} (n {self.n})"
+        same = Requirement("agreement", lambda _: bool(p > 0.05), Fate.AGREES)
+        return mean(what, published, values, same, page, why, unit)
+
+    def of_deviation(
+        self, what: str, values: Sequence[float], page: Fate, why: str = "", unit: str = ""
+    ) -> Figure:
+        """Return the figure of the standard deviation: it agrees if the F test finds no difference
+        (p > 0.05). Both have the chi-square interval of normal values."""
+        n, found = len(values), float(np.std(values, ddof=1))
+        low, high = chi_square_interval(found, n)
+        ends = stats.f.ppf([0.025, 0.975], n - 1, self.n - 1)
+        same = bool(ends[0] <= (found / self.std) ** 2 <= ends[1])
+        show = lengths(found)
+        ours, text = f"{show(found)} {unit}".strip(), f"{show(low)} to {show(high)}"
+        least, most = chi_square_interval(self.std, self.n)
+        published = f"{self.std:g} {unit} (n {self.n}: {least:.0f} to {most:.0f})"
+        verdict = _verdict(same, page, Fate.AGREES)
+        return Figure(what, published, "agreement", ours, n, text, verdict, page, why)
+
+
+def chi_square_interval(deviation: float, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of the standard deviation of n normal values."""
+    low, high = deviation * np.sqrt((n - 1) / stats.chi2.ppf([0.975, 0.025], n - 1))
+    return float(low), float(high)
+
+
+def single(
     what: str, published: float, values: Sequence[float], page: Fate, why: str = "", unit: str = ""
 ) -> Figure:
-    """Return a figure whose own is the standard deviation over trials, with the chi-square interval
-    of normal values; it is reached if that holds the published one."""
-    n, found = len(values), float(np.std(values, ddof=1))
-    low, high = found * np.sqrt((n - 1) / chi2.ppf([0.975, 0.025], n - 1))
-    show = lengths(found)
-    ours, text = f"{show(found)} {unit}".strip(), f"{show(low)} to {show(high)}"
-    verdict = _verdict(bool(low <= published <= high), page)
-    return Figure(what, f"{published:g} {unit}".strip(), ours, n, text, verdict, page, why)
+    """Return a figure of one published run: it agrees if it lies among the middle 95 % of ours."""
+    n, above = len(values), int(np.sum(np.array(values) >= published))
+    low, high = np.percentile(values, [2.5, 97.5])
+    show = lengths(float(high))
+    verdict = _verdict(bool(low <= published <= high), page, Fate.AGREES)
+    ours, text = f"{above} of {n} runs larger", f"runs: {show(low)} to {show(high)} {unit}"
+    shown = f"{published:g} {unit} (one run)"
+    return Figure(what, shown, "agreement", ours, n, text, verdict, page, why)
 
 
 def share(
@@ -145,17 +217,21 @@ def share(
     ends = proportion_interval(count, n)
     text = f"{100 * ends.low:.0f} to {100 * ends.high:.0f} %"
     verdict = _verdict(count / n <= most, page)
-    return Figure(what, published, f"{count} of {n}", n, text, verdict, page, why)
+    asked = f"at most {most:.0%}" if most else "in no trial"
+    return Figure(what, published, asked, f"{count} of {n}", n, text, verdict, page, why)
 
 
-def _verdict(reached: bool, page: Fate) -> Fate:
-    if reached:
-        return Fate.REACHED
+def _verdict(met: bool, page: Fate, fate: Fate = Fate.REACHED) -> Fate:
+    if met:
+        return fate
     return Fate.OUT if page is Fate.OUT else Fate.MISSED
 
 
 def figure_table(name: str, source: str, figures: Sequence[Figure]) -> Table:
     """Return the table of a paper's figures."""
-    header = ("figure", "published", "ours", "n", "95 % interval", "verdict", "why")
-    rows = [(f.what, f.published, f.ours, str(f.n), f.interval, f.verdict, f.why) for f in figures]
+    header = ("figure", "published", "asked", "ours", "n", "95 % interval", "verdict", "why")
+    rows = [
+        (f.what, f.published, f.asked, f.ours, str(f.n), f.interval, f.verdict, f.why)
+        for f in figures
+    ]
     return Table.of_texts(f"{name}: {source}", header, rows)

@@ -12,8 +12,19 @@ from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
 from tetractl.reproduce.amoudruz_2021 import STEP_OUT, along_axes, drive
-from tetractl.reproduce.ou import _spinning
-from tetractl.reproduce.paper import Fate, Paper, Runs, Work, deviation, mean, share
+from tetractl.reproduce.ou_measures import _spinning
+from tetractl.reproduce.paper import (
+    Fate,
+    Paper,
+    Repeated,
+    Runs,
+    Work,
+    at_most,
+    mean,
+    near,
+    share,
+    single,
+)
 
 VALUES = (10.0, 11.0, 12.0, 13.0)
 
@@ -28,12 +39,12 @@ VALUES = (10.0, 11.0, 12.0, 13.0)
     ],
 )
 def test_a_figure_is_reached_by_its_whole_interval(most, page, verdict):
-    found = mean("what", "published", VALUES, lambda ci: ci.high <= most, page, unit="mm")
+    found = mean("what", "published", VALUES, at_most(most), page, unit="mm")
     assert (found.ours, found.n, found.verdict) == ("11.5 mm", 4, verdict)
 
 
 def test_equal_values_count_as_a_point():
-    found = mean("what", "20", [11.0] * 3, lambda ci: ci.low <= 20 <= ci.high)
+    found = mean("what", "20", [11.0] * 3, near(20))
     assert (found.interval, found.verdict) == ("none", Fate.MISSED)
 
 
@@ -42,11 +53,24 @@ def test_a_share_above_the_published_one_is_missed():
     assert share("what", "not", [False, False], 0).verdict is Fate.REACHED
 
 
-def test_a_standard_deviation_is_reached_by_its_interval():
-    values = np.random.default_rng(1).normal(0, 3, 40)
-    near = deviation("what", 3.0, values, Fate.MISSED, unit="mm")
-    assert (near.published, near.n, near.verdict) == ("3 mm", 40, Fate.REACHED)
-    assert deviation("what", 6.0, values, Fate.MISSED).verdict is Fate.MISSED
+def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():
+    """F = (322 / 225.1)^2 = 2.05 is below its bound 2.53 for two samples of 20."""
+    values = np.random.default_rng(1).normal(0, 1, 20)
+    values = 638.1 + 322.0 * (values - values.mean()) / values.std(ddof=1)
+    published = Repeated(648.6, 225.1, 20)
+    found = published.of_deviation("what", values, Fate.AGREES, unit="mm")
+    assert (found.published, found.verdict) == ("225.1 mm (n 20: 171 to 329)", Fate.AGREES)
+    assert published.of_deviation("what", 2 * values, Fate.AGREES).verdict is Fate.MISSED
+    found = published.of_mean("what", values, Fate.AGREES, unit="mm")
+    assert (found.published, found.verdict) == ("648.6 +- 105.4 mm (n 20)", Fate.AGREES)
+    assert published.of_mean("what", values / 3, Fate.AGREES).verdict is Fate.MISSED
+
+
+def test_a_published_run_agrees_if_it_is_no_rare_one_of_ours():
+    runs = [float(one) for one in range(100)]
+    found = single("what", 90.0, runs, Fate.AGREES, unit="mm")
+    assert (found.ours, found.verdict) == ("10 of 100 runs larger", Fate.AGREES)
+    assert single("what", 99.0, runs, Fate.AGREES).verdict is Fate.MISSED
 
 
 def test_a_field_spins_from_a_whole_turn_on():
@@ -57,8 +81,8 @@ def test_a_field_spins_from_a_whole_turn_on():
 
 def _figures(logs):
     errors = [log.result.total_error for log in logs["one"]]
-    yield mean("error", "500 um", errors, lambda ci: ci.high <= 500, unit="um")
-    yield mean("error", "0 um", errors, lambda ci: ci.high <= 0, Fate.MISSED, "noise", "um")
+    yield mean("error", "500 um", errors, at_most(500), unit="um")
+    yield mean("error", "0 um", errors, at_most(0), Fate.MISSED, "noise", "um")
 
 
 PAPER = Paper("Somebody, 2026", {"one": Runs("single_cell")}, _figures)
@@ -73,7 +97,7 @@ def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys
     assert "noise" in shown
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.DONE
     assert {path: path.stat().st_mtime_ns for path in logs} == logs  # none was run again
-    wrong = Paper("x", PAPER.arms, lambda logs: [mean("e", "0", VALUES, lambda ci: False)])
+    wrong = Paper("x", PAPER.arms, lambda logs: [mean("e", "0", VALUES, at_most(0))])
     monkeypatch.setattr(PAPERS, "load", lambda name: wrong)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.FAILED
     assert "mine: e: missed, but reached on the page" in capsys.readouterr().err

@@ -22,7 +22,7 @@ from tetractl_microscope.organisms import MAGNETOSPIRILLUM
 
 from tetractl.core.poses import Floats, Grey
 from tetractl.model.swimmers import Swimmers, bodies
-from tetractl.reproduce.paper import Figure, Paper, Work, mean, share
+from tetractl.reproduce.paper import Figure, Paper, Work, at_most, mean, share
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
 STRENGTHS_MT, CELLS = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0), 34
@@ -120,7 +120,7 @@ def _figures(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[Figur
         "a over B: width of its interval, 204 cells",
         "0.06 rad/(mT s), of 0.74 +- 0.03",
         [high - low for _, low, high in ends],
-        lambda ci: ci.high <= 0.06,
+        at_most(0.06),
         unit="rad/(mT s)",
     )
     yield share(

@@ -217,7 +217,7 @@ def share(
     ends = proportion_interval(count, n)
     text = f"{100 * ends.low:.0f} to {100 * ends.high:.0f} %"
     verdict = _verdict(count / n <= most, page)
-    asked = f"at most {most:.0%}" if most else "in no trial"
+    asked = f"at most {100 * most:g} %" if most else "in no trial"
     return Figure(what, published, asked, f"{count} of {n}", n, text, verdict, page, why)
 
 

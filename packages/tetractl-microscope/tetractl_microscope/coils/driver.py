@@ -106,7 +106,7 @@ class Driver:
         self._port = make(port, baud, "the current driver", clock, self._hear, HINT)
         self._splitter = Splitter()
         self._lock = threading.Lock()
-        self._sequence = 0
+        self._sequence, self._latched = 0, Flag(0)
         # number of frames since the last reply, and when the first of them was sent
         self._unanswered = 0
         self._unanswered_ns = 0
@@ -132,11 +132,12 @@ class Driver:
 
     def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
         """Send a command that polls; return the time of sending [ns]. AbortError if sending
-        fails.
+        fails. Once one was an emergency stop, all are.
         """
         with self._lock:
+            self._latched |= flags & Flag.EMERGENCY_STOP
             self._sequence = (self._sequence + 1) % 256
-            command = FieldCommand(self._sequence, flags | Flag.POLL, x_ma, y_ma)
+            command = FieldCommand(self._sequence, flags | self._latched | Flag.POLL, x_ma, y_ma)
             sent_ns = self._port.write(encode_command(command))
             if self._unanswered == 0:
                 self._unanswered_ns = sent_ns

@@ -13,6 +13,7 @@ from support.field_bench import LIMITS, Bench, Wire, section
 from tetractl_emulator import firmware
 from tetractl_emulator.pictures.driver_core import DriverLimits
 from tetractl_microscope.coils.actuator import FieldActuator
+from tetractl_microscope.coils.driver import Driver, decode_command
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -157,6 +158,19 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     assert stop.outputs["field_mt"] == pytest.approx(0.05)  # the ambient field stays
 
 
+def test_once_one_stop_was_an_emergency_stop_every_command_is():
+    heard = []
+
+    def port(*_):
+        return SimpleNamespace(write=lambda data: heard.append(data) or 0)
+
+    driver = Driver("/dev/null", 115200, VirtualClock(), port)
+    for flag in (Flag.RUN, Flag.EMERGENCY_STOP, Flag(0), Flag.POLL):
+        driver.send(flag)
+    flags = [decode_command(frame[:-1]).flags for frame in heard]
+    assert [Flag.EMERGENCY_STOP in one for one in flags] == [False, True, True, True]
+
+
 # from here on: before an emulated driver
 
 
@@ -224,8 +238,9 @@ def test_an_emergency_stop_latches_until_the_driver_is_switched_off():
             actuator.send(Steer(1.0), POSES, BOTH, 0)
         (problem,) = actuator.check().problems
         assert "switch it off and on again" in problem
-        stage.driver.switch(False)
-        stage.driver.switch(True)
+    stage.driver.switch(False)
+    stage.driver.switch(True)
+    with stage.opened(SETUP) as actuator:
         assert actuator.check().problems == ()
         actuator.send(Steer(1.0), POSES, BOTH, 0)
 

@@ -238,6 +238,7 @@ def test_an_emergency_stop_latches_until_the_driver_is_switched_off():
             actuator.send(Steer(1.0), POSES, BOTH, 0)
         (problem,) = actuator.check().problems
         assert "switch it off and on again" in problem
+    stage.clock.sleep_until(stage.clock.now() + SECOND // 10)  # until the last stop is heard
     stage.driver.switch(False)
     stage.driver.switch(True)
     with stage.opened(SETUP) as actuator:

@@ -244,7 +244,7 @@ PAPER = Paper(
         "figure-1": Runs("round_obstacle"),
         "once": Runs("three_m3pi_paper", ONCE),
         "bench": Runs("three_m3pi_paper_bench", trials=100),
-        "late": Runs("three_m3pi_paper", LATE, 100),
+        "late": Runs("three_m3pi_paper", LATE, 300),
         "open": Runs("three_m3pi_paper_bench", trials=100, then=_first_plan),
         "ensemble": Runs("three_m3pi_paper_bench", (EARLIER,), 100),
         "cells": Runs("benchmark/cells-bench", (AS_PUBLISHED,)),

@@ -8,11 +8,11 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import HALTS, Command, Verdict
+from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.setup import MM
 from tetractl.core.trial import Result
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S, LabSection
-from tetractl.lab.cameras.optitrack.stream import COUNTED_BACK
 from tetractl.lab.rest_check import REST_NS
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
@@ -50,15 +50,18 @@ def _untold(verdict: Verdict) -> bool:
 
 def _frames(log: TrialLog) -> Iterator[Difference]:
     """Check that frame numbers and times increase, and that no frame is received before its
-    exposure. Only a frame counter that goes back, which aborts a trial, may do so.
+    exposure. A frame counter may go back, which aborts a trial, but not before its last step.
     """
-    restarted = log.result is not None and COUNTED_BACK in log.result.reason
+    aborted = log.result is not None and log.result.outcome is Outcome.ABORTED
+    steered_ns = log.steps[-1].observation.sampled_ns if log.steps else -1
     for name, values, least in (
-        ("frames", log.frames, -np.inf if restarted else 1),
+        ("frames", log.frames, 1),
         ("sampled_ns", log.mocap_ns, 1),
         ("received_ns", log.received_ns, 0),
     ):
         for i in np.flatnonzero(np.diff(values) < least):
+            if name == "frames" and aborted and log.mocap_ns[i] >= steered_ns:
+                continue
             text = f"goes from {values[i]} to {values[i + 1]} after frame {log.frames[i]}"
             yield Difference(None, f"mocap.{name}", text)
     own, at = log.exposed_ns, log.mocap_ns[:, None]

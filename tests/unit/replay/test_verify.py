@@ -296,6 +296,22 @@ def test_steps_of_the_lab_come_in_order(tmp_path):
     assert "command.sent_ns" in found
 
 
+@pytest.mark.parametrize(
+    ("outcome", "after", "wrong"),
+    [(Outcome.ABORTED, 1, False), (Outcome.ABORTED, 0, True), (Outcome.NO_BETTER_PLAN, 1, True)],
+)
+def test_a_frame_counter_goes_back_only_as_a_trial_aborts(outcome, after, wrong, tmp_path):
+    """For whatever reason it aborts: robots may be lost just before."""
+    log = read_trial(random_trials.write(random_trials.trial(simulated=False), tmp_path / "t.mcap"))
+    steps = log.steps[:3]
+    last = int(np.searchsorted(log.mocap_ns, steps[-1].observation.sampled_ns))
+    numbers = log.frames.copy()
+    numbers[last + after :] -= 30
+    result = replace(log.result, outcome=outcome, reason="red is lost")
+    found = lab_differences(replace(log, frames=numbers, steps=steps), result, log.stop)
+    assert ("mocap.frames" in {one.field for one in found}) == wrong
+
+
 def lab_log(tmp_path, valid, speed_mm, halts, metres):
     """A complete lab trial: a second of frames at 100 Hz; robot 0 drives along x throughout."""
     made = random_trials.trial(simulated=False)

@@ -22,7 +22,6 @@ from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import number_in, parse
 
 DRIFT_MAX = 1e-3
-COUNTED_BACK = "the frame counter went back"
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +287,7 @@ class Stream:
             if sampled_ns < before.sampled_ns or frame.number >= before.number - 10:
                 return  # it was overtaken on its way; without a clock, by few
             self._fault = (
-                f"{COUNTED_BACK} from {before.number} to {frame.number}: "
+                f"the frame counter went back from {before.number} to {frame.number}: "
                 "the server was restarted, or plays a recording"
             )
         self.counts.frames += 1

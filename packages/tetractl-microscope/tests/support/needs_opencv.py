@@ -15,6 +15,7 @@ def video(path, pictures, rate=30.0, codec="MJPG"):
     writer.release()
     return path
 
+
 finds_small_tags = pytest.mark.skipif(
     tuple(int(part) for part in cv2.__version__.split(".")[:2]) < (4, 14),
     reason="OpenCV before 4.14 misses some small tags",

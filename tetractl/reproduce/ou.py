@@ -111,6 +111,13 @@ def _simulated(logs: Logs) -> Iterator[Figure]:
         [*map(of.warm_work, bench)],
         at_most(1),
     )
+    yield mean(
+        "IV-B: a square during the first search ends at the starts: distance of a robot, bench",
+        f"no number; read as {way / 3:.0f} mm or less",
+        [*map(of.off_start, logs["square"])],
+        at_most(way / 3),
+        unit="mm",
+    )
 
 
 def _experiment(logs: Logs) -> Iterator[Figure]:
@@ -246,6 +253,7 @@ PAPER = Paper(
         "bench": Runs("three_m3pi_paper_bench", trials=100),
         "late": Runs("three_m3pi_paper", LATE, 300),
         "open": Runs("three_m3pi_paper_bench", trials=100, then=_first_plan),
+        "square": Runs("three_m3pi_paper_bench", ("controller.first_plan={type: square}",)),
         "ensemble": Runs("three_m3pi_paper_bench", (EARLIER,), 100),
         "cells": Runs("benchmark/cells-bench", (AS_PUBLISHED,)),
     },

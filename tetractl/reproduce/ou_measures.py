@@ -42,6 +42,13 @@ def warm_work(log: TrialLog) -> float:
     return float(np.mean(each[1:])) / each[0]
 
 
+def off_start(log: TrialLog) -> float:
+    """Return how far robots are from where they began when step 0 is sent, the mean of them."""
+    assert log.truth is not None, "the trials are simulated"
+    at = int(np.searchsorted(log.mocap_ns, log.steps[0].command.sent_ns)) - 1
+    return float(np.hypot(*(log.truth[at] - log.truth[0])[:, :2].T).mean())
+
+
 def chosen_history(log: TrialLog) -> Floats:
     """Return J after each iteration of the search whose plan step 0 took."""
     plan = log.steps[0].plan

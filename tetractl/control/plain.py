@@ -36,6 +36,7 @@ class PlainSection(ControllerSection):
             obstacles=Obstacles.of(setup.obstacles),
             obstacle_weight=0.0,
             swept=False,
+            intensity=setup.intensity,
         )
 
     def known(self, setup: Setup) -> Prior:

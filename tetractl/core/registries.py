@@ -35,6 +35,7 @@ MOTIONS = Registry(
         "euler": "tetractl.model.motion.euler:EULER",
         "arc": "tetractl.model.motion.arc:ARC",
         "exact": "tetractl.model.motion.exact:EXACT",
+        "rollers": "tetractl.model.motion.rollers:ROLLERS",
     },
 )
 SHAPES = Registry(
@@ -145,6 +146,7 @@ FIGURES = Registry(
         "ecdf": "tetractl.view.figures.ecdf:ecdf_figure",
         "scatter": "tetractl.view.figures.scatter:scatter_figure",
         "swarm": "tetractl.view.figures.swarm:swarm_figure",
+        "signal": "tetractl.view.figures.signal:signal_figure",
         "estimate": "tetractl.view.figures.estimate:estimate_figure",
         "timing": "tetractl.view.figures.convergence:timing_figure",
     },

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tetractl.core.intensity import Intensity
 from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
 from tetractl.core.shape import Shape
 from tetractl.core.tour import HoldTask, LossRule
@@ -63,7 +64,8 @@ class Setup:
     there. `sight` is what the plant's camera can see. `loss` is the rule by which a robot counts as
     lost and the trial goes on without it, or ends; None if robots that are not tracked end the
     trial, by the plant, and others never do. `strength` is that of the field, at which robots turn
-    at the rates `a`, in `strength_unit`; None if it is not stated.
+    at the rates `a`, in `strength_unit`; None if it is not stated. `intensity` is that of the
+    signal that a controller may choose, None if it chooses the direction only.
     """
 
     name: str
@@ -90,6 +92,12 @@ class Setup:
     sight: Sight = UNSTATED
     strength: float | None = None
     strength_unit: str = "mT"
+    intensity: Intensity | None = None
+
+    @property
+    def a_most(self) -> Floats:
+        """The greatest turning rates that a controller can give the robots [rad/s], (N,)."""
+        return self.a if self.intensity is None else self.intensity.gain * self.a
 
     @property
     def legs(self) -> Floats:

@@ -45,6 +45,8 @@ class OptimizerSection(Model):
     """
 
     type: Any  # the section's name, a Literal in each subclass
+    intensities: ClassVar[bool] = False
+    """Whether sequences (L, 2) of directions and intensities can be searched."""
 
     @property
     @abstractmethod
@@ -120,6 +122,11 @@ class ControllerSection(Model):
     """Whether the controller ever switches the field off, which not every plant supports."""
     tours: ClassVar[bool] = False
     """Whether the controller supports way-points and a hold at the targets."""
+
+    @property
+    def intensities(self) -> bool:
+        """Whether the controller can choose an intensity besides the direction."""
+        return False
 
     @property
     def iterations_max(self) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.cost import evaluate
+from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, swarms
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Problem
@@ -107,9 +107,9 @@ def _landscape(problem: Problem, u_gb: Floats) -> Floats:
     `u_gb`.
     """
     axis = np.linspace(LOWER, UPPER, GRID)
-    costs = np.empty((GRID, GRID))
+    costs, of = np.empty((GRID, GRID)), compiled_costs(problem, GRID)
     for row, value in enumerate(axis):
         signals = np.repeat(u_gb[None], GRID, axis=0)
         signals[:, SEEN] = np.column_stack([axis, np.full(GRID, value)])
-        costs[row] = evaluate(problem, signals).total
+        costs[row] = of(np.ascontiguousarray(signals.T))
     return costs

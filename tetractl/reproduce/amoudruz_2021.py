@@ -14,7 +14,7 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.reproduce.paper import Fate, Figure, Paper, Work, at_least, at_most, mean
-from tetractl.reproduce.rollers import RollerLeg, Rollers
+from tetractl.reproduce.roller_plan import RollerLeg, Rollers
 
 PERIOD_S, LIMIT_S = 0.1, 300.0
 NAMES, K, STEP_OUT = ("one", "two"), np.ones(2), np.array([69.8, 28.6])

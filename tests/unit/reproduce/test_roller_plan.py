@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from tetractl.core.errors import UsageError
-from tetractl.reproduce.rollers import Rollers
+from tetractl.reproduce.roller_plan import Rollers
 
 PAIR = Rollers(("one", "two"), np.array([1.0, 0.7]), np.array([69.8, 28.6]))
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
+from tetractl.model.motion.rollers import turned
 
 TOLERANCE = 0.01
 """Robots move alike if their ratio of speeds changes by less than this fraction with frequency."""
@@ -47,9 +48,7 @@ class Rollers:
 
     def speeds(self, frequency: Floats | float) -> Floats:
         """Return the speeds (..., N) [length unit/s] at frequencies (...) [rad/s]."""
-        f = np.asarray(frequency, dtype=np.float64)[..., None]
-        slip = np.sqrt(np.maximum((f - self.step_out) * (f + self.step_out), 0.0))
-        return self.k * (f - slip)
+        return self.k * turned(np.asarray(frequency, dtype=np.float64)[..., None], self.step_out)
 
     @property
     def rank(self) -> int:

@@ -19,19 +19,29 @@ class Acting:
         self._problem, self._motion = problem, MOTIONS.load(problem.motion)
         self._delay_ns = round(dead_time_s * SECOND)
         self._acting = deque[tuple[int, Sent]]()  # from when on [ns]
+        self._newest = 0, problem.poses  # of the last frame: when it was exposed [ns], and where
 
     def sent(self, command: Sent, sampled_ns: int) -> None:
         """Add a signal decided on a frame exposed at `sampled_ns`."""
         self._acting.append((sampled_ns + self._delay_ns, command))
 
     def ahead(self, observation: Observation) -> Poses:
-        """Return the poses at which a signal decided on a frame begins to act."""
-        now, poses = observation.sampled_ns, observation.poses
+        """Return the poses at which a signal decided on a frame begins to act; a robot that the
+        frame does not show is predicted from the last that did."""
+        now, seen = observation.sampled_ns, observation.poses.array()
+        if not observation.valid.all():
+            unseen = self._onwards(*self._newest, now).array()
+            seen = np.where(observation.valid[:, None], seen, unseen)
+        self._newest = now, Poses.of(seen)
         while len(self._acting) > 1 and self._acting[1][0] <= now:
             self._acting.popleft()
-        ends = [*(since for since, _ in self._acting), now + self._delay_ns][1:]
-        for (since, command), end in zip(self._acting, ends, strict=False):
-            seconds = (end - max(since, now)) / SECOND
+        return self._onwards(*self._newest, now + self._delay_ns)
+
+    def _onwards(self, begin: int, poses: Poses, end: int) -> Poses:
+        """Return the poses at `end` [ns] of robots that were at `poses` at `begin`."""
+        until = [*(since for since, _ in self._acting), end][1:]
+        for (since, command), next_ns in zip(self._acting, until, strict=False):
+            seconds = (min(next_ns, end) - max(since, begin)) / SECOND
             if seconds > 0:
                 poses = self._moved(poses, command, seconds)
         return poses

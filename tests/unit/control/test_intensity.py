@@ -159,3 +159,6 @@ def test_signals_under_way_are_part_of_the_estimate():
     way = replace(problem, first_period=0.1, period=0.2)
     ends = predict(way, np.array([[0.5, 4.0], [-1.0, 1.0]]))[-1]
     assert Poses.of(ends).xy == pytest.approx(found.xy, rel=1e-12)
+    hidden = Poses.of(np.full((3, 3), np.nan))  # from here on, no frame shows the robots
+    later = acting.ahead(Observation(0, at + SECOND, at + SECOND, hidden, ~every))
+    assert later.xy == pytest.approx(found.xy, rel=1e-12)

@@ -7,6 +7,7 @@ a stop and a rest before plans are searched, with the least value that a plan ca
     rest     stop so, and search a new plan while the robots stand
     plan     the plan under way without its first signal, and plans one signal shorter and longer
     longer   longer plans, while they can be worth more and time allows
+    near     at rest: signals that bring a crowd nearer, if no plan brings it to its targets
     leave    at rest: a way out of a corner, then rest
     turn     at rest: turn on the spot, then search again
 
@@ -20,16 +21,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from tetractl.control import crowd
 from tetractl.control.corners import STILL, away
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_drive, compiled_foresee
 from tetractl.control.fixed_sequence import best_stop, given_search, least_error, make_plan
 from tetractl.control.holding import CircleSearch, held
-from tetractl.control.lengths import Searcher, least_length, longer
+from tetractl.control.lengths import Searcher, least_length
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
-from tetractl.control.mpc_step import Candidate, Leg, StepStart
+from tetractl.control.mpc_step import Candidate, Leg, StepStart, search_on
 from tetractl.control.passage import AHEAD, FAR, LOST, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
@@ -54,9 +56,6 @@ from tetractl.core.shape import Shape
 from tetractl.core.tour import told_dead
 from tetractl.experiment.controller import Host, Square
 
-NEXT = 2  # number of next signals of the present plan that must be safe
-UNSURE = 2  # number of last signals of a plan that need not be safe
-KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 RESTED_S = 2.0  # least time that a plan is driven before a rest for a better one [s]
 REST_S = 1.0  # time after which the searches of a step end for standing robots [s]
 SOON, RESTS = 0.7, 10
@@ -154,7 +153,9 @@ class Mpc:
         problem = self._with_margins(known, self.estimator.known)
         left = (self.time.left_s + phase * section.period) / problem.period
         spent_s = self.time.passed_s - self.leg.began_s
-        value = Worth(section.accept_error, spent_s, problem.period, section.patience_s(self.setup))
+        more = crowd.LEFT if self.leg.nears else 0.0
+        patience_s = section.patience_s(self.setup)
+        value = Worth(section.accept_error, spent_s, problem.period, patience_s, more)
         return StepStart(problem, warm, section.horizon_max, left, value)
 
     def _decide(self, step: StepStart, observation: Observation) -> Plan | Outcome | End:
@@ -182,7 +183,24 @@ class Mpc:
             return self._given(problem, State.LEAVING, step.warm)
         if self._state is State.PASSING and len(step.warm) > AHEAD:
             return self._passing(step, step.warm)
+        if self._state is State.NEARING:
+            return self._nearing(step, step.warm, crowd.STAGE_KEPT, crowd.NEAR)
         return self._under_way(step, step.warm, holds)
+
+    def _nearing(
+        self, step: StepStart, warm: Floats, kept: int, near: float, found: Sequence[Search] = ()
+    ) -> Plan:
+        """Bring a crowd nearer, by the signals `warm` left of a stage or by the next stage; rest
+        where less than `near` is left, or robots cannot keep clear."""
+        problem, steps = step.problem, self.k - self.began
+        due = not len(warm) or steps % (crowd.HELD * self.section.signal_periods) == 0
+        if due or self._enters(problem, warm):
+            warm, left = crowd.stage(problem, step.signals_max, mix(self.key, self.k), kept)
+            near *= step.warm is None or steps * self.section.period > RESTED_S
+            if not len(warm) or left < near or self._enters(problem, warm):
+                return self._given(problem, State.RESTING, before=found)
+        self.leg = replace(self.leg, nears=True)
+        return self._given(problem, State.NEARING, warm, found)
 
     def _passing(self, step: StepStart, warm: Floats) -> Plan:
         """Go on through a passage, with the signals `warm` left: the next AHEAD are searched again,
@@ -223,7 +241,9 @@ class Mpc:
                 outcome = Outcome.NO_BETTER_PLAN if len(warm) else Outcome.SEQUENCE_COMPLETED
                 return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
-        valued = self._search_on(searcher, step, warm)
+        assert self.last is not None
+        good_enough, after = self.section.optimizer.good_enough, self.last.searches[-1].length
+        valued = search_on(searcher, step, warm, good_enough or 0.0, after, self._valued)
         for candidate in sorted(valued, key=lambda one: one.worth):
             if self.stands and candidate.worth > rest:
                 break
@@ -231,35 +251,6 @@ class Mpc:
             if not (self.stands and self._enters(problem, plan.signals)):
                 return plan
         return self._given(problem, State.RESTING, before=searcher.found)
-
-    def _search_on(self, searcher: Searcher, step: StepStart, warm: Floats) -> list[Candidate]:
-        """Search plans about as long as the one under way, and longer ones if these can be worth
-        more; return them with their values. The next step continues after the longest searched."""
-        value, count, most = step.value, len(warm), step.signals_max
-        good_enough = self.section.optimizer.good_enough or 0.0
-        nearest = [(count, warm), (count - 1, warm[1:]), (count + 1, np.append(warm, 0.0))]
-        valued = list[Candidate]()
-        for length, start in nearest:
-            if not 0 < length <= max(most, 1):
-                continue
-            search = searcher.search(length, start)
-            if search is None:
-                return valued
-            valued.append(self._valued(search, step))
-            if search.cost <= good_enough and valued[-1].worth <= value.plan(
-                good_enough, length, False
-            ):
-                return [valued[-1]]
-        assert self.last is not None
-        after = self.last.searches[-1].length
-        for length in longer(count, most, after):
-            if value.plan(0.0, length, True) >= min(one.worth for one in valued):
-                continue
-            search = searcher.search(length)
-            if search is None:
-                break
-            valued.append(self._valued(search, step))
-        return valued
 
     def _worth(
         self, step: StepStart, signals: Floats, seen: Foreseen, cost: float = np.inf
@@ -287,6 +278,10 @@ class Mpc:
             return self._given(problem, State.RESTING)
         if stood and (error <= again or not step.signals_max):
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
+        many, none = self.stands and crowd.is_crowd(problem), np.empty(0)
+        at_rest = none, crowd.KEPT, crowd.NEAR
+        if self.leg.nears and not (near := self._nearing(step, *at_rest)).pauses:
+            return near
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         good_enough = self.section.optimizer.good_enough or 0.0
 
@@ -297,10 +292,23 @@ class Mpc:
         reached, passes = searcher.spread(least, most, good), False
         if not (reached or self._moving) and self.section.collision.walls:
             later = self._with_margins(problem, None)  # the motion will be identified by then
-            starts = ways(later, self.setup.arena, most, mix(self.key, self.k))
-            passes = searcher.onward(later, starts, good)
+            key = mix(self.key, self.k)
+            if many:
+                near = self._nearing(step, *at_rest, searcher.found)
+                if not near.pauses:
+                    return near
+                later = replace(later, depth_weight=crowd.DEPTH_WEIGHT)
+            starts = (
+                crowd.whole(later, most, key) if many else ways(later, self.setup.arena, most, key)
+            )
+            passes = searcher.onward(later, starts, good) and not many
             step = replace(step, problem=searcher.problem)
         plan, worth = self._best(searcher, step)
+        far = worth - again > crowd.LEFT * self.section.accept_error
+        if self.leg.nears and far and step.signals_max > crowd.WHOLE:
+            near = self._nearing(step, none, crowd.KEPT, 0.0, searcher.found)
+            if not near.pauses:
+                return near
         plan = replace(plan, state=State.PASSING) if passes and plan.search.length > AHEAD else plan
         out = self._out(searcher, plan)
         there = replace(problem, poses=Poses.of(plan.path[-1]))
@@ -383,14 +391,7 @@ class Mpc:
         return lambda _: self.timer() >= end
 
     def _safe(self, step: StepStart, signals: Floats, seen: Foreseen) -> bool:
-        """Return whether robots keep clear if, after any one of the signals (L,), they receive no
-        command for `silence` or until their watchdog stops them.
-
-        The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
-        collision, count = self.section.collision, len(signals)
-        count = min(count - UNSURE, count if step.is_new(signals) else NEXT)
-        if not collision.silence or count <= 0:
-            return True
-        kept = KEPT * collision.radius, collision.separation
-        seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
-        return self.margins.clear_unheard(step.problem, seen.path, signals[:count], seconds, *kept)
+        """Return whether robots keep clear if they receive no command for `silence` or until their
+        watchdog stops them."""
+        seconds = min(self.section.collision.silence + self.section.period, self.setup.watchdog_s)
+        return step.clear_unheard(self.margins, self.section.collision, signals, seen, seconds)

@@ -128,12 +128,12 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
         total = ways_left[-1, best].sum(axis=1)
         nearest = min(nearest, (float(total[0]), level))
         for node in range(min(int((total[:TRIED] < near).sum()), TRIED_IN_ALL - tried)):
-            yield _sequence(tree, node, held)
+            yield sequence(tree, node, held)
             tried += 1
         if tried == TRIED_IN_ALL:
             return
     if tree and not tried:
-        yield _sequence(tree[: nearest[1] + 1], 0, held)
+        yield sequence(tree[: nearest[1] + 1], 0, held)
 
 
 def ahead(problem: Problem, way: Floats) -> Problem:
@@ -141,7 +141,7 @@ def ahead(problem: Problem, way: Floats) -> Problem:
     return replace(problem, targets=np.ascontiguousarray(way[AHEAD, :, :2]))
 
 
-def _sequence(tree: list[tuple[Integers, Floats]], node: int, held: int) -> Floats:
+def sequence(tree: list[tuple[Integers, Floats]], node: int, held: int) -> Floats:
     """Return the signals that lead to a node of the last level."""
     parts = []
     for whence, towards in reversed(tree):

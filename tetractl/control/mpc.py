@@ -272,7 +272,7 @@ class Mpc:
         error, stood = float(gaps.sum()), self.k > 0 and not self._moving
         least, most = least_length(problem), max(1, step.signals_max)
         # with little time left robots may still come nearer to targets that they cannot reach
-        tight = stood and not step.allows(least, 0.0)
+        tight = stood and not step.allows(least, 0.0) and not self.leg.nears
         again = value.plan(0.0, min(least, most), True)
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)

@@ -21,20 +21,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tetractl.control.branches import Tree
 from tetractl.control.evaluate import compiled_branches
 from tetractl.control.kernels import clearance
-from tetractl.control.passage import Integers, sequence
 from tetractl.control.rng import uniform
 from tetractl.core.plan import Problem
-from tetractl.core.poses import Floats, wrap
+from tetractl.core.poses import Floats
 
 CROWD = 6  # least number of robots of a crowd
 DEPTH_WEIGHT = 0.75  # of a depth relative to a miss, while a plan for the whole way is searched
 DRAWN, WINDOW = 4000, 20  # numbers of random signals, and of those over which ways are compared
 SURE = 0.18  # displacement that counts for none, in the way at the mean speed in 1 s
-DIRECTIONS = 16  # directions tried at each node
 HELD = 2  # number of signals for which a branch is held
-PARTS = 2  # number of moments of a signal at which robots must keep clear
 KEPT, STAGE_KEPT = 200, 50  # nodes kept of each level at rest, and while robots drive
 LOOKED = 8  # of so many times that number, the best, the robots' distances are computed
 ALIKE = 0.7  # nodes in the same squares are alike; their side in units of the largest v / a
@@ -67,38 +65,24 @@ def ease(problem: Problem) -> Floats:
 def nearer(problem: Problem, most: int, key: int, kept: int) -> Iterator[tuple[Floats, float]]:
     """Yield sequences of 2, 4 and up to `most` signals after which the targets are easiest to
     reach, and the square of how hard it is then; `key` seeds the first direction of each level."""
-    count, hard = len(problem.a), ease(problem)
-    one, other = np.triu_indices(count, 1)
-    side = ALIKE * float((problem.speed / problem.a).max())
-    factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
-    times = np.zeros(PARTS * HELD), problem.period / PARTS
-    nodes, tree = problem.poses.array()[None], list[tuple[Integers, Floats]]()
-    known, walls = np.empty(0, dtype=np.int64), (problem.obstacles.rows, problem.obstacles.walls)
-    for level in range(most // HELD):
-        first = uniform(key, 2 * count + level, 1)
-        around = wrap(2 * np.pi / DIRECTIONS * (np.arange(DIRECTIONS) + first))
-        starts, towards = nodes.repeat(DIRECTIONS, axis=0), np.tile(around, len(nodes))
-        path = compiled_branches(problem, starts, towards, *times)[1:]
+    hard = ease(problem)
+    tree = Tree(problem, key, HELD, ALIKE)
+    walls = problem.obstacles.rows, problem.obstacles.walls
+    for _ in range(most // HELD):
+        path = tree.grow()
         x, y = np.moveaxis(path[..., :2], -1, 0).copy()
         gaps = np.empty((problem.obstacles.count, x.size))
         clearance.gaps(*walls, x.ravel(), y.ravel(), gaps)
         least = gaps.min(axis=0, initial=np.inf).reshape(x.shape).min(axis=(0, 2))
         gap = np.moveaxis(path[-1, ..., :2] - problem.targets, -1, -2)
         left = ((gap @ hard) ** 2).sum(axis=(1, 2))
-        squares = np.floor(path[-1, ..., :2].reshape(-1, 2 * count) / side).astype(np.int64)
-        alike, order = (squares * factors).sum(axis=1), np.argsort(left, kind="stable")
-        order = order[least[order] > 0]
-        best = order[np.sort(np.unique(alike[order], return_index=True)[1])]
-        best = best[~np.isin(alike[best], known)][: LOOKED * kept]
-        x, y = x[:, best], y[:, best]
-        apart = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
-        best = best[(apart > problem.separation).all(axis=(0, 2))][:kept]
+        order = np.argsort(left, kind="stable")
+        best = tree.unlike(order[least[order] > 0])[: LOOKED * kept]
+        best = best[tree.apart(x[:, best], y[:, best])][:kept]
         if not len(best):
             return
-        known = np.append(known, alike[best])
-        nodes = path[-1, best]
-        tree.append((best // DIRECTIONS, towards[best]))
-        yield sequence(tree, 0, HELD), float(left[best[0]])
+        tree.keep(best)
+        yield tree.sequence(0), float(left[best[0]])
 
 
 def whole(problem: Problem, most: int, key: int) -> Iterator[Floats]:

@@ -18,21 +18,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tetractl.control.evaluate import compiled_branches
+from tetractl.control.branches import Integers, Tree
 from tetractl.control.kernels import clearance
-from tetractl.control.rng import uniform
 from tetractl.core.plan import Problem
-from tetractl.core.poses import Bools, Floats, wrap
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds
 
-Integers = NDArray[np.int64]
-
 CELLS = 90  # number of cells along the longer side of the arena
-DIRECTIONS = 16  # directions tried at each node
 HELD_S = 0.4  # time for which a branch is held [s]
-PARTS = 2  # number of moments of a signal at which robots must be in free cells
 KEPT = 400  # number of nodes kept of each level, times that of the robots
 LOOKED = 4  # of so many times that number, the best, the bodies' distances are computed
 ALIKE = 1.2  # nodes in the same squares are alike; their side in units of the largest v / a
@@ -93,58 +87,36 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     free = gaps.min(axis=0, initial=np.inf) > -grid.side / 2
     left = grid.ways(free, problem.targets)
     own = np.arange(count) * len(grid.centres)
-    one, other = np.triu_indices(count, 1)
-    side = ALIKE * float((problem.speed / problem.a).max())
     near = NEAR * float((problem.speed / problem.a).sum())
-    factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
     held, kept = max(1, round(HELD_S / problem.period)), max(1, KEPT // count)
-    times = np.zeros(PARTS * held), problem.period / PARTS
-    nodes, tree = problem.poses.array()[None], list[tuple[Integers, Floats]]()
-    known, tried, nearest = np.empty(0, dtype=np.int64), 0, (np.inf, 0)
+    tree, tried, nearest = Tree(problem, key, held, ALIKE), 0, (np.inf, 0)
     for level in range(most // held):
-        first = uniform(key, 2 * count + level, 1)
-        around = wrap(2 * np.pi / DIRECTIONS * (np.arange(DIRECTIONS) + first))
-        starts, towards = nodes.repeat(DIRECTIONS, axis=0), np.tile(around, len(nodes))
-        path = compiled_branches(problem, starts, towards, *times)[1:]
+        path = tree.grow()
         ways_left = left[grid.cells(path[..., :2]) + own]
         total = (ways_left[-1] ** 2).sum(axis=1)
-        squares = np.floor(path[-1, ..., :2].reshape(-1, 2 * count) / side).astype(np.int64)
-        alike, order = (squares * factors).sum(axis=1), np.argsort(total, kind="stable")
+        order = np.argsort(total, kind="stable")
         order = order[np.isfinite(ways_left.sum(axis=(0, 2)))[order]]
-        best = order[np.sort(np.unique(alike[order], return_index=True)[1])]
-        best = best[~np.isin(alike[best], known)][: LOOKED * kept]
+        best = tree.unlike(order)[: LOOKED * kept]
         x, y = np.moveaxis(path[:, best, :, :2], -1, 0).copy()
-        apart = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
-        clear = (apart > problem.separation).all(axis=(0, 2))
+        clear = tree.apart(x, y)
         gaps = np.empty((problem.obstacles.count, x.size))
         clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x.ravel(), y.ravel(), gaps)
         clear &= (gaps > 0).all(axis=0).reshape(x.shape).all(axis=(0, 2))
         best = best[clear][:kept]
         if not len(best):
             break
-        known = np.append(known, alike[best])
-        nodes = path[-1, best]
-        tree.append((best // DIRECTIONS, towards[best]))
+        tree.keep(best)
         total = ways_left[-1, best].sum(axis=1)
         nearest = min(nearest, (float(total[0]), level))
         for node in range(min(int((total[:TRIED] < near).sum()), TRIED_IN_ALL - tried)):
-            yield sequence(tree, node, held)
+            yield tree.sequence(node)
             tried += 1
         if tried == TRIED_IN_ALL:
             return
-    if tree and not tried:
-        yield sequence(tree[: nearest[1] + 1], 0, held)
+    if tree.levels and not tried:
+        yield tree.sequence(0, nearest[1] + 1)
 
 
 def ahead(problem: Problem, way: Floats) -> Problem:
     """Return the problem whose targets are where a way (M, N, 3) leads after AHEAD signals."""
     return replace(problem, targets=np.ascontiguousarray(way[AHEAD, :, :2]))
-
-
-def sequence(tree: list[tuple[Integers, Floats]], node: int, held: int) -> Floats:
-    """Return the signals that lead to a node of the last level."""
-    parts = []
-    for whence, towards in reversed(tree):
-        parts.append(towards[node])
-        node = int(whence[node])
-    return np.repeat(parts[::-1], held)

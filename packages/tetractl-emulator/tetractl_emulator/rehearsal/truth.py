@@ -154,11 +154,15 @@ class Truth:
         return any(fault.get("signal") == "KILL" for _, _, fault in self.faults)
 
     @cached_property
+    def _slept_s(self) -> float:
+        """For how long our side stood still [s]."""
+        return sum(f["for"] for _, _, f in self.faults if f["fault"] in ("stopped", "asleep"))
+
+    @cached_property
     def napped_s(self) -> float:
         """For how long our side stood still, or a plan took [s]."""
-        own = [fault for _, _, fault in self.faults]
-        naps = [fault["for"] for fault in own if fault["fault"] in ("stopped", "asleep")]
-        return sum(naps) + sum(fault["seconds"] for fault in own if fault["fault"] == "busy")
+        busy = [f["seconds"] for _, _, f in self.faults if f["fault"] == "busy"]
+        return self._slept_s + sum(busy)
 
     @cached_property
     def late_s(self) -> float:
@@ -166,8 +170,7 @@ class Truth:
         late ones, and those that waited in the wire [s].
         """
         late = [f["by"] for _, _, f in self.faults if f["fault"] in LATE_FRAMES]
-        slept = [f["for"] for _, _, f in self.faults if f["fault"] in ("stopped", "asleep")]
-        return sum(late) + sum(slept)
+        return sum(late) + self._slept_s
 
     @property
     def alive_s(self) -> float:

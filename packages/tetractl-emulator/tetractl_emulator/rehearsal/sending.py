@@ -9,6 +9,7 @@ from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
 from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
 
 STOPS, STOPS_S = 10, 0.25  # stops after a run, and the time of ten, 20 ms apart, and a tick
+REPEAT_S = 0.5 + 0.05 + 0.02  # from a stop to its repetition: the wait, a poll, and the stop's gap
 TICK_S = 0.004  # within which commands of one tick of our side are sent
 MUTE = ("unplug", "stuck_port", "stopped", "asleep", "host_clock")  # nothing can be sent
 
@@ -74,12 +75,14 @@ def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
 
 
 def _repeated(truth: Truth) -> Iterator[Violation]:
-    """Stops are repeated from half a second on, for two seconds, while one robot is not shown."""
+    """While one robot is not shown, stops are at most half a second apart, for two seconds. They
+    may begin anew within: a run that is paused first, and ends once the robots stand.
+    """
     sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
     until = min(truth.ended_s + 2.0, truth.alive_s)
     apart = truth.unseen.max(axis=1) - truth.unseen.min(axis=1) > 2 * UNTRACKED_STOP_S
     for at in truth.times[apart & (truth.times > truth.ended_s + 0.85) & (truth.times < until)]:
-        if not ((sent > at - STOPS_S - 0.05) & (sent <= at)).any():
+        if not ((sent > at - REPEAT_S) & (sent <= at)).any():
             yield Violation("stops", float(at), "not repeated while a robot is not shown")
             return
 

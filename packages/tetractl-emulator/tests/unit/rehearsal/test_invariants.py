@@ -127,6 +127,13 @@ def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once(state, sto
     assert ("drives after stop" in found(*events)) == wrong
 
 
+@pytest.mark.parametrize(("again", "wrong"), [(0.5, False), (0.6, True)])
+def test_stops_are_at_most_half_a_second_apart_while_one_robot_is_not_shown(again, wrong):
+    hidden = [truth_at(2.4 + k / 20) | {"unseen_ms": [900.0, 10.0, 10.0]} for k in range(50)]
+    stops = [command(2.31 + k * again, 0, 0) for k in range(6)]
+    assert ("stops" in found(SEEN, STOP, *STOPS, *stops, *hidden)) == wrong
+
+
 @pytest.mark.parametrize("x", [900.0, 900.9, 920.0])
 def test_an_old_pose_that_is_right_on_a_cameras_grid_misleads_nobody(x):
     """A robot that stands within a step of the grid is shown by any frame, new or frozen."""

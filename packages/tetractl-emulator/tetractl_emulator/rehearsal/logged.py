@@ -33,7 +33,8 @@ def logged(truth: Truth) -> Iterator[Violation]:
         if fault["fault"] in HIDDEN:
             i = truth.setup.names.index(fault["robot"])
             for row, k in known:
-                old_s = (log.mocap_ns[k] - log.exposed_ns[k, i]) / 1e9  # the message of loss was lost
+                # a loss is not shown before its message arrives
+                old_s = (log.mocap_ns[k] - log.exposed_ns[k, i]) / 1e9
                 at = truth.times[row] - old_s
                 if log.valid[k, i] and began + 0.01 < at < ended - 0.01:
                     yield Violation("log", float(truth.times[row]), "says that it saw a robot")

@@ -76,7 +76,7 @@ def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
 
 def _repeated(truth: Truth) -> Iterator[Violation]:
     """While one robot is not shown, stops are at most half a second apart, for two seconds. They
-    may begin anew within: a run that is paused first, and ends once the robots stand.
+    may begin again within: a run that is paused first, and ends once the robots stand.
     """
     sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
     until = min(truth.ended_s + 2.0, truth.alive_s)

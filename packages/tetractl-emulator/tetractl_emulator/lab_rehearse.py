@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
-from tetractl.core.errors import AbortError, Exit, UsageError
+from tetractl.core.errors import AbortError, Exit
 from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
@@ -58,9 +58,6 @@ def rehearse(
     loaded = on_plant(ui.load(spec, sets), "emulated")
     loaded.experiment.plant.require_devices()
     lab = lab_of(loaded.experiment, loaded.name)
-    if lab.actuator.type == "field" and lab.camera.type != "cells":
-        hint = "rehearse with lab.camera.type cells"
-        raise UsageError("only cells that our own camera finds can be rehearsed", hint)
     kinds = rehearsal_of(lab, loaded.experiment.setup, loaded.experiment.open).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     own = (*(sets or ()), *_known(loaded.experiment, time_limit=1))

@@ -7,6 +7,7 @@ import random
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from pydantic import Field
@@ -22,7 +23,7 @@ from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
 from tetractl_emulator.optitrack.scripted import FAULTS
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
-from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Stage
 
 OF_A_SERVER = (
@@ -75,7 +76,7 @@ class PoseStream(PoseCamera):
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of the camera."""
-        return Rehearsal(world=world)
+        return Rehearsal(world=partial(world, scale=scale_of(lab, setup)))
 
     def __init__(
         self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body], port: str

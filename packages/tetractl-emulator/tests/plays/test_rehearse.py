@@ -11,6 +11,7 @@ from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.guard import Guard
+from tetractl.lab.pose_filter import PoseFilter
 
 pytestmark = pytest.mark.slow
 
@@ -81,10 +82,21 @@ def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     assert "steers blind: unseen for" in done.stderr
 
 
-def test_cells_that_another_program_tracks_are_refused(tmp_path):
-    done = tetractl(tmp_path, "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml")
-    assert done.returncode == 2
-    assert "only cells that our own camera finds" in done.stderr
+@pytest.mark.long
+def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
+    """A pose to which no cell can have swum ends the trial; a guard that accepts it is found."""
+    pytest.importorskip("tetractl_microscope")
+    jump = {"fault": "jump", "robot": "first", "by": [0.6, 0.0], "at": 2.0}
+    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", "strength": 0.95, **jump}], "")
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
+    words = ("lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml", "--days", "1")
+    done = tetractl(tmp_path, *words, "--out", "days").ok()
+    assert done.stdout.endswith("1 days, 0 violations\n")
+    assert rows(tmp_path)[0]["reason"].startswith("first is not tracked: its pose jumped")
+    monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
+    monkeypatch.setattr(PoseFilter, "_jumps", lambda *_: False)
+    done = tetractl(tmp_path, *words, "--out", "blind")
+    assert "accepts wrong: first jumped" in done.stderr
 
 
 @pytest.mark.system

@@ -130,10 +130,10 @@ class PoseCamera(ABC):
         return tuple(body for body in bodies if body.id in streamed)
 
 
-def world(chance: random.Random, _off: float) -> dict[str, Any]:
-    """Draw the noise and latency of a day's motion-capture system."""
+def world(chance: random.Random, _off: float, scale: float) -> dict[str, Any]:
+    """Draw the noise, in the scale of lengths, and latency of a day's motion-capture system."""
     return {
-        "noise_mm": round(chance.uniform(0.1, 0.5), 3),
+        "noise_mm": float(f"{scale * round(chance.uniform(0.1, 0.5), 3):.3g}"),
         "noise_rad": round(chance.uniform(0.001, 0.005), 4),
         "latency": round(chance.uniform(0.003, 0.012), 4),
     }

@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
@@ -31,7 +32,7 @@ from tetractl_emulator.optitrack.scripted import (
     TrueBody,
 )
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
-from tetractl_emulator.rehearsal.participants import Rehearsal
+from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Stage
 
 Address = tuple[str, int]
@@ -62,7 +63,7 @@ class EmulatedOptitrack(PoseCamera):
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of the cameras."""
-        return Rehearsal(world=world)
+        return Rehearsal(world=partial(world, scale=scale_of(lab, setup)))
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section, options = stage.lab.camera, stage.options

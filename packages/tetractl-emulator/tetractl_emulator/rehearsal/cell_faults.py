@@ -2,11 +2,11 @@
 world of a dish.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from random import Random
 from typing import Any
 
-from tetractl_emulator.rehearsal.due import after
+from tetractl_emulator.rehearsal.due import Due, after, plans
 from tetractl_emulator.rehearsal.picture_faults import SEEN, cell
 from tetractl_emulator.rehearsal.schedule import Draw, FaultRow
 
@@ -35,6 +35,13 @@ def field_rows() -> Iterator[FaultRow]:
     yield FaultRow("cell divides", "divides", SEEN, cell, at_once=True)
     yield FaultRow("cell rests", "rests", SEEN, cell)
     yield FaultRow("cell dives", "dives", SEEN, _dive, at_once=True)
+
+
+def cell_dues(period_s: float) -> Mapping[str, Due | None]:
+    """Return the bounds of the table's faults for cells: a false pose that a cell might swim is
+    none, and each that it cannot is refused, which the observer sees whatever the fault.
+    """
+    return {**dict.fromkeys(("ghost", "jump", "picture", "swap")), "busy": plans(period_s)}
 
 
 def dish_world(random: Random, off: float) -> dict[str, Any]:

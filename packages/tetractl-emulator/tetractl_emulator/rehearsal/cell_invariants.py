@@ -5,6 +5,7 @@ Cells never rest, so what must end is the field. Each bound is derived in `docs/
 
 from collections.abc import Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from tetractl_microscope.coils.section import FieldSection
@@ -13,9 +14,10 @@ from tetractl.core.poses import Floats, Integers
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import TrialLog
 from tetractl_emulator.rehearsal.invariants import ends, reasons
-from tetractl_emulator.rehearsal.times import late
+from tetractl_emulator.rehearsal.logged import logged
+from tetractl_emulator.rehearsal.times import NAPS, late, seldom
 from tetractl_emulator.rehearsal.truth import EMERGENCY, RUN, Truth
-from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
+from tetractl_emulator.rehearsal.violation import AIR_S, SLACK_S, Violation
 
 PERIOD_S = 0.025  # between two commands
 SENT_S = 0.015  # a tick, and three frames on the wire
@@ -23,6 +25,9 @@ LAG_S = 0.02  # of the coils, to 1 % of a current
 OFF = 0.01  # greatest current without a field, as a share of the greatest current
 WRONG_UM, SEEN_UM = 60.0, 15.0  # a body's length; the helix of a body, and a pixel
 KNOWN_S = 0.5  # until an unknown cell counts as unknown, and the trial ends
+STREAM_UM = 7.0  # noise of a stream's pose, the way of a cell in a frame, and rounding
+FASTER, WINDOW_S, STEP_S = 2.0, 1.0, 0.1  # as a cell may swim, in which time, and at what steps
+FALSE = ("ghost", "jump", "picture", "slip", "swap", "repeat")  # faults that make poses false
 MET_UM = 80.0  # largest body: two cells that were as near may have touched
 
 
@@ -67,11 +72,25 @@ class DishTruth(Truth):
 
     @cached_property
     def steered(self) -> Integers:
-        """Which cell each robot is (N,): the nearest in the first frame."""
+        """Which cell each robot is (N,): the nearest in the first frame, of a stream its own."""
+        if self.numbered:
+            return np.arange(len(self.setup.names))
         return np.nan_to_num(self.apart_um[0], nan=np.inf).argmin(axis=1)
 
+    def drives(self, command: dict[str, Any]) -> list[bool]:
+        """Return for each robot whether a command makes a field."""
+        return [bool(command["flags"] & RUN)] * len(self.setup.names)
+
+    def sent(self, i: int) -> list[tuple[float, bool, bool]]:
+        """Return each command's time [s], and that it drives any cell on if it makes a field."""
+        return [(e["t_ns"] / 1e9, any(self.drives(e)), False) for e in self.of("command")]
+
     def mistaken(self, frame: int, robot: int) -> str:
-        """Return the class of a wrong pose: a cell is taken for one that it has met; "" if not."""
+        """Return the class of a wrong pose: a cell is taken for one that it has met, or a false
+        pose moves as a cell may swim; "" if it is of none.
+        """
+        if self.numbered:
+            return "slow: as a cell may swim" if self.met(*FALSE) else ""
         own = self.steered[robot]
         other = int(np.nan_to_num(self.apart_um[frame, robot], nan=np.inf).argmin())
         way = self.poses[: self.seen[frame] + 1]
@@ -89,8 +108,11 @@ def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
     off_s = SENT_S + field.watchdog + ramp_s + LAG_S + sum(behind)
     found = [*_commands(truth, limits), *_field(truth, off_s, OFF * field.current_max_a)]
     found += [*ends(truth), *reasons(truth), *late(truth)]
+    if truth.numbered:
+        found += [*seldom(truth, limits.stale, 3.0 * limits.untracked_abort), *logged(truth)]
     if isinstance(truth.log, TrialLog) and len(truth.seen):
         found += [*_identity(truth, limits), *_result(truth)]
+        found += _swims(truth, limits) if truth.numbered else ()
     return found
 
 
@@ -133,17 +155,47 @@ def _field(truth: DishTruth, off_s: float, off_a: float) -> Iterator[Violation]:
             yield Violation(name, float(truth.times[row]), f"{truth.currents[row]:.2f} A")
 
 
+def _swims(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
+    """Poses of a stream to which no cell can have swum are refused, and so end the trial."""
+    log, mm = truth.trial, truth.setup.metres * 1000
+    assert log is not None, "a log was read"
+    known, rows = np.array([row is not None for row in truth.rows], bool), truth.times[truth.seen]
+    at, came = log.mocap_ns[known] / 1e9, log.received_ns[known] / 1e9
+    run = np.flatnonzero((rows > truth.began_s) & (rows < truth.ended_s))
+    for i, name in enumerate(truth.setup.names):
+        good = run[~np.isnan(truth.accepted[run, i, 0])]
+        t, xy, now = at[good], truth.accepted[good, i], np.arange(1, len(good))
+        for lag in np.arange(0.0, WINDOW_S, STEP_S):
+            then = np.minimum(np.searchsorted(t, t[1:] - lag), now - 1)
+            most = FASTER * truth.setup.speed[i] * mm * (t[now] - t[then])
+            most += limits.jump_mm * (1 + (lag > 0)) + STREAM_UM / 1000
+            over = np.hypot(*(xy[now] - xy[then]).T) > most
+            if over.any():
+                row = truth.seen[good[now[over.argmax()]]]
+                yield Violation("accepts wrong", float(truth.times[row]), f"{name} jumped")
+                return
+        since = np.concatenate([[-np.inf], t])[np.searchsorted(t, at[run], "right")]
+        gone = at[run] - since >= limits.untracked_abort
+        late = came[run] + AIR_S + truth.napped_s < truth.ended_s
+        if (wrong := gone & late & (since > 0)).any() and not truth.met(*NAPS):
+            yield Violation("late", float(rows[run][wrong.argmax()]), f"{name} is not tracked")
+            return
+
+
 def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     """No valid pose is that of another cell, or of none, for long."""
     at = truth.times[truth.seen]
+    wrong_um, known_s = WRONG_UM, WINDOW_S if truth.numbered else limits.identity + KNOWN_S
+    if truth.numbered and not truth.met(*FALSE):
+        wrong_um, known_s = STREAM_UM, 0.0
     for i, own in enumerate(truth.steered):
         off = truth.apart_um[:, i, own]
         known = np.flatnonzero(~np.isnan(off))
-        far = off[known] > WRONG_UM + _speed_um(truth, own) * truth.late_s
+        far = off[known] > wrong_um + _speed_um(truth, own) * truth.late_s
         since: float | None = None
         for frame, wrong in zip(known.tolist(), far.tolist(), strict=True):
             since = (at[frame] if since is None else since) if wrong else None
-            if since is not None and at[frame] - since > limits.identity + KNOWN_S:
+            if since is not None and at[frame] - since > known_s:
                 found = f"{truth.setup.names[i]} by {off[frame]:.0f} um"
                 yield Violation("accepts wrong", at[frame], found, truth.mistaken(frame, i))
                 return
@@ -161,9 +213,10 @@ def _result(truth: DishTruth) -> Iterator[Violation]:
         return
     apart = truth.poses[row, truth.steered, :2] * 1000 - setup.targets.reshape(-1, 2) * um
     off = np.abs(np.hypot(apart[:, 0], apart[:, 1]) - np.array(log.result.robot_errors) * um)
+    seen_um = STREAM_UM if truth.numbered else SEEN_UM
     for i, own in enumerate(truth.steered):
         lost = log.result.lost and log.result.lost[i]
-        if not lost and off[i] > SEEN_UM + _speed_um(truth, own) * truth.late_s:
+        if not lost and off[i] > seen_um + _speed_um(truth, own) * truth.late_s:
             frame = int(np.flatnonzero(truth.seen == row)[0])
             found = f"{truth.setup.names[i]} by {off[i]:.0f} um"
             yield Violation("wrong result", truth.times[row], found, truth.mistaken(frame, i))

@@ -95,7 +95,7 @@ def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool 
     not `bad` there is no fault, and robots and wheels are as the spec allows.
     """
     random = Random(f"{seed}-{day}")
-    faults = faults_of_day(random, lab.names, lab.kinds, lab.span_s) if bad else []
+    faults = faults_of_day(random, lab.names, lab.kinds, lab.span_s, lab.scale) if bad else []
     world = world_of_day(random, setup, lab, bad)
     number, own = random.randrange(2**31), (world.right, lab.kinds, world.slower)
     return DayPlan(number, world.emulation, faults, *own)

@@ -65,12 +65,20 @@ def _stands(f: Fields, v: float) -> float:
     return (DRIVING_S * v + NOISE_MM) / ((1 - WHEEL) * v) + NOTICED_S if whole else math.nan
 
 
-def _plan(f: Fields, v: float) -> float:
-    """No direction for half a second; or five steps in a row later than a period of 50 ms."""
-    seconds = f["seconds"]
-    if seconds >= 0.55:
-        return 0.6
-    return 5 * (seconds + 0.05) + seconds + 0.05 if seconds >= 0.06 else math.nan
+def plans(period_s: float) -> Due:
+    """Return the bound for plans that take long: no direction for six periods, and half a second at
+    least; or five steps in a row later than a period.
+    """
+    silent_s = max(0.5, 6 * period_s) + 0.05
+
+    def within(f: Fields, v: float) -> float:
+        seconds = f["seconds"]
+        if seconds >= silent_s:
+            return silent_s + 0.05
+        late = 5 * (seconds + period_s) + seconds + 0.05
+        return late if seconds >= period_s + 0.01 else math.nan
+
+    return Due(within, seen=False, alone=True, steady=True)
 
 
 def _weak(f: Fields, v: float) -> float:
@@ -82,5 +90,5 @@ WALKS_AHEAD = Due(_walk, alone=True, steady=True)
 TURNS = Due(lambda f, v: 0.75 if abs(f["turn"]) / FRAME_S >= 1.2 else math.nan, alone=True)
 STANDS = Due(_stands, alone=True, steady=True)
 REPEATS = Due(lambda f, v: 0.3 + 3 * FRAME_S, alone=True, steady=True)
-PLANS = Due(_plan, seen=False, alone=True, steady=True)
+PLANS = plans(0.05)
 WEAK = Due(_weak, alone=True)

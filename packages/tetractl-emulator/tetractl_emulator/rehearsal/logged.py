@@ -61,7 +61,8 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     if drives and drives[-1] > stop_s + NOTED_S:
         yield Violation("log", stop_s, "its last stop came before robots were last driven")
         return
-    for at in sent[sent > truth.first("run")].tolist():
+    ends_s = max(*drives, *said)  # a driver hears a last stop as its port is closed
+    for at in sent[(sent > truth.first("run")) & (sent <= ends_s)].tolist():
         if not ((said <= at) & (said >= at - NOTED_S)).any():
             yield Violation("log", at, "lacks a command")
             return

@@ -4,13 +4,14 @@ An emulated side of your own takes part in the faults of the table that it can h
 It may have a class method `rehearsal(lab, setup)`, which returns a `Rehearsal`.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from random import Random
 from typing import Any
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
+from tetractl_emulator.rehearsal.due import Due
 from tetractl_emulator.rehearsal.schedule import KINDS, SPAN_S, Draw, FaultRow
 from tetractl_emulator.script import Sides
 
@@ -27,19 +28,22 @@ def _as_in_the_spec(random: Random, off: float) -> dict[str, Any]:
 class Rehearsal:
     """A side's part: `rows` for its own faults, which replace the table's of the same fault, and
     the draw of its `world`. An actuator of cells also names those of a dish from which trials
-    choose, `dish`, and the latest begin of a fault, `span_s` [s].
+    choose, `dish`, with the latest begin of a fault, `span_s` [s], and the bounds that hold for
+    cells in place of the table's, `dues`, by the names of faults.
     """
 
     rows: Sequence[FaultRow] = ()
     world: SectionDraw = _as_in_the_spec
     dish: tuple[str, ...] = ()
     span_s: float = SPAN_S
+    dues: Mapping[str, Due | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class LabRehearsal:
     """The rows of all faults that a lab can have, and the draws for camera and actuator; the names
-    of the robots or cells that faults may name; whether robots are `placed` on their starts.
+    of the robots or cells that faults may name; whether robots are `placed` on their starts; the
+    `scale` of lengths.
     """
 
     kinds: Sequence[FaultRow]
@@ -49,6 +53,15 @@ class LabRehearsal:
     placed: bool
     start_mm: float
     span_s: float
+    scale: float = 1.0
+
+
+def scale_of(lab: LabSection, setup: Setup) -> float:
+    """Return the scale in which lengths, drawn for robots of 200 mm/s, are drawn for a lab: that of
+    their speeds for cells, 1 for all robots on wheels.
+    """
+    fastest_mm_s = float(setup.speed.max()) * setup.metres * 1000
+    return fastest_mm_s / 200 if lab.actuator.type == "field" else 1.0
 
 
 def rehearsal_of(lab: LabSection, setup: Setup, chosen: bool = False) -> LabRehearsal:
@@ -60,9 +73,11 @@ def rehearsal_of(lab: LabSection, setup: Setup, chosen: bool = False) -> LabRehe
     )
     own = [*camera.rows, *actuator.rows]
     names = sides.faults.keys() - {row.fault for row in own}
-    kinds = [row for row in KINDS if row.fault in names]
+    dues = actuator.dues
+    kinds = [replace(row, due=dues.get(row.fault, row.due)) for row in KINDS if row.fault in names]
     if len(setup.names) < 2:
         kinds = [row for row in kinds if row.fields is not Draw.robots]
     names, start_mm = actuator.dish if chosen else setup.names, lab.limits.start_mm
-    draws = camera.world, actuator.world
-    return LabRehearsal([*own, *kinds], *draws, names, not chosen, start_mm, actuator.span_s)
+    world, span_s = (camera.world, actuator.world), actuator.span_s if chosen else SPAN_S
+    own_names = names, not chosen, start_mm, span_s, scale_of(lab, setup)
+    return LabRehearsal([*own, *kinds], *world, *own_names)

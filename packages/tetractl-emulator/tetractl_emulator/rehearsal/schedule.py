@@ -35,11 +35,14 @@ JUMPS = above("by", 60, 0.45, alone=True)
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """The draw of one fault: `strength` is uniform in [0, 1)."""
+    """The draw of one fault: `strength` is uniform in [0, 1). A length or a speed is that of a
+    robot of 200 mm/s times `scale`.
+    """
 
     random: Random
     names: tuple[str, ...]
     strength: float
+    scale: float = 1.0
 
     def between(self, low: float, high: float) -> float:
         """Return a value from `low` to `high`, both above 0, by the strength, in equal ratios."""
@@ -49,6 +52,10 @@ class Draw:
         """Return a vector of a length between two, in any direction."""
         angle, length = self.random.uniform(-math.pi, math.pi), self.between(low, high)
         return [round(length * math.cos(angle), 5), round(length * math.sin(angle), 5)]
+
+    def off(self, low: float, high: float) -> list[float]:
+        """Return a way as `way`, in the robots' scale."""
+        return self.way(low * self.scale, high * self.scale)
 
     def signed(self, low: float, high: float) -> float:
         """Return a value as `between`, of either sign."""
@@ -141,16 +148,16 @@ def _kinds() -> Iterator[FaultRow]:
     )
     yield FaultRow("identities swapped", "swap", moved, Draw.robots, after(0.5))
     yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots, after(0.1))
-    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.way(5, 500)}, JUMPS)
+    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.off(5, 500)}, JUMPS)
     yield FaultRow("plate slips", "slip", moved, _slip)
     yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0), due.WALKS_AHEAD)
     yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2), due.WALKS)
     yield FaultRow("ghost drifts", "ghost", moved, lambda d: _ghost(d, None))
     yield FaultRow("ghost turns", "ghost", moved, _turning, due.TURNS)
-    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.way(3, 300)}, JUMPS)
+    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.off(3, 300)}, JUMPS)
     yield FaultRow("scale jumps", "picture", moved, lambda d: {"scale": 1 + d.signed(2e-3, 0.2)})
     yield FaultRow("axes jump", "picture", moved, lambda d: {"turn": d.signed(2e-3, 1)})
-    yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.way(2, 300))))
+    yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.off(2, 300))))
     yield FaultRow(
         "scale creeps", "picture", moved, lambda d: _creeps(scale=1 + d.signed(2e-3, 0.2) * FRAME_S)
     )
@@ -217,7 +224,7 @@ def _version(d: Draw) -> dict[str, Any]:
 
 
 def _slip(d: Draw) -> dict[str, Any]:
-    return d.robot() | {"by": d.way(2, 60), "turn": d.signed(0.02, 1.5)}
+    return d.robot() | {"by": d.off(2, 60), "turn": d.signed(0.02, 1.5)}
 
 
 def _slow(way: list[float]) -> list[float]:
@@ -226,9 +233,9 @@ def _slow(way: list[float]) -> list[float]:
 
 
 def _ghost(d: Draw, angle: float | None) -> dict[str, Any]:
-    speed, at = d.signed(3, 600) * FRAME_S, angle
+    speed, at = d.signed(3, 600) * d.scale * FRAME_S, angle
     if at is None:
-        return d.robot() | {"by": _slow(d.way(3, 600))}
+        return d.robot() | {"by": _slow(d.off(3, 600))}
     step = [round(speed * math.cos(at), 6), round(speed * math.sin(at), 6)]
     return d.robot() | {"by": step, "axes": "robot"}
 
@@ -247,7 +254,7 @@ def _rate(d: Draw) -> float:
 
 def _pushed(d: Draw, low: float, high: float, at_once: bool) -> dict[str, Any]:
     turn = round(d.signed(0.01, 2), 4)
-    return d.robot() | {"by": d.way(low, high), "turn": turn, "at_once": at_once}
+    return d.robot() | {"by": d.off(low, high), "turn": turn, "at_once": at_once}
 
 
 def _weak(d: Draw) -> dict[str, Any]:
@@ -283,17 +290,20 @@ def faults_of_day(
     names: tuple[str, ...],
     kinds: Sequence[FaultRow] = KINDS,
     span_s: float = SPAN_S,
+    scale: float = 1.0,
 ) -> list[dict[str, Any]]:
     """Draw a day's faults as of a script; a third of the days have one, others two to six. The key
-    `kind` is the name of the row; `strength` that of the draw.
+    `kind` is the name of the row; `strength` that of the draw; `scale` that of lengths.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
     chosen = random.choices(kinds, [kind.weight for kind in kinds], k=count)
-    return [_fault(random, kind, names, span_s) for kind in chosen]
+    return [_fault(random, kind, names, span_s, scale) for kind in chosen]
 
 
-def _fault(random: Random, kind: FaultRow, names: tuple[str, ...], span_s: float) -> dict[str, Any]:
-    draw = Draw(random, names, random.random())
+def _fault(
+    random: Random, kind: FaultRow, names: tuple[str, ...], span_s: float, scale: float
+) -> dict[str, Any]:
+    draw = Draw(random, names, random.random(), scale)
     fault = {"kind": kind.name, "strength": round(draw.strength, 3), "fault": kind.fault}
     fault |= kind.fields(draw)
     when = random.random()

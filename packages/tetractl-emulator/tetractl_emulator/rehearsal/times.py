@@ -26,7 +26,7 @@ def times(truth: Truth, stale_s: float, untracked_s: float) -> Iterator[Violatio
     yield from late(truth)
     yield from _off(truth)
     yield from _turns(truth)
-    yield from _seldom(truth, stale_s, 3.0 * untracked_s)
+    yield from seldom(truth, stale_s, 3.0 * untracked_s)
     yield from _at_rest(truth)
 
 
@@ -106,7 +106,7 @@ def _steady(truth: Truth, i: int, since: float, until: float) -> tuple[float, fl
     return from_s, until
 
 
-def _seldom(truth: Truth, stale_s: float, most_s: float) -> Iterator[Violation]:
+def seldom(truth: Truth, stale_s: float, most_s: float) -> Iterator[Violation]:
     """The time for which a robot was not shown, less a quarter of the time shown, is bounded."""
     if truth.met("late_frames", "reordered", "clock_jump", "clock_rate", *NAPS):
         return

@@ -165,10 +165,17 @@ class Truth:
         return self._slept_s + sum(busy)
 
     @cached_property
+    def numbered(self) -> bool:
+        """Whether frames have numbers, and times of their own."""
+        return any(e["frame"] for e in self.of("truth"))
+
+    @cached_property
     def late_s(self) -> float:
         """By how much frames without a number, which count as new, were older than they seemed:
         late ones, and those that waited in the wire [s].
         """
+        if self.numbered:
+            return 0.0
         late = [f["by"] for _, _, f in self.faults if f["fault"] in LATE_FRAMES]
         return sum(late) + self._slept_s
 
@@ -245,9 +252,14 @@ class Truth:
         time on the host's clock; None if there is no such exposure.
         """
         assert isinstance(self.log, TrialLog), "a log was read"
-        numbers = {int(e["frame"]): i for i, e in enumerate(self.of("truth"))}
-        if any(numbers):
-            return [numbers.get(int(number)) for number in self.log.frames]
+        if self.numbered:
+            numbers, at = dict[int, list[int]](), self.times * SECOND
+            for i, e in enumerate(self.of("truth")):
+                numbers.setdefault(int(e["frame"]), []).append(i)
+            shots = zip(self.log.frames.tolist(), self.log.mocap_ns.tolist(), strict=True)
+            # a counter that goes back repeats numbers
+            found = ((numbers.get(number, ()), ns) for number, ns in shots)
+            return [min(own, key=lambda i: abs(at[i] - ns), default=None) for own, ns in found]
         host = self.times.copy()
         for began, ended, fault in self.faults:
             if fault["fault"] == "host_clock":

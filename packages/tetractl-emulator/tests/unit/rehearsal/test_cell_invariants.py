@@ -99,6 +99,15 @@ def test_pictures_that_were_late_make_the_bound_later():
     assert not found(SEEN, STOP, command(2.1, unseen=450.0), fault=late)
 
 
+def test_a_frame_whose_number_comes_twice_is_that_of_its_time():
+    events = [{**truth_at(t), "frame": n} for t, n in ((1.5, 7), (1.6, 8), (1.7, 7), (1.8, 8))]
+    truth = truth_of(*events)
+    fields = dict.fromkeys(TrialLog.__dataclass_fields__)
+    times = np.array([1_500_000_000, 1_600_000_000, 1_700_000_000])
+    vars(truth)["log"] = TrialLog(**fields | {"frames": np.array([7, 8, 7]), "mocap_ns": times})
+    assert truth.rows == [1, 2, 3]  # the first exposure of all has no number
+
+
 def logged(seconds, seen, meets=False):
     """What is found of a log in which robot 0 was seen at `seen` [um] for so long."""
     times = np.arange(1.0, 1.0 + seconds, 0.1)

@@ -1,5 +1,6 @@
 """What a lab is rehearsed against: the table's faults that its sides can have, and their own."""
 
+import numpy as np
 import pytest
 from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
 from support.lab_specs import SPEC
@@ -58,6 +59,16 @@ def test_cells_can_have_what_pictures_coils_and_cells_have_and_nothing_of_wheels
     assert {"blurred", "knocked", "pictures late", "coils turned", "cell divides"} < names
     assert {"killed", "suspended", "disk full", "second run"} < names
     assert not names & {"wheel stuck", "pose frozen", "ghost turns", "radio late"}
+
+
+def test_lengths_are_drawn_in_the_scale_of_cells():
+    experiment = load_spec(EXAMPLES / "tetrahymena_lab.yaml").experiment
+    drawn = rehearsal_of(experiment.lab, experiment.setup)
+    assert drawn.scale == pytest.approx(330 / 200_000)
+    plans = [plan_of_day(1, day, experiment.setup, drawn) for day in range(300)]
+    jumps = [np.hypot(*f["by"]) for p in plans for f in p.faults if f["fault"] == "jump"]
+    assert 0.008 < min(jumps) < 0.02 < 0.3 < max(jumps) < 0.83
+    assert all(p.emulation["camera"]["noise_mm"] < 0.0009 for p in plans)
 
 
 def test_one_robot_is_not_swapped_with_itself():

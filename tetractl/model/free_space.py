@@ -11,6 +11,7 @@ The reverse does not hold: a wall thinner than a cell may be missed.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
@@ -75,10 +76,10 @@ def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
 def connected(cells: Bools, free: Bools) -> Bools:
     """Return the free cells that are connected with any of `cells`.
 
-    The cells grow by their free neighbours until nothing is added. (SciPy's `ndimage.label` takes
-    0.15 s to import.)
+    The cells grow by their free neighbours, and by the free runs of rows and columns that they are
+    in, until nothing is added. (SciPy's `ndimage.label` takes 0.15 s to import.)
     """
-    reached = cells & free
+    reached, all_runs = cells & free, (_runs(free), _runs(free.T).T)
     while True:
         tall = reached.copy()
         tall[1:] |= reached[:-1]
@@ -89,4 +90,14 @@ def connected(cells: Bools, free: Bools) -> Bools:
         wide &= free
         if (wide == reached).all():
             return reached
+        for runs in all_runs:
+            hit = np.zeros(free.size + len(runs) + len(runs.T), np.bool_)
+            hit[runs[wide]] = True
+            wide = hit[runs] & free
         reached = wide
+
+
+def _runs(free: Bools) -> NDArray[np.int64]:
+    """Return for each free cell the number of its run, of free cells in a row without a gap."""
+    ends = np.pad(~free, ((0, 0), (0, 1)), constant_values=True)
+    return np.cumsum(ends, dtype=np.int64).reshape(ends.shape)[:, :-1]

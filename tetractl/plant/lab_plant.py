@@ -115,7 +115,10 @@ class LabPlant:
     def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:
         self._kind = kind
         self.rig, self.setup, self.clock = rig, rig.setup, rig.clock
-        self._supervision = supervision
+        self._supervision, camera = supervision, rig.camera
+        # once: to ask for a protocol's members takes as long as to check a frame
+        self._adds = camera if isinstance(camera, AddsToFrames) else None
+        self._tracks = camera if isinstance(camera, TracksCells) else None
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
         self._read = 0  # number of accepted frames read from the rig so far
@@ -271,8 +274,8 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Store the frames that the guard has accepted since the last call."""
         frames, self._read = self.rig.frames.since(self._read)
-        if isinstance(self.rig.camera, AddsToFrames):
-            self._added |= {added.sampled_ns: added for added in self.rig.camera.additions()}
+        if self._adds is not None:
+            self._added |= {added.sampled_ns: added for added in self._adds.additions()}
         paths: list[Floats] = []
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
@@ -300,8 +303,8 @@ class LabPlant:
         it by another cell if the spec requires that.
         """
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
-        if isinstance(self.rig.camera, TracksCells):
-            for i in self.rig.camera.divided:
+        if self._tracks is not None:
+            for i in self._tracks.divided:
                 guard.lose(i, f"{names[i]} has divided, or has parted from an unknown cell")
         for i, why in self._identities.unknown.items():
             guard.lose(i, why)

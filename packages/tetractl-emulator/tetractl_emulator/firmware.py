@@ -108,6 +108,10 @@ def _build(codes: list[Path], path: Path) -> None:
         built.replace(path)  # atomic: other processes see the complete file or none
 
 
+KEPT_MS, MUTE_MS = 20, 1000
+"""How far ahead a copy of a core is asked for its speeds, and for its reply [ms]."""
+
+
 class CoreEvent(IntEnum):
     """The result of reading a byte: the kind of frame that the byte completed, if any."""
 
@@ -119,11 +123,16 @@ class CoreEvent(IntEnum):
 
 
 class Core:
-    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32."""
+    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32.
+
+    Between two pushes, speeds change only once, to 0, and a reply waits until it is taken: what a
+    copy of the core does in a while, the core does until then.
+    """
 
     name: ClassVar[str]
     reply_size: ClassVar[int]
     number: ClassVar[type[Any]]  # type of the two numbers that `_pair` returns
+    _mute_ms = -1  # until when it has no reply, unless a byte comes
 
     def __init__(self, library: Library | None) -> None:
         self._library = library or load(self.name)
@@ -137,29 +146,40 @@ class Core:
         """Read bytes from the radio or the serial line; return an event for each completed
         frame.
         """
-        push = self._library["push"]
+        push, self._mute_ms = self._library["push"], -1
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the reply that is due now, b"" if none is; each reply is returned once."""
+        if now_ms <= self._mute_ms:
+            return b""
         size = self._call("take_reply", now_ms, self._reply)
-        return self._reply.raw[:size] if size else b""
+        if size:
+            return self._reply.raw[:size]
+        later_ms, reply = now_ms + MUTE_MS, ctypes.create_string_buffer(self.reply_size)
+        if not self._library["take_reply"](self._copy(), later_ms, reply):
+            self._mute_ms = later_ms
+        return b""
 
     def _call(self, function: str, *arguments: Any) -> Any:
         return self._library[function](self._core, *arguments)
 
-    def _pair(self, function: str, now_ms: int) -> tuple[int, int]:
-        """Return the two numbers that a function of the core writes."""
-        self._library[function](self._core, now_ms, *self._both)
+    def _pair(self, function: str, now_ms: int, copied: Any = None) -> tuple[int, int]:
+        """Return the two numbers that a function of the core, or of a copy of it, writes."""
+        self._library[function](copied or self._core, now_ms, *self._both)
         return self._one.value, self._two.value
+
+    def _copy(self) -> Any:
+        """Return a copy of the core's memory, in which functions may change what they like."""
+        return ctypes.create_string_buffer(self._memory.raw, len(self._memory))
 
 
 class WheelsCore(Core):
     """The firmware core of a robot with two wheels."""
 
     _stands = False  # whether its speeds are 0 until a byte comes
-    _known: tuple[int, Counts] = -1, (0, 0)  # the speeds, and the time of that [ms]
+    _known: tuple[int, Counts] = -1, (0, 0)  # the speeds, and until when they are known [ms]
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """As `Core.push`; the speeds may be others then."""
@@ -171,15 +191,15 @@ class WheelsCore(Core):
         0."""
         if self._stands:
             return 0, 0
-        if self._known[0] != now_ms:
-            self._known = now_ms, self._pair("wheels", now_ms)
-            self._stands = self._known[1] == (0, 0)
+        if now_ms > self._known[0]:
+            now, later_ms = self._pair("wheels", now_ms), now_ms + KEPT_MS
+            lasts = self._pair("wheels", later_ms, self._copy()) == now
+            self._known, self._stands = (later_ms if lasts else now_ms, now), now == (0, 0)
         return self._known[1]
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now; nothing changes in the core."""
-        copied = ctypes.create_string_buffer(self._memory.raw, len(self._memory))
-        return Status(self._library["status"](copied, now_ms))
+        return Status(self._library["status"](self._copy(), now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
         """Set the battery voltage that the core reports [mV]; 0 for unknown."""

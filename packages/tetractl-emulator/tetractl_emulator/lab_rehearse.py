@@ -1,5 +1,6 @@
 """`tetractl lab rehearse`: plays random bad days of an emulated lab, and checks what must hold."""
 
+import gc
 import json
 import tempfile
 import time
@@ -65,6 +66,7 @@ def rehearse(
     # what it loads, no day has to load; no cells may have been found
     with tempfile.TemporaryDirectory() as scratch, suppress(AbortError):
         run_trial(short, Path(scratch))
+    gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
     results = folder / "days.jsonl"

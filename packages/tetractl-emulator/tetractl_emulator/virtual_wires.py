@@ -234,6 +234,8 @@ class MemoryPort(PseudoPort):
 
     def read(self) -> bytes:
         """Return the bytes that our end has written."""
+        if not self.taken:
+            return b""
         return b"".join([self.taken.popleft() for _ in range(len(self.taken))])
 
     def write(self, data: bytes) -> None:

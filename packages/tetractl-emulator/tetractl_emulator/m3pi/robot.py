@@ -185,6 +185,8 @@ class EmulatedRobots:
         # what `now` returns, `standing`, and when they were computed [ns]
         self._known: tuple[int, list[Place], list[Speeds]] = -1, [], []
         self._stood: tuple[int, list[bool]] = -1, []
+        # speeds, targets and lags of each robot's wheels at `_settled_ns`, [] if not yet read
+        self._own: list[tuple[float, float, float, float, float]] = []
         self._held: list[tuple[Counts, tuple[bool, bool], tuple[float, float]]] = []
         for row, robot in enumerate(robots):
             robot.robots, robot.row = self, row
@@ -199,9 +201,10 @@ class EmulatedRobots:
         """Whether each robot is at rest, or moves more slowly than a camera could detect."""
         if self._stood[0] != self._now_ns:
             ahead_s = (self._settled_ns - self._now_ns) / SECOND
-            body = self._wheeled.bodies[0]
-            own = zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)
-            self._stood = self._now_ns, [_stands(ahead_s, *wheels) for wheels in own]
+            if not self._own:
+                body = self._wheeled.bodies[0]
+                self._own = [*zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)]
+            self._stood = self._now_ns, [_stands(ahead_s, *wheels) for wheels in self._own]
         return self._stood[1]
 
     def advance(self, until_ns: int) -> None:
@@ -244,16 +247,15 @@ class EmulatedRobots:
 
     def _settled(self) -> WheeledRobots:
         """Return the robots as they are now."""
-        wheeled = self._wheeled
+        wheeled, self._own = self._wheeled, []
         if not self._passed_ns:
             return wheeled
         seconds = (self._now_ns - self._settled_ns) / SECOND
         if wheeled.targets.any() or wheeled.wheels.any():
             wheeled.drive(self._settled_ns, np.array(self._passed_ns))
         self._settled_ns, self._passed_ns = self._now_ns, []
-        loads = np.minimum(np.abs(wheeled.wheels).sum(axis=0) / FULL_LOAD_MM_S, 1.0).tolist()
-        for robot, load in zip(self.robots, loads, strict=True):
-            robot.battery.draw(load, seconds)
+        for robot, left, right in zip(self.robots, *wheeled.wheels.tolist(), strict=True):
+            robot.battery.draw(min((abs(left) + abs(right)) / FULL_LOAD_MM_S, 1.0), seconds)
         return wheeled
 
 

@@ -148,6 +148,7 @@ def _run(words: list[str], folder: Path) -> None:
             signal.signal(number, signal.default_int_handler)
         before, loaded = _open_files(), set(sys.modules)
         gc.freeze()  # what there is need not be searched for garbage
+        gc.disable()  # nor what comes: a day leaves little
         blocks = sys.getallocatedblocks()
         sys.argv = ["tetractl", *words]
         code = int(run_app())

@@ -12,6 +12,8 @@ from tetractl_toio.messages import SERVICE, Characteristic, Unpacker, pack
 
 FIND_S = 10.0  # longest search for a cube
 CONNECT_S = 20.0  # longest time until it is connected and notifies
+TOGETHER_S = 0.003
+"""Messages within this time are of one event of the connection, of which two are 7.5 ms apart."""
 NOTIFYING = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
 
 
@@ -35,7 +37,7 @@ class BluetoothPort(SerialPort):
         self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
         self._client: Any = None
         self._ended = asyncio.Event()
-        self._unpacker = Unpacker()
+        self._unpacker, self._together = Unpacker(), b""
 
     def open(self, alone: bool = True) -> None:
         """Find the cube and connect; AbortError if that fails."""
@@ -117,7 +119,15 @@ class BluetoothPort(SerialPort):
             self._lost(str(error) or type(error).__name__)
 
     def _take(self, kind: Characteristic, data: bytearray | bytes) -> None:
-        self._heard(pack(kind, bytes(data)), self._clock.now())
+        """Take a message, and pass on what comes together as one: a reading that is passed on
+        before the next would seem as new as that."""
+        if not self._together:
+            self._loop.call_later(TOGETHER_S, self._pass_on, self._clock.now())
+        self._together += pack(kind, bytes(data))
+
+    def _pass_on(self, at_ns: int) -> None:
+        together, self._together = self._together, b""
+        self._heard(together, at_ns)
 
     def _gone(self, _: Any) -> None:
         if not self._closing.is_set():

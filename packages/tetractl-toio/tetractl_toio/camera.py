@@ -31,7 +31,7 @@ class ToioCamera:
     `ports` is for `CubesLink`.
 
     A frame has all readings since the one before; of a cube without a new reading the last one,
-    with its old time.
+    with its old time. Its number is that of the events of the connections that brought readings.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class ToioCamera:
         self._lock = threading.Lock()
         self._poses: list[Pose | None] = [None] * len(setup.names)
         self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
-        self._number, self._told = 0, False
+        self._number, self._told = 0, False  # of reports so far
 
     def __enter__(self) -> Self:
         """Connect; return once every cube has reported. AbortError names those that have not."""
@@ -85,13 +85,12 @@ class ToioCamera:
         """Return a frame if a cube has reported since the last call."""
         with self._lock:
             told, self._told = self._told, False
-            poses, times = tuple(self._poses), tuple(self._read_ns)
+            poses, times, number = tuple(self._poses), tuple(self._read_ns), self._number
         newest = max(times)
         if not told or min(times) < 0:
             return []
-        self._number += 1
         sampled, now = tuple(map(self._sampled, times)), self._clock.now()
-        return [CameraFrame(self._number, self._sampled(newest), now, poses, exposed_ns=sampled)]
+        return [CameraFrame(number, self._sampled(newest), now, poses, exposed_ns=sampled)]
 
     def _sampled(self, at_ns: int) -> int:
         return max(0, at_ns - round(self.section.latency * SECOND))
@@ -107,6 +106,7 @@ class ToioCamera:
         with self._lock:
             self._poses[i] = None if reading is None else self._pose(reading)
             self._read_ns[i], self._told = at_ns, True
+            self._number += 1
         self._wake()
 
     def _pose(self, reading: Reading) -> Pose:

@@ -62,11 +62,14 @@ class Cubes:
         unpacker = Unpacker()
 
         def heard(data: bytes, at_ns: int) -> None:
-            for characteristic, payload in unpacker.feed(data):
+            messages = list(unpacker.feed(data))
+            for characteristic, payload in messages:
                 if characteristic == Characteristic.EMULATED:
                     self.emulated = True
                 if characteristic == Characteristic.CONFIGURATION and refused(payload):
                     self._links[cube].failure = f"cube {cube} refuses a setting: {payload.hex()}"
+            # of what came together, the earlier is as old as the connection's events are apart
+            for characteristic, payload in dict(messages).items():
                 for listener in self._listeners.get(cube, ()):
                     listener(characteristic, payload, at_ns)
 

@@ -9,6 +9,7 @@ from tetractl_toio.camera import ToioCamera
 from tetractl_toio.emulated.cube import CubeProgram
 from tetractl_toio.messages import (
     Characteristic,
+    Reading,
     encode_motor,
     encode_notify,
     encode_reading,
@@ -18,6 +19,7 @@ from tetractl_toio.messages import (
 from tetractl.core.clock import MILLISECOND, VirtualClock
 from tetractl.experiment.load import load_spec
 from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.serial_port import SerialPort
 from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.slow
@@ -80,6 +82,29 @@ def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(f
     for i in range(3):
         camera._heard(i, Characteristic.ID, encode_reading(None), 9 * MILLISECOND)
     assert len(camera.frames()[0].exposed_ns) == 3
+
+
+def test_of_readings_that_come_together_the_newest_counts(folder):
+    """Regression: the earlier ones had its time; and frames were counted as if always read at once,
+    so that an observer took wrong ones after our side had slept."""
+    experiment = load_spec(folder / "cubes.yaml").experiment
+    readings = (encode_reading(Reading(x, 355, 0)) for x in (145, 146))
+    event = b"".join(pack(Characteristic.ID, reading) for reading in readings)
+
+    class Wire(SerialPort):
+        def open(self, alone=True): ...
+
+        def write(self, data):
+            if encode_notify(10) in data:
+                self._heard(event, 9 * MILLISECOND)
+            return 0
+
+        def close(self): ...
+
+    with ToioCamera(experiment.lab.camera, experiment.setup, VirtualClock(), ports=Wire) as camera:
+        (frame,) = camera.frames()
+    assert frame.number == 3
+    assert [pose.x for pose in frame.poses] == [pytest.approx(101 * 1.36)] * 3
 
 
 def test_a_cube_whose_command_has_ended_is_silent():

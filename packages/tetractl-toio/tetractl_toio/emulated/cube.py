@@ -109,7 +109,8 @@ class Connection(RobotRadio):
         self._written += [data] * (1 + self.doubled)
 
     def notify(self, message: bytes, passed: Any) -> None:
-        """Pass on a message of the cube at the next event; `passed` is called then."""
+        """Pass on a reading of the cube at the next event; `passed` is called then, if it is the
+        newest that is not lost."""
         self._noted.append((message, passed))
 
     def stop_elsewhere(self, sequence: int) -> None:
@@ -128,12 +129,11 @@ class Connection(RobotRadio):
                 self._heard_ns = max(self._heard_ns, now_ns + self.late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
         if self.port.fd >= 0 and not self._down and self.robot.powered:
-            for message, passed in noted:
-                if chance.random() >= self.loss:
-                    self.port.write(message)
-                    passed()
-            if answer := self.robot.answer():
-                self.port.write(answer)
+            kept = [one for one in noted if chance.random() >= self.loss]
+            if data := b"".join(message for message, _ in kept) + self.robot.answer():
+                self.port.write(data)
+            if kept:  # only the newest reading of an event counts
+                kept[-1][1]()
         self._timeline.at(now_ns + self._interval_ns, self._event)
 
     def _command(self, sealed: bytes) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from tetractl_emulator.loop import Loop
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
 
-from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Name, Point
@@ -78,9 +77,8 @@ FAULTS = (
 
 
 class EmulatedMat:
-    """The mat below emulated cubes. Reports that are passed on in the same millisecond, once each
-    cube has reported, are the frame of a program that reads them each millisecond.
-    """
+    """The mat below emulated cubes. An event of a connection that passes readings on is an exposure
+    and a frame: whenever a program reads them, it counts them."""
 
     Settings: ClassVar[type[Model]] = MatSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
@@ -100,7 +98,6 @@ class EmulatedMat:
         self.join, self.silent = stage.wires.ports, False
         self.shown_ns = [0] * len(bodies)
         self._stage, self._section, self._exposures = stage, section, 0
-        self._reported, self._frame, self._turn = [False] * len(bodies), 0, -1
         self._every_ns = ns(settings.notify)
         self._random = Random(stage.options.seed)
 
@@ -140,11 +137,7 @@ class EmulatedMat:
     def _passed(self, i: int, seen: bool, at_ns: int) -> None:
         """Record a report that has been passed on."""
         self._exposures += 1
-        self._reported[i] = True
-        turn = -(-self._stage.timeline.now_ns // MILLISECOND)
-        self._frame += all(self._reported) and turn != self._turn
-        self._turn = turn
-        self._stage.exposed(self._exposures, self._frame)
+        self._stage.exposed(self._exposures, self._exposures)
         if seen and not self.eyes[i].frozen:
             self.shown_ns[i] = max(self.shown_ns[i], at_ns)
         self._stage.sent(self._exposures)

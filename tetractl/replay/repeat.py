@@ -31,6 +31,7 @@ from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
 
 ENDED = "the log ends here"
+BATCH = 100  # number of frames that are encoded together, which is faster
 CALLS = ("debug", "error")
 """Levels of the notes of an exception's calls: those of format 4, or earlier, are errors."""
 
@@ -167,15 +168,16 @@ def give_again(
     time, with the action of its plan.
     """
     encoder.on_start(_start(log))
-    for i in range(len(log.frames)):
-        encoder.on_samples([log.sample(i)])
+    rows = range(len(log.frames))
+    for begin in rows[::BATCH]:
+        encoder.on_samples([log.sample(i) for i in rows[begin : begin + BATCH]])
     # numbers occur again only behind the last step, if a frame counter that goes back ends a trial
     numbered = [*enumerate(log.frames.tolist())]
-    rows, steps = {number: i for i, number in reversed(numbered)}, iter(log.steps)
+    first, steps = {number: i for i, number in reversed(numbered)}, iter(log.steps)
     step = next(steps, None)
     for command in log.commands:
         if step and not first_difference(command, step.command):
-            i = rows.get(step.observation.frame)
+            i = first.get(step.observation.frame)
             seen = step.observation if i is None else log.sample(i).observation
             sent = replace(command, action=step.plan.action)
             encoder.on_step(replace(step, observation=seen, command=sent))

@@ -87,9 +87,10 @@ def drawn(values: Floats) -> Floats:
 def packed(columns: NDArray[Any]) -> bytes:
     """Pack columns (M, C) of numbers of 4 or 8 bytes as `CameraFrames` defines."""
     size, (count, width) = columns.itemsize, columns.shape
-    bits = np.zeros((DIFFERENCES + count, width), f"<i{size}")
-    bits[DIFFERENCES:] = np.ascontiguousarray(columns).view(bits.dtype)
-    steps = np.diff(bits, DIFFERENCES, axis=0) if count > 1 else bits[DIFFERENCES:]
+    steps = np.ascontiguousarray(columns).view(f"<i{size}")
+    if count > 1:
+        zeros = np.zeros((DIFFERENCES, width), steps.dtype)
+        steps = np.diff(np.concatenate([zeros, steps]), DIFFERENCES, axis=0)
     zigzag = (steps << 1) ^ (steps >> (8 * size - 1))
     return np.ascontiguousarray(zigzag.T).view(np.uint8).reshape(-1, size).T.tobytes()
 

@@ -4,7 +4,7 @@ Positions are converted from the spec's unit to metres. Non-finite values are no
 viewers drop a whole message for one NaN.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -96,20 +96,24 @@ class Scene:
             before, _, after = line.partition(point)
             self._plans.append((entity, before, after))
 
-    def transforms(self, frames: Frames, start_ns: int) -> bytes:
-        """Serialise the poses in camera frames as FrameTransforms; the trial began at `start_ns`
-        [Unix ns].
+    def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[bytes]:
+        """Serialise the poses in each part of camera frames as FrameTransforms; the trial began at
+        `start_ns` [Unix ns].
 
         Transforms are ordered by robot; a robot has none for a frame in which it is not tracked.
         """
+        frames = Frames.joined(parts)
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
         times = [_time(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
         number, (robots, at) = FrameTransforms.TRANSFORMS_FIELD_NUMBER, np.nonzero(known.T)
         x, y, heading = frames.poses[at, robots].T
         rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
         poses = _filled(_pose, self._rounded(np.transpose(rows)))
-        each = zip(robots.tolist(), at.tolist(), poses, strict=True)
-        return b"".join(_nested(number, times[k] + self._frame_ids[i] + one) for i, k, one in each)
+        part_of = [p for p, part in enumerate(parts) for _ in part.numbers]
+        made: list[list[bytes]] = [[] for _ in parts]
+        for i, k, one in zip(robots.tolist(), at.tolist(), poses, strict=True):
+            made[part_of[k]].append(_nested(number, times[k] + self._frame_ids[i] + one))
+        return [b"".join(each) for each in made]
 
     def plan(self, path: Floats, unix_ns: int) -> bytes:
         """Serialise a line along each robot's predicted path (length + 1, N, 3), shown until the

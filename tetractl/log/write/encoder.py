@@ -112,22 +112,30 @@ class Encoder:
         transforms with the same times, so that a change of one copy can be detected.
         """
         frames, self._waiting = Frames.of(self._waiting, len(self._names)), []
-        for begin in range(0, len(frames.numbers), self._most):
-            self._add_frames(frames.part(slice(begin, begin + self._most)))
+        begins = range(0, len(frames.numbers), self._most)
+        parts = [frames.part(slice(begin, begin + self._most)) for begin in begins]
+        shown = [
+            part.part(slice((len(part.numbers) - 1) % self._every, None, self._every))
+            if self._every > 1
+            else part
+            for part in parts
+        ]
+        # of all parts at once, which takes little longer than of one frame
+        drawn = self._scene.transforms(shown, self._start_ns) if parts else ()
+        for part, some, transforms in zip(parts, shown, drawn, strict=True):
+            self._add_frames(part, some, transforms)
 
-    def _add_frames(self, frames: Frames) -> None:
-        """Add the message of one or more camera frames, and their transforms for viewers.
+    def _add_frames(self, frames: Frames, shown: Frames, transforms: bytes) -> None:
+        """Add the message of one or more camera frames, and the transforms of those `shown`.
 
         The transforms have the time of their first frame, so that a viewer that jumps to a time has
         the transforms before and after it.
         """
-        shown = frames.part(slice((len(frames.numbers) - 1) % self._every, None, self._every))
         last, first = (
             (int(one.received_ns[i]), int(one.sampled_ns[i]))
             for one, i in ((frames, -1), (shown, 0))
         )
         self._add(channels.FRAMES, codec.encode_frames(frames), *last)
-        transforms = self._scene.transforms(shown, self._start_ns)
         self._add_bytes(channels.TRANSFORMS, transforms, *first)
 
     def on_command(self, command: Command) -> None:

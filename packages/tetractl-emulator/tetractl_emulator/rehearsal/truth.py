@@ -16,7 +16,9 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
-from tetractl.log.read.reader import read_trial
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.reader import trial_of
+from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
@@ -228,9 +230,15 @@ class Truth:
         if self.day.log is None:
             return ""
         try:
-            return read_trial(self.day.log)
+            return trial_of(self.raw)
         except (TetractlError, ValueError, KeyError) as error:
             return f"{type(error).__name__}: {error}"
+
+    @cached_property
+    def raw(self) -> RawLog:
+        """The records of the log; LogError if it has none."""
+        assert self.day.log is not None, "there is a log"
+        return scan(self.day.log)
 
     @property
     def trial(self) -> TrialLog | None:

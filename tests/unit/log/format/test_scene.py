@@ -139,7 +139,7 @@ def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):
         )
     own = times[:, None].repeat(poses.shape[1], axis=1)
     frames = Frames(times, times, times, poses, valid, None, own)
-    assert scene.transforms(frames, 0) == transforms.SerializeToString()
+    assert scene.transforms([frames], 0) == [transforms.SerializeToString()]
     assert scene.plan(poses, unix_ns) == plans.SerializeToString()
 
 

@@ -44,7 +44,7 @@ def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path,
 
     text = instance(2, 6200, disturbed=True, free=False).model_dump_json(exclude={"lab"})
     spec = parse_spec(
-        text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.006"]
+        text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.0015"]
     )
     run_trial(spec, tmp_path, 0, (), Interrupt())
     steps = read_trial(log_path(tmp_path, 0)).steps

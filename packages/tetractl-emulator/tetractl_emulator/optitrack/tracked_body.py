@@ -89,7 +89,7 @@ class TrackedBody:
         assert self.seen is not None, "it was exposed"
         if not tracked:
             return replace(self.seen, tracking_valid=False)
-        return self.change(self.seen) if self.change and not self.repeats else self.seen
+        return self.change(self.seen) if self.change else self.seen
 
     def _look(self, view: View) -> None:
         robot, draw, heading = self.robot, self.random.gauss, self.robot.heading

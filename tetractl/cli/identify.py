@@ -198,7 +198,10 @@ def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> in
     from tetractl.replay.identification.tracks import require_same
 
     if out is not None:
-        raise UsageError("--out: a spec has no place for what wheels make of their commands")
+        raise UsageError(
+            "--out: a spec has no place for what wheels make of their commands",
+            hint="put wheels.lag, which is printed, into the spec",
+        )
     require_same(tracks)
     found = respond(tracks)
     origin = ", ".join(dict.fromkeys(track.origin for track in tracks))

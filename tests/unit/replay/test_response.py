@@ -1,9 +1,12 @@
 """What robots on two wheels make of their commands, found in motions whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tetractl.replay.identification.response import ROWS, respond
+from tetractl.replay.identification.fit import SampleInterval
+from tetractl.replay.identification.response import ROWS, respond, response_table
 from tetractl.replay.identification.tracks import Track
 
 TRUE = {
@@ -68,3 +71,13 @@ def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     (found,) = respond([one, other])
     assert found.left_out == 2
     assert found.dead_time.high - found.dead_time.low < 1.1 * width
+
+
+@pytest.mark.parametrize(
+    ("lag", "said"),
+    [(0.09, "the lag of turning for a spec: wheels.lag=0.08"), (0.2, "no wheels.lag fits all")],
+)
+def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(lag, said):
+    (one,) = respond([track(6)])
+    other = replace(one, turning_lag=SampleInterval(lag, lag - 0.01, lag + 0.01))
+    assert said in response_table([one, other], "", "mm").note

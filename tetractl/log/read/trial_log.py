@@ -122,7 +122,7 @@ def _next_step(text: str) -> str:
     if text.endswith(" is lost"):
         return ": the camera does not track it; is it hidden, out of view or switched off?"
     if text.startswith("the model does not fit"):
-        return ": it moves unlike the spec says; `tetractl identify` measures a and speed"
+        return ": `tetractl identify` measures a and speed, with --wheels the lag of wheels"
     return ""
 
 

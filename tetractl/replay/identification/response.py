@@ -32,6 +32,7 @@ from tetractl.replay.identification.identify import INTERVALS_MIN, cell
 from tetractl.replay.identification.tracks import Track
 
 STEP_S, LONGEST_S = 0.1, 0.5  # duration of steps [s]
+SAME_LAG_S = 0.02  # to which a lag has to be known to be of use [s]
 FAR = 8.0  # of a step that is left out, in deviations by the median
 TAUS, LAGS = np.arange(-0.1, 0.5, 0.05), (0.03, 0.1, 0.3)  # the grid, about the expected time [s]
 TAU_S, LAG_S, SHORT_S = 0.05, 0.1, 1e-3  # units of the parameters, and the shortest lag [s]
@@ -247,4 +248,16 @@ def response_table(found: Sequence[RobotResponse], title: str, unit: str) -> Tab
     misfits = [f"{one.name} ({', '.join(one.misfits)})" for one in found if one.misfits]
     note = f"residuals are correlated in time, so intervals are wider: {'; '.join(misfits)}"
     first = Column("quantity", [*(label.removesuffix(" []") for label in labels), "left out"])
-    return Table(title, (first, *columns), note if misfits else "the model fits")
+    note = f"{note if misfits else 'the model fits'}\n{_lag(found)}"
+    return Table(title, (first, *columns), note)
+
+
+def _lag(found: Sequence[RobotResponse]) -> str:
+    """Return in words the `wheels.lag` of a spec that fits all robots: the mean of the lags of
+    turning, by which a host steers, weighted by their precision."""
+    lags = np.array([one.turning_lag.value for one in found])
+    width = [one.turning_lag.high - one.turning_lag.low for one in found]
+    mean = float(np.average(lags, weights=1 / np.maximum(width, SHORT_S)))
+    if not (abs(lags - mean) <= SAME_LAG_S).all():
+        return f"no wheels.lag fits all robots within {SAME_LAG_S:g} s"
+    return f"the lag of turning for a spec: wheels.lag={mean:.3f}"

@@ -32,7 +32,7 @@ EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greates
 GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
 RAMP = 0.2, 0.6  # differences with the weights 0 and 1, relative to the body's greatest mean
 BODIES, NEXT = 4, 0.5  # bodies in a region; least peak of each, relative to the first's
-KNOCK = 1.3, 0.002  # factor and fraction by which a knock makes more of the picture change
+KNOCK = 1.1, 0.0003  # factor and fraction by which a knock makes more of the picture change
 LOST, EVERY, AGAIN = 5, 3, 9  # pictures lost until learning begins again, of every third, from 9
 
 

@@ -26,7 +26,8 @@ def around(middle):
 class Dish:
     """A dish with specks and a bubble, and cells at x, y [px], axis [rad]."""
 
-    def __init__(self, contrast=-0.17, noise=8.0, rim=0.0):
+    def __init__(self, contrast=-0.17, noise=8.0, rim=0.0, bubble=0.5):
+        self.bubble = bubble
         self.random = np.random.default_rng(5)
         self.contrast, self.noise, self.rim = contrast, noise, rim
         self.down, self.across = np.mgrid[0:SIDE, 0:SIDE].astype(float)
@@ -47,7 +48,7 @@ class Dish:
             away = np.hypot(self.across - x - right, self.down - y - down)
             drawn -= 0.3 * step(2 * (away - radius))
         away = np.hypot(self.across - 90 - right, self.down - 230 - down)
-        return drawn + 0.5 * np.exp(-((away - 40) ** 2) / 4)
+        return drawn + self.bubble * np.exp(-((away - 40) ** 2) / 4)
 
     def picture(self, cells, shift=(0.0, 0.0), light=1.0):
         """A grey picture; the content is shifted by columns and rows."""
@@ -98,6 +99,16 @@ def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     assert found.bright is (contrast > 0)
     assert shifts[15] == pytest.approx((6.0, -5.0), abs=0.5)
     assert [each for k, each in enumerate(shifts) if k != 15] == [(0.0, 0.0)] * 29
+
+
+def test_a_small_knock_is_seen_by_little_debris():
+    dish = Dish(noise=3.0, bubble=0.0)
+    dish.specks = dish.specks[:5]
+    found = finder(dish)
+    for k in range(15, 18):
+        found.find(dish.picture(cells_at(k)))
+    found.find(dish.picture(cells_at(18), (3.0, -2.0)))
+    assert found.light.shift_px == pytest.approx((3.0, -2.0), abs=0.5)
 
 
 @pytest.mark.parametrize(("contrast", "rim"), [(0.2, -0.3), (-0.2, 0.3), (0.05, -0.35)])

@@ -28,6 +28,7 @@ KNOWN_S = 0.5  # until an unknown cell counts as unknown, and the trial ends
 STREAM_UM = 7.0  # noise of a stream's pose, the way of a cell in a frame, and rounding
 FASTER, WINDOW_S, STEP_S = 2.0, 1.0, 0.1  # as a cell may swim, in which time, and at what steps
 FALSE = ("ghost", "jump", "picture", "slip", "swap", "repeat")  # faults that make poses false
+SPECKS, LEARNED_S = 4, 1.6  # least debris that shows a knock; until the background is learned
 MET_UM = 80.0  # largest body: two cells that were as near may have touched
 
 
@@ -85,12 +86,22 @@ class DishTruth(Truth):
         """Return each command's time [s], and that it drives any cell on if it makes a field."""
         return [(e["t_ns"] / 1e9, any(self.drives(e)), False) for e in self.of("command")]
 
+    @cached_property
+    def moved(self) -> bool:
+        """Whether a knock moved all that was in view: what stands did not show it."""
+        few = self.day.plan.emulation.get("camera", {}).get("specks", SPECKS) < SPECKS
+        hidden, learned_s = self.met("light", "focus"), self.first("client") + LEARNED_S
+        knocks = [began for began, _, fault in self.faults if fault["fault"] == "knocked"]
+        return any(few or hidden or began < learned_s for began in knocks)
+
     def mistaken(self, frame: int, robot: int) -> str:
         """Return the class of a wrong pose: a cell is taken for one that it has met, or a false
         pose moves as a cell may swim; "" if it is of none.
         """
         if self.numbered:
             return "slow: as a cell may swim" if self.met(*FALSE) else ""
+        if self.moved:
+            return "knocked: nothing showed that stands"
         own = self.steered[robot]
         other = int(np.nan_to_num(self.apart_um[frame, robot], nan=np.inf).argmin())
         way = self.poses[: self.seen[frame] + 1]

@@ -131,6 +131,19 @@ def logged(seconds, seen, meets=False):
 
 
 @pytest.mark.parametrize(
+    ("specks", "began", "more", "moved"),
+    [(3, 5.0, (), True), (4, 5.0, (), False), (9, 0.5, (), True), (9, 5.0, (DARK,), True)],
+)
+def test_a_knock_is_of_a_class_only_where_nothing_that_stands_shows_it(specks, began, more, moved):
+    knock = {"kind": "knocked", "strength": 0.5, "fault": "knocked", "by_um": [30.0, 0.0], "at": 0}
+    starts = [at(began, "fault", phase="start", name="", row=i) for i in range(1 + len(more))]
+    plan = DayPlan(1, {"camera": {"specks": specks}}, [knock, *more], "", [*microscope_rows()])
+    events = [at(0.1, "client"), *RUN, *starts]
+    truth = DishTruth(Day(plan, events, 1, "", None, "", 1.0), EXPERIMENT.setup)
+    assert truth.moved is moved
+
+
+@pytest.mark.parametrize(
     ("seconds", "seen", "meets", "expected"),
     [
         (6.0, (1010.0, 1000.0), False, set()),

@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -115,10 +116,7 @@ class LabPlant:
     def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:
         self._kind = kind
         self.rig, self.setup, self.clock = rig, rig.setup, rig.clock
-        self._supervision, camera = supervision, rig.camera
-        # once: to ask for a protocol's members takes as long as to check a frame
-        self._adds = camera if isinstance(camera, AddsToFrames) else None
-        self._tracks = camera if isinstance(camera, TracksCells) else None
+        self._supervision = supervision
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
         self._read = 0  # number of accepted frames read from the rig so far
@@ -266,6 +264,15 @@ class LabPlant:
     def close(self) -> None:
         """Release camera and actuator."""
         self.rig.close()
+
+    # asked once: to look for a protocol's members takes as long as to check a frame
+    @cached_property
+    def _adds(self) -> AddsToFrames | None:
+        return self.rig.camera if isinstance(self.rig.camera, AddsToFrames) else None
+
+    @cached_property
+    def _tracks(self) -> TracksCells | None:
+        return self.rig.camera if isinstance(self.rig.camera, TracksCells) else None
 
     def _raise_abort(self) -> None:
         if self.rig.guard.state is GuardState.ABORT:

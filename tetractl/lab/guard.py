@@ -175,21 +175,23 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         times = frame.times([track.seen_ns for track in self._filters])
-        self._apart = bool(frame.exposed_ns)
+        self._apart, judged = bool(frame.exposed_ns), self._motion.times
         self._motion.frame(times)
         self.culprit.see(now, frame.poses, times)
         fresh = list[bool]()
         gone_ns = self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
-            self._disobedient.discard(i)
+            same = frame.exposed_ns and times[i] <= max(track.seen_ns, judged[i])
+            if pose is None or not same:
+                self._disobedient.discard(i)
             if self._active:
                 track.frame(now, self.rules.limits.stale * SECOND)
             if self.rules.goes_on and now - track.seen_ns >= gone_ns:
                 self.lose(i, self._untracked(i, now))
             if pose is None or i in self.lost:
                 track.lost()
-            elif frame.exposed_ns and times[i] <= track.seen_ns:
-                pass  # the pose that was accepted before
+            elif same:
+                pass  # the pose that was accepted or refused before
             elif not track.add(pose, times[i], self._fault(i, pose, times[i])):
                 self.jumps += 1
             seen = pose is not None and i not in self.lost and not track.refused

@@ -83,7 +83,7 @@ class MotionCheck:
         self._nearly = ((1.0 - NEAR) * self._slack).tolist()
         # least and most of each transmission: along, across, around
         self._sent = CommandHistory(2, n, 3)
-        self._times = (0,) * n  # of the newest poses [ns]
+        self.times = (0,) * n  # of the newest poses [ns]
         self._bounds = np.zeros((2, n, 3))  # bounds in force now
         self.restart()
 
@@ -117,14 +117,14 @@ class MotionCheck:
 
     def frame(self, times: tuple[int, ...]) -> None:
         """Take the times (N,) of a frame's poses, before `disagrees` is called for these."""
-        spans = list(zip(self._times, times, strict=True))
+        spans = list(zip(self.times, times, strict=True))
         self._allowed = self._allowed.copy()
         for span in set(spans):
             bounds, robots = self._between(*span), [one == span for one in spans]
             own = slice(None) if all(robots) else robots  # which is faster
             self._bounds[:, own] = bounds[:, own]
             self._allowed[:, own] += bounds[:, own] * ((span[1] - span[0]) / SECOND)
-        self._times = times
+        self.times = times
 
     def _between(self, since_ns: int, now_ns: int) -> Floats:
         """Return the bounds (2, N, 3) by all commands that may act between two times."""
@@ -151,7 +151,7 @@ class MotionCheck:
         """Return how robot i disobeyed its commands since its last consistent pose; "" if it
         obeyed, and the new pose is then the last consistent one.
         """
-        past, allowed, now_ns = self._past[i], self._allowed[:, i], self._times[i]
+        past, allowed, now_ns = self._past[i], self._allowed[:, i], self.times[i]
         self._changed[:, i] = allowed
         seen = self.seen[i] + motion(before, pose) if past else self.seen[i]
         if past and self._may_disagree(i, seen, allowed):

@@ -76,7 +76,7 @@ class SwapDetector:
         It is compared with the mean command over that time. A gap longer than GAP_NS is ignored,
         because the commands within it may differ.
         """
-        if dt_ns > GAP_NS:
+        if not 0 < dt_ns <= GAP_NS:
             return
         if self._span != (now_ns, dt_ns):
             self._compare()

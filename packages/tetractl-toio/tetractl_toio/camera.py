@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
@@ -24,6 +25,7 @@ from tetractl_toio.messages import (
 from tetractl_toio.section import ToioCameraSection
 
 FIRST_S, TRIES = 3.0, 5  # longest time until every cube has reported, and number of requests
+ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
 
 
 class ToioCamera:
@@ -50,6 +52,7 @@ class ToioCamera:
         self._poses: list[Pose | None] = [None] * len(setup.names)
         self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
         self._number, self._told = 0, False  # of reports so far
+        self._asked_ns = 0
 
     def __enter__(self) -> Self:
         """Connect; return once every cube has reported. AbortError names those that have not."""
@@ -71,6 +74,7 @@ class ToioCamera:
         for cube in self._link.cubes:
             for setting in (encode_notify(DURATION_MS), encode_missed(DURATION_MS)):
                 self._link.send(cube, Characteristic.CONFIGURATION, setting)
+            self._link.send(cube, Characteristic.ID)
         return wait_for(self._clock, lambda: min(self._read_ns) >= 0, FIRST_S / TRIES)
 
     def check(self) -> Health:
@@ -82,7 +86,15 @@ class ToioCamera:
         return Health(problems, emulated=self._link.emulated)
 
     def frames(self) -> list[CameraFrame]:
-        """Return a frame if a cube has reported since the last call."""
+        """Return a frame if a cube has reported since the last call. A silent cube is asked:
+        one that is lifted says once that it sees no mat."""
+        asks = self._clock.now() - ASK_NS
+        if self._asked_ns <= asks:
+            self._asked_ns = asks + ASK_NS
+            for cube, at_ns in zip(self._link.cubes, self._read_ns, strict=True):
+                if at_ns <= asks:
+                    with suppress(AbortError):  # the actuator's side says why
+                        self._link.send(cube, Characteristic.ID)
         with self._lock:
             told, self._told = self._told, False
             poses, times, number = tuple(self._poses), tuple(self._read_ns), self._number

@@ -25,7 +25,7 @@ def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Viol
 
 def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
     """Drive commands need a new sight of each robot; after a stop only stops are sent."""
-    waited_s = 0.0 if truth.numbered else max(truth.napped_s, truth.late_s)
+    waited_s = 0.0 if truth.dated else max(truth.napped_s, truth.late_s)
     all_s = limits.stale + SLACK_S + waited_s + truth.repeats_s(limits.wheel_error)
     one_s = all_s + UNTRACKED_STOP_S
     emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S

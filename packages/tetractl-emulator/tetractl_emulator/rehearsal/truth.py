@@ -168,15 +168,20 @@ class Truth:
 
     @cached_property
     def numbered(self) -> bool:
-        """Whether frames have numbers, and times of their own."""
+        """Whether frames have numbers."""
         return any(e["frame"] for e in self.of("truth"))
+
+    @cached_property
+    def dated(self) -> bool:
+        """Whether frames have times of their own, too: readings of a mat have those of arrival."""
+        return self.numbered and not self.setup.sight.coarse
 
     @cached_property
     def late_s(self) -> float:
         """By how much frames without a number, which count as new, were older than they seemed:
         late ones, and those that waited in the wire [s].
         """
-        if self.numbered:
+        if self.dated:
             return 0.0
         late = [f["by"] for _, _, f in self.faults if f["fault"] in LATE_FRAMES]
         return sum(late) + self._slept_s

@@ -23,6 +23,7 @@ from tetractl.lab.serial_port import SerialPort
 from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.slow
+NAMES = ("green", "blue", "red")
 FEW = ("--set", "controller.time_limit=2")
 
 
@@ -55,6 +56,14 @@ def test_a_run_reads_the_mat_and_verifies(folder):
     lines = (folder / "truth" / "truth-000.jsonl").read_text().splitlines()
     events = [json.loads(line) for line in lines]
     assert any(event["event"] == "command" and any(event["drives"]) for event in events)
+
+
+def test_cubes_that_are_lifted_before_a_run_are_waited_for(folder, tmp_path):
+    """Regression: a cube says once that it sees no mat, so that a run took cubes that were carried
+    to their starts for a camera without frames."""
+    lifted = [f"fault: untracked, robot: {n}, at: 0.1, since: start, for: 0.8" for n in NAMES]
+    waits = ("--set", "lab.limits.placing=5", "--trials", "1")
+    run(folder, tmp_path / "out", *waits, *faults(*lifted)).ok()
 
 
 @pytest.mark.long

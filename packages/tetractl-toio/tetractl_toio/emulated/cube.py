@@ -33,6 +33,7 @@ class CubeProgram:
         self._ends_ms: int | None = None
         self._silent = True  # no command acts: the last one ended by itself
         self.notifies = False  # whether it reports its reading
+        self.asked = False  # whether it has been asked for it
         self.charge = 100
 
     def push(self, data: bytes, now_ms: int) -> None:
@@ -40,6 +41,8 @@ class CubeProgram:
         for characteristic, payload in self._unpacker.feed(data):
             if characteristic == Characteristic.MOTOR:
                 self._motor(payload, now_ms)
+            elif characteristic == Characteristic.ID and not payload:
+                self.asked = True
             elif characteristic == Characteristic.BATTERY and not payload:
                 self._answers += pack(Characteristic.BATTERY, bytes([self.charge]))
             elif characteristic == Characteristic.CONFIGURATION and payload[:1] in (

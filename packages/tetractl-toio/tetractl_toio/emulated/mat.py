@@ -120,9 +120,13 @@ class EmulatedMat:
     def _read(self, i: int) -> None:
         timeline, cube, eye = self._stage.timeline, self.cubes[i], self.eyes[i]
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
-        if cube.program.notifies and not self.silent:
+        program, last = cube.program, eye.last
+        if (program.notifies or program.asked) and not self.silent:
             if not eye.frozen:
                 eye.last = self._reading(cube, eye)
+            if last is None is eye.last and not program.asked:
+                return  # that it sees no mat it says once, and when it is asked
+            program.asked = False
             message = pack(Characteristic.ID, encode_reading(eye.last))
             seen, at_ns = eye.last is not None, timeline.now_ns
             cube.connection.notify(message, lambda: self._passed(i, seen, at_ns))

@@ -100,3 +100,6 @@ class EmulatedCubes(PortedSide):
             timing, seed = (interval, phase, settings.loss), stage.options.seed + i
             cube.connection = Connection(stage, port, cube, self.robots, *timing, seed)
             self.radios.append(cube.connection)
+
+    def switch(self, on: bool) -> None:
+        """Do nothing: cubes that are carried stay on, as they would lose their connections."""

@@ -105,6 +105,10 @@ class ActuatorSection(DeviceSection):
     calibration: ClassVar[str] = ""
     """The function that implements `calibrate`, as "module:function"; "" if there is none."""
 
+    def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
+        """Yield, as `contradictions`, each contradiction with the lab's camera."""
+        yield from ()
+
     def require_port(self) -> None:
         """Raise AbortError if the device's port does not exist. No device is opened."""
 
@@ -235,6 +239,8 @@ class LabSection(PlantSection):
         for device, section in (("camera", self.camera), ("actuator", self.actuator)):
             for loc, message in section.contradictions(setup):
                 yield (device, *loc), message
+        for loc, message in self.actuator.beside(self.camera):
+            yield ("actuator", *loc), message
 
     def bounds(self) -> dict[str, str]:
         """Return the devices' addresses and the run's limits for display, {name: text}."""

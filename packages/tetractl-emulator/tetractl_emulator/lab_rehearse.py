@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
-from tetractl.core.errors import AbortError, Exit
+from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
+
+SPECS = "it is the spec's: mend that, and rehearse it then"
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -48,13 +50,14 @@ def rehearse(
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
     from tetractl.control.build import warm_up
+    from tetractl.core.plan import Outcome
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.run.task import run_trial
     from tetractl.view import style
     from tetractl_emulator.rehearsal.drawing import days_figure
     from tetractl_emulator.rehearsal.participants import rehearsal_of
-    from tetractl_emulator.rehearsal.summary import broken, summary, table
+    from tetractl_emulator.rehearsal.summary import broken, reasons, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
     loaded.experiment.plant.require_devices()
@@ -64,11 +67,15 @@ def rehearse(
     own = (*(sets or ()), *_known(loaded.experiment, time_limit=1))
     short = on_plant(load_spec(spec, own), "emulated")
     # what it loads, no day has to load; no cells may have been found
-    with tempfile.TemporaryDirectory() as scratch, suppress(AbortError):
-        run_trial(short, Path(scratch))
+    may_fail = suppress(AbortError) if loaded.experiment.open else nullcontext()
+    with tempfile.TemporaryDirectory() as scratch, may_fail:
+        tried = run_trial(short, Path(scratch))
+        if tried.outcome is Outcome.ABORTED:
+            raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
+    _own(folder, f"{loaded.hash} {seed} {faults}")
     results = folder / "days.jsonl"
     lines = results.read_text().splitlines() if results.exists() else []
     rows = {row["day"]: row for row in map(json.loads, lines)}
@@ -95,8 +102,18 @@ def rehearse(
     last = f"{len(played)} days, {len(bad)} violations"
     title = f"{loaded.name}, emulated, days of seed {seed}: {last}"
     style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
-    print(table(played, kinds), summary(played), last, sep="\n\n")
+    said = table(played, kinds), reasons(played), summary(played), last
+    print(*filter(None, said), sep="\n\n")
     return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
+
+
+def _own(folder: Path, days: str) -> None:
+    """Mark a folder as that of some `days`; UsageError if it has others."""
+    mark = folder / "days-of.txt"
+    if mark.exists() and mark.read_text() != days:
+        hint = "give another --out: a folder has the days of one spec, with its --set, and one seed"
+        raise UsageError(f"{folder} has days of another spec, seed or settings", hint)
+    mark.write_text(days)
 
 
 def _played(play: Any, days: Sequence[int], jobs: int) -> "Iterator[DayRow]":

@@ -53,13 +53,15 @@ class ToioCamera:
         self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
         self._number, self._told = 0, False  # of reports so far
         self._asked_ns = 0
+        self._set = [False] * len(setup.names)  # which cubes have taken the settings
 
     def __enter__(self) -> Self:
         """Connect; return once every cube has reported. AbortError names those that have not."""
         try:
             self._link.open()
-            if not any(self._begun() for _ in range(TRIES)):
-                silent = [n for n, at in zip(self.names, self._read_ns, strict=True) if at < 0]
+            begun = any(self._begun() for _ in range(TRIES))
+            silent = [n for n, at in zip(self.names, self._read_ns, strict=True) if at < 0]
+            if not begun and silent:
                 raise AbortError(f"no message came from {', '.join(silent)}", HINT)
         except BaseException:
             self._link.close()
@@ -75,7 +77,11 @@ class ToioCamera:
             for setting in (encode_notify(DURATION_MS), encode_missed(DURATION_MS)):
                 self._link.send(cube, Characteristic.CONFIGURATION, setting)
             self._link.send(cube, Characteristic.ID)
-        return wait_for(self._clock, lambda: min(self._read_ns) >= 0, FIRST_S / TRIES)
+
+        def begun() -> bool:
+            return min(self._read_ns) >= 0 and all(self._set)
+
+        return wait_for(self._clock, begun, FIRST_S / TRIES)
 
     def check(self) -> Health:
         """Return which robots do not see the mat."""
@@ -108,6 +114,7 @@ class ToioCamera:
         return max(0, at_ns - round(self.section.latency * SECOND))
 
     def _heard(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
+        self._set[i] |= characteristic == Characteristic.CONFIGURATION
         if characteristic != Characteristic.ID:
             return
         try:

@@ -11,7 +11,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found
+from tetractl.lab.actuators.wheeled_section import Found, too_fast
 from tetractl_toio.messages import MAT_MM, RADIUS_MM, WHEEL_MM_S
 
 MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge=0, le=65_535)]]
@@ -87,6 +87,15 @@ class ToioSection(ActuatorSection):
         """Yield the place and text of each problem with robots and cubes."""
         yield from mismatches(self.robots, setup.names, ("cube",))
         yield from _addresses(self.robots)
+        yield from too_fast(setup, self.speed_max_mm_s)
+
+    def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
+        """Yield each robot that is another cube for the camera."""
+        cubes = isinstance(camera, ToioCameraSection)
+        seen = {robot.name: robot.cube for robot in camera.robots} if cubes else {}
+        for i, robot in enumerate(self.robots):
+            if (other := seen.get(robot.name, robot.cube)) != robot.cube:
+                yield ("robots", i, "cube"), f"is not {robot.name}'s cube in 'camera', {other}"
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return the motor speed for a 127th of the largest wheel speed, and for `limit`."""

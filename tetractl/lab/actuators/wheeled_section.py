@@ -1,9 +1,12 @@
 """What sections of actuators of robots on two wheels say and take of calibration."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from tetractl.core.errors import AbortError
+from tetractl.core.setup import Setup
+from tetractl.experiment.yaml.problems import Loc
 
 
 class FoundWheel(NamedTuple):
@@ -44,6 +47,14 @@ class Found:
             f", right {self.right.gain_mm:.2f} above {self.right.dead_zone}"
             f"{', swapped' if self.swap else ''}"
         )
+
+
+def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
+    """Yield, as a section's `contradictions`, that a robot is faster than its wheels are driven."""
+    speeds = setup.speed * setup.metres * 1000
+    if speeds.max() > speed_max_mm_s:
+        name = setup.names[int(speeds.argmax())]
+        yield ("speed_max_mm_s",), f"is below the speed of {name}, {speeds.max():g} mm/s"
 
 
 class WheeledSection(Protocol):

@@ -49,6 +49,17 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     assert "| frames frozen |" in done.stdout
 
 
+def test_what_no_fault_causes_and_days_of_another_seed_are_refused(tmp_path):
+    """Regression: each day of a spec that no trial can start was a violation to be shrunk."""
+    done = rehearse(tmp_path, "--days", "3", "--set", "lab.limits.latency=0.001")
+    assert done.returncode == 1
+    assert "on arrival" in done.stderr and "day" not in done.stdout
+    (tmp_path / "days").mkdir()
+    (tmp_path / "days" / "days-of.txt").write_text("another spec")
+    again = rehearse(tmp_path, "--days", "1")
+    assert again.returncode == 2
+
+
 @pytest.mark.long
 def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
     robots = "robots: [{name: green}, {name: blue}, {name: red}]"

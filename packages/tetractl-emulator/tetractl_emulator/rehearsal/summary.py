@@ -1,5 +1,6 @@
 """What many days of a rehearsal come to: how often each fault was met, noticed, in what time."""
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -86,6 +87,12 @@ def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
         cells = [kind.name, one.days, one.alone, len(took), *shown]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
+
+
+def reasons(rows: Sequence[DayRow]) -> str:
+    """Return for what reasons days were refused or aborted, the most frequent ones first."""
+    why = Counter(re.sub(r"\d+(\.\d+)?", "…", row["reason"]) for row in rows if row["reason"])
+    return "\n".join(f"{n} {'day' if n == 1 else 'days'}: {one}" for one, n in why.most_common(10))
 
 
 def summary(rows: Sequence[DayRow]) -> str:

@@ -99,13 +99,14 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     experiment = load_spec(folder / "cubes.yaml").experiment
     readings = (encode_reading(Reading(x, 355, 0)) for x in (145, 146))
     event = b"".join(pack(Characteristic.ID, reading) for reading in readings)
+    answer = pack(Characteristic.CONFIGURATION, b"\x98\x00\x00")
 
     class Wire(SerialPort):
         def open(self, alone=True): ...
 
         def write(self, data):
             if encode_notify(10) in data:
-                self._heard(event, 9 * MILLISECOND)
+                self._heard(event + answer, 9 * MILLISECOND)
             return 0
 
         def close(self): ...
@@ -124,6 +125,19 @@ def test_a_cube_whose_command_has_ended_is_silent():
     assert (cube.status(259), cube.status(260)) == (Status.RUNNING, Status.SILENT)
     cube.push(pack(Characteristic.MOTOR, encode_motor(0, 0, 250)), 300)
     assert cube.status(310) == Status(0)
+
+
+@pytest.mark.parametrize(
+    ("setting", "field"),
+    [
+        ("lab.actuator.robots.0.cube=toio-Xxx", "lab.actuator.robots.0.cube: toio-Xxx: is not gre"),
+        ("robots.2.speed=500", "lab.actuator.speed_max_mm_s: is below the speed of red"),
+    ],
+)
+def test_a_robot_that_is_two_cubes_or_too_fast_is_an_error_of_its_field(folder, setting, field):
+    found = tetractl(folder, "validate", "cubes.yaml", "--set", setting)
+    assert found.returncode == 2
+    assert field in found.stdout
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4])

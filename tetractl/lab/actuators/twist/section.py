@@ -16,7 +16,7 @@ from tetractl.experiment.lab_section import (
     mismatches,
 )
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found
+from tetractl.lab.actuators.wheeled_section import Found, too_fast
 
 
 class TwistRobot(RobotPart):
@@ -75,6 +75,7 @@ class TwistSection(ActuatorSection):
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
         yield from mismatches(indexed, setup.names, ("index",))
+        yield from too_fast(setup, self.speed_max_mm_s)
         ports: list[tuple[Loc, str]] = [(("port",), self.port)]
         for i, robot in enumerate(self.robots):
             if setup.wheel_radius is None and robot.radius_mm is None:

@@ -2,7 +2,7 @@
 
 from tetractl_emulator.rehearsal.drawing import days_figure
 from tetractl_emulator.rehearsal.schedule import KINDS
-from tetractl_emulator.rehearsal.summary import summary, table
+from tetractl_emulator.rehearsal.summary import reasons, summary, table
 
 ROWS = [
     {"met": [["pushed", 0.2]], "ended": "aborted", "seconds": 1.0, "violations": []},
@@ -32,6 +32,12 @@ def test_shares_and_what_a_day_takes_are_said():
     found = [{**ROWS[0], "shrunk": count} for count in (0, 1, 3)]
     assert "; 3 shrunk, in the median to 1 faults; " in summary(found)
     assert summary([]) == "0.00 s of processor time a day"
+
+
+def test_reasons_are_counted_whatever_their_numbers():
+    texts = ("", "no frame for 0.51 s", "green is lost", "no frame for 2 s")
+    rows = [{"reason": text} for text in texts]
+    assert reasons(rows) == "2 days: no frame for … s\n1 day: green is lost"
 
 
 def test_every_fault_has_a_row_of_the_drawing_and_every_notice_a_point():

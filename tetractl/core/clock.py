@@ -1,5 +1,6 @@
 """Clocks, virtual or monotonic, which give nanoseconds since they were created."""
 
+import sys
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -47,15 +48,26 @@ class VirtualClock:
         self._now = max(self._now, when)
 
 
+def host_ns() -> int:
+    """Return the time on the host's monotonic clock [ns], which goes on while the computer sleeps:
+    what waited meanwhile is old, and that nothing was decided meanwhile is noticed.
+    """
+    if sys.platform == "linux":
+        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    if sys.platform == "darwin":
+        return time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    return time.monotonic_ns()
+
+
 class MonotonicClock:
     """The host's monotonic clock, which is not affected by changes of the wall clock."""
 
     def __init__(self) -> None:
-        self._start = time.monotonic_ns()
+        self._start = host_ns()
 
     def now(self) -> int:
         """Return the time [ns]."""
-        return time.monotonic_ns() - self._start
+        return host_ns() - self._start
 
     def sleep_until(self, when: int) -> None:
         """Sleep until `when` [ns]."""

@@ -26,13 +26,12 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
 class HostClock(Clock, Protocol):
-    """The clock of our side in virtual time: `ahead_ns` of true time; it is `stopped` while the
-    process stands still, and stands itself if `asleep`. A plan takes `plan_s` [s].
+    """The clock of our side in virtual time: `ahead_ns` of true time; it goes on while the
+    process is `stopped`. A plan takes `plan_s` [s].
     """
 
     ahead_ns: int
     stopped: bool
-    asleep: bool
     plan_s: float
 
 
@@ -49,10 +48,7 @@ class Process:
         """Send the process a signal, by its name without SIG."""
 
     def stop(self, on: bool) -> None:
-        """Suspend the process as SIGSTOP does, or let it continue."""
-
-    def sleep(self, on: bool) -> None:
-        """Suspend the whole host, whose monotonic clock stands meanwhile; or wake it up."""
+        """Suspend the process as SIGSTOP and a computer's sleep do, or let it continue."""
 
     def fill_disk(self) -> None:
         """Let every further write of the log fail."""
@@ -132,10 +128,6 @@ class ThisProcess(Process):
         """Let our side stand still."""
         self._host.stopped = on
 
-    def sleep(self, on: bool) -> None:
-        """Let our side and its clock stand still."""
-        self._host.stopped = self._host.asleep = on
-
     def fill_disk(self) -> None:
         """Let the log's next write fail."""
         self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
@@ -175,8 +167,7 @@ PROCESS_FAULTS = (
         _once(lambda f, p: p.signal(f.signal)),
         signal=SIGNALS,
     ),
-    fault("stopped", "That process is suspended.", switching(lambda p, f: p.stop)),
-    fault("asleep", "Its computer sleeps; only in virtual time.", switching(lambda p, f: p.sleep)),
+    fault("stopped", "That process is suspended, or sleeps.", switching(lambda p, f: p.stop)),
     fault("disk_full", "The disk for the log is full.", _once(lambda f, p: p.fill_disk())),
     fault(
         "host_clock",

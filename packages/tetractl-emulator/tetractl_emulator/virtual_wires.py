@@ -37,7 +37,7 @@ class LabClock(VirtualClock):
         self.timeline: Timeline | None = None
         self.steps: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
-        self.stopped = self.asleep = False  # the process stands still; its clock, too
+        self.stopped = False  # the process stands still
         self.plan_s = 0.0  # time that a plan takes [s]
 
     def now(self) -> int:
@@ -53,7 +53,6 @@ class LabClock(VirtualClock):
         """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
         while self.stopped or self.now() < when:
             passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
-            self.ahead_ns -= passed * self.asleep
             self._step_to(self._now + passed)
 
     def _step_to(self, true_ns: int) -> None:

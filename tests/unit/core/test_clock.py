@@ -1,8 +1,10 @@
+import sys
 import time
 
 import pytest
 
-from tetractl.core.clock import MonotonicClock, VirtualClock
+from tetractl.core import clock as clock_module
+from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 
 
 def test_virtual_time_passes_only_by_sleeping():
@@ -25,7 +27,7 @@ def host(monkeypatch):
             self.now += round(seconds * 1e9 / (2 if len(self.slept) == 1 else 1))
 
     host = Host()
-    monkeypatch.setattr(time, "monotonic_ns", lambda: host.now)
+    monkeypatch.setattr(clock_module, "host_ns", lambda: host.now)
     monkeypatch.setattr(time, "sleep", host.sleep)
     return host
 
@@ -39,3 +41,13 @@ def test_monotonic_time_starts_at_0_and_sleeps_to_the_end(host):
     clock.sleep_until(8_000_000)
     clock.sleep_until(1)
     assert len(host.slept) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the name of Linux's clock")
+def test_the_hosts_clock_goes_on_while_the_computer_sleeps(monkeypatch):
+    """The kernel's CLOCK_MONOTONIC stands meanwhile, and pictures that waited seemed new."""
+    clock, slept = MonotonicClock(), 5 * SECOND
+    true = time.clock_gettime_ns
+    boot = time.CLOCK_BOOTTIME
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda c: true(c) + slept * (c == boot))
+    assert clock.now() >= slept

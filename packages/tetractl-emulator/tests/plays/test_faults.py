@@ -10,7 +10,7 @@ pytestmark = pytest.mark.slow
 
 
 # one of each device, and of what process, clock and disk do; the others are of `make test-long`
-OFTEN = "asleep_host bad_bytes clock_back ctrl_c disk_full emergency frames_doubled ghost jump"
+OFTEN = "bad_bytes clock_back ctrl_c disk_full emergency frames_doubled ghost jump"
 OFTEN += " into_obstacle lifted lost_commands no_frames radio_unplugged robot_off swapped_wheels"
 PATHS = [
     pytest.param(path, id=path.stem, marks=() if path.stem in OFTEN.split() else pytest.mark.long)

@@ -65,7 +65,7 @@ def _reach(truth: Truth, limits: LabLimits, watchdog_s: float) -> float:
     """
     after = limits.stale + 0.05 + SLACK_S + AIR_S + LAG_MAX_S + _late_s(truth)
     quiet = ("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes", "signal")
-    if truth.met(*quiet, "stopped", "asleep", "off", "busy"):
+    if truth.met(*quiet, "stopped", "off", "busy"):
         after += watchdog_s
     return max(0.0, after - limits.reaction)
 

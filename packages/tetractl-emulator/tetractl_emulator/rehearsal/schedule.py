@@ -203,7 +203,6 @@ def _kinds() -> Iterator[FaultRow]:
         "host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)}, due.PLANS
     )
     yield FaultRow("suspended", "stopped", f"stood still|late|{clock}|{moved}", _nap)
-    yield FaultRow("computer asleep", "asleep", f"stood still|late|{clock}|{moved}", _nap)
     yield FaultRow(
         "disk full", "disk_full", "cannot write the log", due=after(1.0, False), at_once=True
     )

@@ -11,7 +11,7 @@ from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
 STOPS, STOPS_S = 10, 0.25  # stops after a run, and the time of ten, 20 ms apart, and a tick
 REPEAT_S = 0.5 + 0.05 + 0.02  # from a stop to its repetition: the wait, a poll, and the stop's gap
 TICK_S = 0.004  # within which commands of one tick of our side are sent
-MUTE = ("unplug", "stuck_port", "stopped", "asleep", "host_clock")  # nothing can be sent
+MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
 
 
 def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Violation]:

@@ -125,7 +125,7 @@ def seldom(truth: Truth, stale_s: float, most_s: float) -> Iterator[Violation]:
             return
 
 
-NAPS = ("stopped", "asleep", "host_clock")
+NAPS = ("stopped", "host_clock")
 
 
 def _moves(fault: Fields) -> bool:

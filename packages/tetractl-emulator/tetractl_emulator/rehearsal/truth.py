@@ -158,7 +158,7 @@ class Truth:
     @cached_property
     def _slept_s(self) -> float:
         """For how long our side stood still [s]."""
-        return sum(f["for"] for _, _, f in self.faults if f["fault"] in ("stopped", "asleep"))
+        return sum(f["for"] for _, _, f in self.faults if f["fault"] == "stopped")
 
     @cached_property
     def napped_s(self) -> float:
@@ -274,11 +274,9 @@ class Truth:
             found = ((numbers.get(number, ()), ns) for number, ns in shots)
             return [min(own, key=lambda i: abs(at[i] - ns), default=None) for own, ns in found]
         host = self.times.copy()
-        for began, ended, fault in self.faults:
+        for began, _, fault in self.faults:
             if fault["fault"] == "host_clock":
                 host += fault["by"] * (self.times >= began)
-            elif fault["fault"] == "asleep":
-                host -= np.clip(self.times, began, max(began, ended)) - began
         off = np.abs(host[:, None] - self.log.mocap_ns / SECOND)
         nearest = zip(off.argmin(axis=0).tolist(), off.min(axis=0).tolist(), strict=True)
         return [row if apart < NEAR_S else None for row, apart in nearest]

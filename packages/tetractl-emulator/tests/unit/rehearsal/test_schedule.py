@@ -16,7 +16,7 @@ NAMES = ("green", "blue", "red")
 EXPERIMENT = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
 SETUP = EXPERIMENT.setup
 LAB = rehearsal_of(EXPERIMENT.lab, SETUP)
-NAPS = ("stopped", "asleep")  # whose strength is their duration
+NAPS = ("stopped",)  # whose strength is their duration
 
 
 def test_a_day_depends_on_its_number_and_the_seed_alone():

@@ -126,7 +126,7 @@ def _kinds() -> Iterator[FaultRow]:
         above("share", 0.5, 0.6, False),
     )
     yield FaultRow(
-        "frames of the past", "outdated", SIGHT, lambda d: {"by": d.between(0.05, 30), "frames": 50}
+        "frames of the past", "outdated", late, lambda d: {"by": d.between(0.05, 30), "frames": 50}
     )
     yield FaultRow(
         "other version", "other_version", f"damaged|{SIGHT}", _version, after(0.6, False)

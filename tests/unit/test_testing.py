@@ -283,7 +283,7 @@ def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
     assert found[0].problem == "lacks damaged"
     assert found[1].what == "not opened, so its frames are not checked (no camera answers)"
     found = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
-    assert found[0].problem == "lacks __enter__, __exit__, check, poll, send, stop"
+    assert found[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
     assert wrong(found)[1:] == ["period_ns: above 0", "individual: true or false"]
 
 

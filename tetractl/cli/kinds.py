@@ -24,9 +24,7 @@ def kinds(
     ] = None,
     spec: Annotated[
         Path | None,
-        option(
-            "SPEC", "With --check: a spec whose robots, arena and obstacles are used in the tests."
-        ),
+        option("SPEC", "With --check: a spec whose robots, arena, obstacles and section are used."),
     ] = None,
     sets: Annotated[
         list[str] | None,
@@ -119,6 +117,10 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
         fields[name] = frozen(parse_value(text, f"--set {setting}", (name,)))
     text = template("check", "check")
     loaded = parse_spec(text, "check") if spec is None else ui.load(spec, None)
+    lab = loaded.experiment.lab if spec else None
+    for section in (lab.camera, lab.actuator) if lab else ():
+        if code == f"{type(section).__module__}:{type(section).__qualname__}":
+            fields = dict(section) | fields
     found = list(check_kind(code, fields, loaded.experiment.setup))
     wrong = [finding for finding in found if finding.problem]
     if as_json:

@@ -9,7 +9,7 @@ for each robot, which has the number `@I@`, and `@WIDTH@` and `@HEIGHT@` are the
 from pathlib import Path
 
 from tetractl.core.errors import UsageError
-from tetractl.core.registries import TEMPLATES
+from tetractl.core.registries import ACTUATORS, CAMERAS, TEMPLATES
 from tetractl.experiment.packages import not_installed
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import did_you_mean
@@ -49,9 +49,12 @@ def _part(what: str, kind: str) -> str:
     if kind not in known:
         if needs := not_installed(f"tetractl.{what}", kind):
             raise UsageError(f"{kind} {needs[0]}", needs[1])
-        option = {"robots": "--robots", "cameras": "--camera"}[what]
+        option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
+        why = f"unknown{did_you_mean(kind, list(known))}"
+        if kind in types:
+            why = f"its package brings no template {what}/{kind}.yaml; write the section yourself"
         raise UsageError(
-            f"{option} {kind}: unknown{did_you_mean(kind, list(known))}",
+            f"{option} {kind}: {why}",
             f"known are {', '.join(known)}; other packages bring more",
         )
     return known[kind].read_text("utf-8")

@@ -15,6 +15,21 @@ class OnPort(Protocol):
 
 
 @runtime_checkable
+class Addressed(Protocol):
+    """A camera at an address, whose messages come `latency` [s] after their exposure."""
+
+    @property
+    def address(self) -> str:
+        """Its port or computer."""
+        ...
+
+    @property
+    def latency(self) -> float:
+        """Time from an exposure until its message comes [s]."""
+        ...
+
+
+@runtime_checkable
 class PlansSignals(Protocol):
     """A controller whose plans hold at most `horizon_max` signals."""
 

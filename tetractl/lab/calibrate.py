@@ -118,7 +118,7 @@ class _Bench:
         (status,) = rig.actuator.poll(1.0)
         if problems := rig.actuator.check().problems:
             raise AbortError("; ".join(problems))
-        if not status.answers:
+        if status.answers is False:  # None: it cannot answer
             raise AbortError(
                 f"{self.name} does not answer", "find the cause with `tetractl lab check`"
             )

@@ -8,6 +8,7 @@ another process has the port open, `stop_beside` stops its robots and ends that 
 import os
 import select
 import signal
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -26,15 +27,20 @@ SIGNALS = (
     (4.0, signal.SIGKILL, "killed the process; `tetractl recover` mends its log"),
 )
 """Signals to a process that has the port: the time of each [s], and what is said of it."""
+UNREADABLE = (
+    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError),
+    struct.error,
+)
+"""What code raises that reads a message of another form than it expects."""
 SWITCH_OFF = "switch the robots off by hand if they move"
 
 
 class PortHeldError(AbortError):
-    """Another process has locked the port `port`."""
+    """Another process has locked the file `port`, of the port `name` if that is no file."""
 
-    def __init__(self, port: str) -> None:
+    def __init__(self, port: str, name: str = "") -> None:
         super().__init__(
-            f"{port}: another program has this port open",
+            f"{name or port}: another program has this port open",
             "only one run can use a port; `tetractl lab stop` stops and ends the run that uses it",
         )
         self.port = port

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pkgutil import resolve_name
 from traceback import extract_tb
-from typing import Any, get_args
+from typing import Any, Protocol, get_args, runtime_checkable
 
 from pydantic import ValidationError
 
@@ -35,6 +35,16 @@ __all__ = [
     "check_shape", "failed",
 ]  # fmt: skip
 
+
+@runtime_checkable
+class Checked(Protocol):
+    """A kind of another package's interface, which brings its check."""
+
+    def checked(self) -> Findings:
+        """Check this section."""
+        ...
+
+
 CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {
     ShapeSection: check_shape,
     OptimizerSection: check_optimizer,
@@ -57,6 +67,8 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
         raise UsageError(f"{code}: cannot be imported: {type(error).__name__}: {error}") from None
     if isinstance(found, Motion):
         return _guarded(partial(check_motion, found))
+    if isinstance(found, type) and issubclass(found, Model) and issubclass(found, Checked):
+        return _guarded(lambda: _section(code, found, fields).checked())
     for base, check in CHECKS.items():
         if isinstance(found, type) and issubclass(found, base):
             return _guarded(partial(check, _section(code, found, fields), setup))

@@ -8,6 +8,7 @@ import tty
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from threading import Thread
 
 import numpy as np
@@ -20,6 +21,8 @@ from tetractl.core.protocols import Actuator, Camera, Device
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.section_abilities import OnPort
+from tetractl.lab.actuators.own_section import OwnSection
+from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.testing.finding import Finding, Findings, near, true
 
@@ -29,21 +32,25 @@ EMULATED_S = 120.0  # in which an emulated device must do what it shall, on a ho
 @dataclass(frozen=True)
 class SeenRobots:
     """What an emulated camera sees. `poses()` (N, 3) are true, in the spec's coordinates, and
-    `hide(name)` puts a robot out of its sight."""
+    `hide(name)` puts a robot out of its sight. `ports` makes the camera's port, by default its own.
+    """
 
     clock: Clock
     poses: Callable[[], Floats]
     hide: Callable[[str], None]
+    ports: Ports | None = None
 
 
 @dataclass(frozen=True)
 class MovedRobots:
     """What an emulated actuator moves. `moves()` (N,) tells which robots truly move, and `unplug()`
-    takes the device away."""
+    takes the device away, None if nothing can tell that it is gone, as in a network. `ports` makes
+    the actuator's ports, by default its own."""
 
     clock: Clock
     moves: Callable[[], Sequence[bool]]
-    unplug: Callable[[], None]
+    unplug: Callable[[], None] | None
+    ports: Ports | None = None
 
 
 def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None = None) -> Findings:
@@ -52,7 +59,14 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
     """
     woken: list[None] = []
     clock = scene.clock if scene else MonotonicClock()
-    camera = section.build(setup, clock, lambda: woken.append(None))
+
+    def build() -> Camera:
+        given = setup, clock, lambda: woken.append(None)
+        if scene is None or scene.ports is None:
+            return section.build(*given)
+        return resolve_name(section.device)(section, *given, scene.ports)
+
+    camera = build()
     yield _members("camera", camera, Camera)
     with ExitStack() as stack:
         try:
@@ -83,7 +97,7 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         camera.frames()
         clock.sleep_until(clock.now() + SECOND // 20)
         yield true("__exit__: no frame comes afterwards", camera.frames() == [])
-        yield from _check_leaving(camera, section.build(setup, clock, lambda: None))
+        yield from _check_leaving(camera, build())
 
 
 def _frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
@@ -133,16 +147,28 @@ def check_actuator(
     section: ActuatorSection, setup: Setup, robots: MovedRobots | None = None
 ) -> Findings:
     """Check that an actuator can be built; emulated `robots` are steered and stopped in every way.
-    Without them, an actuator with a field `port` sends to a port behind which there is nothing.
+    Without them, an actuator with a field `port`, or of an `OwnSection`, sends to ports behind
+    which there is nothing.
     """
-    actuator = section.build(setup, robots.clock if robots else MonotonicClock())
+    wrong = [
+        f"{'.'.join(map(str, loc))} {text}".strip() for loc, text in section.contradictions(setup)
+    ]
+    yield Finding("section: fits the spec's robots", "; ".join(wrong))
+    if wrong:
+        return
+    clock, ports = (robots.clock, robots.ports) if robots else (MonotonicClock(), None)
+
+    def build() -> Actuator:
+        if ports is None:
+            return section.build(setup, clock)
+        return resolve_name(section.device)(section, setup, clock, ports)
+
+    actuator = build()
     yield _members("actuator", actuator, Actuator)
     yield Finding("period_ns: above 0", "" if actuator.period_ns > 0 else f"{actuator.period_ns}")
     for name, value in (("individual", actuator.individual), ("halts", actuator.halts)):
         yield Finding(f"{name}: true or false", "" if isinstance(value, bool) else repr(value))
     yield Finding("failure: None before the device is opened", actuator.failure or "")
-    wrong = (f"{'.'.join(map(str, loc))} {text}" for loc, text in section.contradictions(setup))
-    yield Finding("section: fits the spec's robots", "; ".join(wrong))
     if robots is None:
         yield from _check_sending(section, setup)
         return
@@ -154,18 +180,23 @@ def check_actuator(
         yield from _check_health(actuator, healthy=True)
         yield true("poll, check: nothing moves", not any(robots.moves()))
         yield from _Steered(actuator, setup, robots).check()
-    yield from _check_leaving(actuator, section.build(setup, robots.clock))
+    yield from _check_leaving(actuator, build())
 
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
-    """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends."""
+    """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends, or
+    robots at ports of their own that take everything."""
+    clock = MonotonicClock()
+    if isinstance(section, OwnSection):
+        with resolve_name(section.device)(section, setup, clock, _Nowhere) as actuator:
+            yield from _Steered(actuator, setup, MovedRobots(clock, list, None)).sent()
+        return
     if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
         yield Finding("send: not called, as the section has no field `port` for a serial port")
         return
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     Thread(target=_swallow, args=(ours,), daemon=True).start()
-    clock = MonotonicClock()
     fake = section.model_copy(update={"port": os.ttyname(theirs)})
     with ExitStack() as stack:
         stack.callback(os.close, theirs)
@@ -176,7 +207,7 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
                 f"send: not called, as a port without a device is refused ({error.message})"
             )
             return
-        yield from _Steered(actuator, setup, MovedRobots(clock, list, lambda: None)).sent()
+        yield from _Steered(actuator, setup, MovedRobots(clock, list, None)).sent()
 
 
 def _swallow(port: int) -> None:
@@ -184,6 +215,17 @@ def _swallow(port: int) -> None:
     with suppress(OSError), open(port, "rb", buffering=0) as file:
         while file.read(1000):
             pass
+
+
+class _Nowhere(SerialPort):
+    """A port that takes everything, and behind which there is nothing."""
+
+    def open(self, alone: bool = True) -> None:
+        """Do nothing."""
+
+    def write(self, data: bytes) -> int:
+        """Take bytes."""
+        return self._clock.now()
 
 
 class _Steered:
@@ -242,6 +284,8 @@ class _Steered:
         yield from self.stopped("stop", actuator.stop())
         yield from self.turned()
         if actuator.individual:
+            clock = self.robots.clock
+            clock.sleep_until(clock.now() + actuator.period_ns)  # so that the turn has begun
             actuator.stop()
             self.wait(self.resting)
             sent = self.steer(0.5, (False, *self.all[1:]))
@@ -250,6 +294,9 @@ class _Steered:
             yield true("individual: one robot is held, the others move", held)
         yield from self.stopped("emergency stop", actuator.stop(emergency=True))
         yield true("failure: None", actuator.failure is None)
+        if self.robots.unplug is None:
+            yield Finding("failure: not checked, as nothing tells that the device is gone")
+            return
         self.robots.unplug()
         yield true("failure: a device that is gone", self.wait(self.failed))
         for name, call in (("steer", lambda: self.steer(0.5, self.all)), ("stop", actuator.stop)):
@@ -299,9 +346,14 @@ def _check_health(device: Device, healthy: bool) -> Findings:
 
 def _check_leaving(left: Device, unopened: Device) -> Findings:
     """Leave a device once more that was left, and one twice that was never entered."""
-    for device in (left, unopened, unopened):
-        device.__exit__(None, None, None)
-    yield Finding("__exit__: may be called again, and before __enter__")
+    what = "__exit__: may be called again, and before __enter__"
+    try:
+        for device in (left, unopened, unopened):
+            device.__exit__(None, None, None)
+    except Exception as error:
+        yield Finding(what, f"{type(error).__name__}: {error}")
+    else:
+        yield Finding(what)
 
 
 def _members(what: str, device: Device, protocol: type) -> Finding:

@@ -73,11 +73,6 @@ def test_a_line_of_the_camera_is_a_frame_exposed_earlier(setup):
         assert opened.damaged == 3 and opened.check().emulated
 
 
-def test_a_camera_that_is_silent_is_said(setup):
-    with pytest.raises(AbortError, match="no camera frame came"), camera(setup, []):
-        pass
-
-
 def test_lines_are_speed_and_turning_rate_and_a_lost_robot_keeps_no_other_from_its_stop(setup):
     section = VwSection(
         type="vw",

@@ -5,21 +5,23 @@ from contextlib import suppress
 from pathlib import Path
 
 from tetractl.core.errors import TetractlError
-from tetractl.lab.udp_port import DATAGRAM_MAX, SCHEME, address_of
+from tetractl.lab.udp_port import DATAGRAM_MAX, SCHEME, address_of, heard_at
 from tetractl_emulator.port import PseudoPort
 
 
 class UdpPlug(PseudoPort):
-    """Devices at `udp://HOST:PORT`, emulated at this port of this computer."""
+    """Devices at `udp://HOST:PORT`, emulated at this port of this computer; at `udp://:PORT` those
+    that send to it unasked."""
 
     def __init__(self, name: str) -> None:
         super().__init__(Path(name))
         self.name = name  # a path would lose a stroke
-        address = address_of(name)
-        assert address is not None, "the section has checked the name"
-        self._number = address[1]
+        address, heard = address_of(name), heard_at(name)
+        if address is None and heard is None:
+            raise TetractlError(f"{name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
+        self._number = address[1] if address else 0
         self._socket: socket.socket | None = None
-        self._sender: tuple[str, int] | None = None
+        self._sender = None if heard is None else ("127.0.0.1", heard)
         self._stalled = False
 
     def plug(self) -> None:

@@ -51,9 +51,10 @@ class SerialDevice(ABC):
         """Read the bytes that a program wrote to the port; the device receives them after the time
         that they take on the line.
         """
-        data = self.port.read()
-        if not data:
-            return
+        while data := self.port.read():
+            self._came(data)
+
+    def _came(self, data: bytes) -> None:
         self._witness(data)
         if self.port.baud() not in (self.speed, None):
             self.garbled += 1

@@ -7,8 +7,7 @@ import random
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field
 
@@ -16,6 +15,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import LabSection
+from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl_emulator.faults import Fault
@@ -32,14 +32,17 @@ OF_A_SERVER = (
 )
 """Faults that only a motion-capture server can have."""
 
+NEEDS = "the section of a camera with an emulated PoseStream has `address` and `latency`"
+RATE_HZ, LATENCY_S = 100.0, 0.01  # of a camera that does not say its rate; of that of `world`
+
 
 class PoseSettings(Model):
     """Properties of a camera that differ from the spec."""
 
-    rate: float = Field(default=100.0, ge=1, le=500)
-    """Frames per second [Hz]."""
-    latency: float = Field(default=0.01, ge=0, le=1)
-    """Mean time from exposure to transmission [s]."""
+    rate: float | None = Field(default=None, ge=1, le=500)
+    """Frames per second [Hz]; by default those of the section's `sight`, or else 100."""
+    latency: float | None = Field(default=None, ge=0, le=1)
+    """Mean time from exposure to transmission [s]; by default the section's."""
     noise_mm: NonNegative = 0.0
     """Standard deviation of a position along each axis [mm]."""
     noise_rad: NonNegative = 0.0
@@ -48,8 +51,8 @@ class PoseSettings(Model):
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A frame with its number and its time of exposure [ns]; z is up, the origin that of the spec.
-    The id of a body is its robot's place in the setup.
+    """A frame with its number and its time of exposure [ns]; positions are metres, z is up, the
+    origin that of the spec. The id of a body is its robot's place in the setup.
     """
 
     number: int
@@ -63,9 +66,8 @@ class Shot:
 
 
 class PoseStream(PoseCamera):
-    """Sends `packed` frames to the program that has opened the port `port`, once it has written
-    something.
-    """
+    """Sends `packed` frames to the program that has opened the section's `address`: once it has
+    written something, or unasked if it listens."""
 
     Settings: ClassVar[type[Model]] = PoseSettings
     numbered = False
@@ -75,20 +77,31 @@ class PoseStream(PoseCamera):
 
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of the camera."""
-        return Rehearsal(world=partial(world, scale=scale_of(lab, setup)))
+        """Return what rehearsals draw of the camera: `world`, later by the section's latency."""
+        section = lab.camera
+        assert isinstance(section, Addressed), NEEDS
+        more, scale = section.latency - LATENCY_S, scale_of(lab, setup)
 
-    def __init__(
-        self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body], port: str
-    ) -> None:
+        def own(chance: random.Random, off: float) -> dict[str, Any]:
+            drawn = world(chance, off, scale)
+            return drawn | {"latency": max(0.0, round(drawn["latency"] + more, 4))}
+
+        return Rehearsal(world=own)
+
+    def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, Addressed), NEEDS
+        self.section = section
         chance, noise = random.Random(stage.options.seed), (settings.noise_mm, settings.noise_rad)
         tracked = [
             TrackedBody(body, i, body.name, noise=noise, random=chance)
             for i, body in enumerate(bodies)
         ]
-        super().__init__(stage, tracked, settings.rate, settings.latency, View(UpAxis.Z))
+        rate = settings.rate or section.sight.rate_hz or RATE_HZ
+        latency = section.latency if settings.latency is None else settings.latency
+        super().__init__(stage, tracked, rate, latency, View(UpAxis.Z))
         self.names, self.join = [body.name for body in bodies], stage.wires.ports
-        self.port, self.frames = stage.wires.port(port), 0
+        self.port, self.frames = stage.wires.port(section.address), 0
         self._loop: Loop | None = None
 
     @abstractmethod

@@ -203,6 +203,7 @@ class MemoryPort(PseudoPort):
     def __init__(self, plugged: "Plugged", link: Path | str) -> None:
         super().__init__(Path(link))
         self._name = str(link)
+        self._network = self._name.startswith(SCHEME)
         self.near: MemorySerial | None = None
         self.written: Callable[[], None] = lambda: None
         self.stalled, self.taken, self._plugged = False, deque[bytes](), plugged
@@ -227,14 +228,16 @@ class MemoryPort(PseudoPort):
     def baud(self) -> int | None:
         """Return the speed that our end has set [bits per second]; 0 if it is closed, None for a
         network."""
-        if self._name.startswith(SCHEME):
+        if self._network:
             return None
         return self.near.bits_a_second if self.near else 0
 
     def read(self) -> bytes:
-        """Return the bytes that our end has written."""
+        """Return the bytes that our end has written, of a network the next datagram."""
         if not self.taken:
             return b""
+        if self._network:
+            return self.taken.popleft()
         return b"".join([self.taken.popleft() for _ in range(len(self.taken))])
 
     def write(self, data: bytes) -> None:

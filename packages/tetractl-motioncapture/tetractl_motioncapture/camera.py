@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
@@ -11,8 +12,8 @@ from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.port_camera import PortCamera
-from tetractl.lab.serial_port import Ports
-from tetractl_motioncapture.process_port import ports_of
+from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl_motioncapture.process_port import ProcessPort
 from tetractl_motioncapture.section import MotionCaptureSection
 
 
@@ -22,6 +23,8 @@ class MotionCapture(PortCamera):
 
     connect_s = 10.0
     hint = "does the system stream, and are system and hostname right?"
+
+    section: MotionCaptureSection
 
     def __init__(
         self,
@@ -35,8 +38,13 @@ class MotionCapture(PortCamera):
         self._bodies: list[str] = []
         self._up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
         self._place = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
-        ports, count = ports or ports_of(section), len(self.robots)
-        super().__init__(count, section.hostname, section.latency, clock, wake, ports)
+        super().__init__(section, setup, clock, wake, ports)
+
+    def port(self, *arguments: Any) -> SerialPort:
+        """Return the port to the library's process."""
+        own = self.section
+        name = json.dumps([own.system, own.hostname, own.options])
+        return ProcessPort(name, *arguments[1:])
 
     def check(self) -> Health:
         """Return which robots have no body in the stream."""

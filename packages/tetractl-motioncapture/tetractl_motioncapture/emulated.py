@@ -49,7 +49,7 @@ class EmulatedMotionCapture(PoseStream):
                 f"{section.hostname} cannot be emulated over a network",
                 hint=f"use --set lab.camera.hostname={SCHEME}127.0.0.1:9800, here and in the run",
             )
-        super().__init__(stage, settings, bodies, section.hostname)
+        super().__init__(stage, settings, bodies)
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
         x, y = section.origin
         self.view = View(up, (x * stage.mm, y * stage.mm), section.rotation)

@@ -34,6 +34,11 @@ class MotionCaptureSection(CameraSection):
     robots: tuple[TrackedRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with the name of its rigid body."""
 
+    @property
+    def address(self) -> str:
+        """The computer that streams."""
+        return self.hostname
+
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the place and text of each problem with the robots."""
         yield from mismatches(self.robots, setup.names, ("body",))

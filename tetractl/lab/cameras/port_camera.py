@@ -1,26 +1,35 @@
-"""The base of cameras that send each frame as one message, once a program has asked for them."""
+"""The base of cameras that send each frame as one message."""
 
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Self
+from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.serial_port import Ports
+from tetractl.core.setup import Setup
+from tetractl.experiment.section_abilities import Addressed
+from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
+from tetractl.lab.udp_port import SCHEME, open_port
 
 ASKED = b"poses\n"
 WAITING_MAX = 1000  # frames
+BAUD = 115200  # of serial ports
+STAMPS = 600  # frames whose times on the camera's clock are compared with their arrivals
 
 
 class PortCamera(ABC):
-    """Frames of `count` robots from `address`, a port that `ports` makes; see
-    `tetractl.core.protocols.Camera`.
+    """Frames of a setup's robots from its section's `address`, a `tetractl.core.protocols.Camera`.
+    `ports` makes another port, such as one in memory.
 
-    A frame was exposed `latency_s` [s] before its message came. If the port fails, the robots stop
-    at once. Subclasses set `emulated` if a message says so.
+    A frame was exposed the section's `latency` [s] before its message came. If the port fails, the
+    robots stop at once. A subclass may set, while it reads a message, `emulated` if it says so, and
+
+    - `latency_s`, the time from the exposure to the arrival of this message [s], or
+    - `stamp_s`, the time of the exposure on the camera's own clock [s]: then the message that took
+      least among the last STAMPS took `latency`, and others so much longer as they came later.
     """
 
     connect_s = 3.0  # longest wait for the first frame
@@ -28,23 +37,31 @@ class PortCamera(ABC):
 
     def __init__(
         self,
-        count: int,
-        address: str,
-        latency_s: float,
+        section: Addressed,
+        setup: Setup,
         clock: Clock,
-        wake: Callable[[], None],
-        ports: Ports,
+        wake: Callable[[], None] = lambda: None,
+        ports: Ports | None = None,
     ) -> None:
-        self.damaged, self.emulated, self._none = 0, False, (None,) * count
-        self._clock, self._wake, self._late_ns = clock, wake, round(latency_s * SECOND)
+        self.section, self.setup = section, setup
+        self.damaged, self.emulated, self._none = 0, False, (None,) * len(setup.names)
+        self.latency_s, self._first = section.latency, ""
+        self.stamp_s: float | None = None
+        self._clock, self._wake, self._gaps = clock, wake, deque[int](maxlen=STAMPS)
         self._fresh, self._number = deque[CameraFrame](maxlen=WAITING_MAX), 0
-        self._port = ports(address, 0, "the camera", clock, self._heard, self.hint)
+        make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
+        self._port = make(section.address, BAUD, "the camera", clock, self._heard, self.hint)
+
+    def port(self, *arguments: Any) -> SerialPort:
+        """Return the port that gives the messages, by the arguments of `SerialPort`; by default a
+        serial port. At udp:// addresses the port is always that, as of emulated cameras."""
+        return SerialPort(*arguments)
 
     @abstractmethod
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
         """Return the pose of each robot of the setup, None if it is not tracked.
 
-        Raises ValueError, KeyError, TypeError or IndexError if the message cannot be read.
+        Raises any of UNREADABLE, such as ValueError or KeyError, if the message cannot be read.
         """
 
     def __enter__(self) -> Self:
@@ -54,6 +71,9 @@ class PortCamera(ABC):
         came = wait_for(self._clock, lambda: bool(self._number), self.connect_s)
         if not came or self._port.failure:
             self._port.close()
+            if self._first:
+                many = f"none of {self.damaged} messages of the camera could be read; the first"
+                raise AbortError(f"{many}: {self._first}", "does `poses` read this form?")
             raise AbortError(self._port.failure or "no camera frame came", self.hint)
         return self
 
@@ -73,10 +93,22 @@ class PortCamera(ABC):
         fault = "" if data else self._port.failure or "the camera's port has failed"
         try:
             poses = self.poses(data) if data else self._none
-        except (ValueError, KeyError, TypeError, IndexError):
+            if len(poses) != len(self._none):
+                raise ValueError(f"{len(poses)} poses, not {len(self._none)}")
+        except UNREADABLE as error:
             self.damaged += 1
+            self._first = self._first or f"{type(error).__name__}: {error}, in {data[:60]!r}"
             return
         self._number += 1
-        shot_ns = max(0, at_ns - self._late_ns)
+        shot_ns = max(0, at_ns - self._age_ns(at_ns))
         self._fresh.append(CameraFrame(self._number, shot_ns, at_ns, poses, fault=fault))
         self._wake()
+
+    def _age_ns(self, at_ns: int) -> int:
+        """Return the time from exposure to arrival of the message that came at a time [ns]."""
+        late_ns = 0
+        if self.stamp_s is not None:
+            gap_ns = at_ns - round(self.stamp_s * SECOND)
+            self._gaps.append(gap_ns)
+            late_ns = gap_ns - min(self._gaps)
+        return round(self.latency_s * SECOND) + late_ns

@@ -122,7 +122,10 @@ def _next_step(text: str) -> str:
     if text.endswith(" is lost"):
         return ": the camera does not track it; is it hidden, out of view or switched off?"
     if text.startswith("the model does not fit"):
-        return ": `tetractl identify` measures a and speed, with --wheels the lag of wheels"
+        return (
+            ": `tetractl identify` measures a, speed and dead time, which is longer if frames are "
+            "later than `latency`; with --wheels the lag of wheels"
+        )
     return ""
 
 

@@ -213,11 +213,16 @@ def robots_of_day(
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
 
 
-def gains_of_day(setup: Setup) -> Rehearsal:
-    """Return what rehearsals draw of a side whose settings are `WheelsSettings`."""
+def gains_of_day(setup: Setup, gains: Sequence[tuple[float, float]]) -> Rehearsal:
+    """Return what rehearsals draw of a side whose settings are `WheelsSettings`: gains near the
+    spec's `gains` of each robot's left and right wheel."""
 
     def world(random: Random, off: float) -> dict[str, Any]:
-        return robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))
+        drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))
+        for robot, (left, right) in zip(drawn["robots"], gains, strict=True):
+            robot["left_gain"] *= left
+            robot["right_gain"] *= right
+        return drawn
 
     return Rehearsal(world=world)
 

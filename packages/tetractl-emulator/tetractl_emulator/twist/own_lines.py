@@ -1,6 +1,7 @@
-"""The base of emulated robots of another make: two wheels, a port each, a line for each command.
+"""The base of emulated robots of another make: two wheels, a port each, a message for each command.
 
-A side of your own derives from `OwnLines` and reads a line.
+A side of your own derives from `OwnLines` and reads a message: a datagram, or a line of a serial
+port without its end.
 """
 
 from abc import abstractmethod
@@ -8,10 +9,15 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, ClassVar
 
+from tetractl.core.errors import WireError
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import LabSection
+from tetractl.experiment.lab_section import LabSection, entry
+from tetractl.lab.actuators.own_robots import BAUD
+from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.wheel_commands import Status, radii_mm
+from tetractl.lab.serial_port import UNREADABLE
+from tetractl.lab.udp_port import SCHEME
 from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
@@ -26,12 +32,13 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
 
-RUN, STOP, BAUD = 1, 2, 57600  # flags of a command in the record; baud rate of a serial port
+RUN, STOP = 1, 2  # flags of a command in the record
+NEEDS = "the section of robots that are emulated by OwnLines is an OwnSection"
 Read = Callable[[bytes], Counts]
 
 
 class OwnProgram:
-    """A robot's program: the speeds of the newest line, until its watchdog ends them."""
+    """A robot's program: the speeds of the newest message, until its watchdog ends them."""
 
     def __init__(self, read: Read, watchdog_s: float) -> None:
         self._read, self._watchdog_ms = read, round(watchdog_s * 1000)
@@ -39,8 +46,8 @@ class OwnProgram:
         self._heard_ms = 0
 
     def push(self, data: bytes, now_ms: int) -> None:
-        """Take a line; one that cannot be read changes nothing."""
-        with suppress(ValueError):
+        """Take a message; one that cannot be read changes nothing."""
+        with suppress(*UNREADABLE):
             self._speeds, self._heard_ms = self._read(data), now_ms
 
     def wheels(self, now_ms: int) -> Counts:
@@ -48,7 +55,7 @@ class OwnProgram:
         return self._speeds if now_ms - self._heard_ms < self._watchdog_ms else (0, 0)
 
     def status(self, now_ms: int) -> Status:
-        """Return whether it drives, or stands because no line came."""
+        """Return whether it drives, or stands because no message came."""
         if now_ms - self._heard_ms >= self._watchdog_ms:
             return Status.SILENT
         return Status.RUNNING if any(self._speeds) else Status(0)
@@ -62,54 +69,74 @@ class OwnProgram:
 
 
 class OwnRadio(LineRadio):
-    """The connection to the robot in a row of the setup, whose lines `read` reads."""
+    """The connection to the robot in a row of the setup, whose messages `read` reads."""
+
+    end = b""
 
     def __init__(self, stage: Stage, port: str, side: "OwnLines", row: int, loss: float) -> None:
         robots, seed = side.robots[row : row + 1], stage.options.seed + row
         super().__init__(stage, stage.wires.port(port), BAUD, robots, [row], loss, seed)
-        self._side, self._row = side, row
+        self._side, self._row, self._whole = side, row, port.startswith(SCHEME)
 
     def stop_elsewhere(self, sequence: int) -> None:
         """Do nothing: a robot has no emergency stop that another sender could press."""
 
+    def _split(self, data: bytes) -> list[bytes]:
+        return [data, b""] if self._whole else [line.rstrip() for line in super()._split(data)]
+
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        speeds = self._side.read(sealed, self._row)
+        try:
+            speeds = self._side.read(sealed, self._row)
+        except UNREADABLE as error:
+            raise WireError(str(error)) from None
         drives = [row == self._row and any(speeds) for row in range(len(self._side.robots))]
         return {"flags": RUN if any(speeds) else STOP, "motors": [*speeds], "drives": drives}
 
 
 class OwnLines(PortedSide):
-    """Robots at `ports`, one each; `watchdog_s` after its last line a robot stops by itself."""
+    """Robots at the addresses of an `OwnSection`, whose wheels have the gains and radii of the
+    section where the settings do not say otherwise.
+
+    `own` are their entries in the section, and `radii` (N,) the distances from their wheels to
+    their centres [mm], in the order of the setup.
+    """
 
     Settings: ClassVar[type[Model]] = WheelsSettings
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
         one for one in WHEELED_FAULTS if one.__name__ not in ("stopped_elsewhere", "low_battery")
     )
-    watchdog_s: ClassVar[float] = 0.25
 
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of radio and robots."""
-        return gains_of_day(setup)
+        section = lab.actuator
+        assert isinstance(section, OwnSection), NEEDS
+        own = [entry(section.robots, name) for name in setup.names]
+        return gains_of_day(setup, [(one.left_gain, one.right_gain) for one in own])
 
-    def __init__(
-        self, stage: Stage, settings: WheelsSettings, ports: Sequence[str], speed_max: float
-    ) -> None:
-        names = stage.setup.names
-        trues, self.radii = settings.trues(names), radii_mm(stage.setup, [None] * len(names))
+    def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
+        section, names = stage.lab.actuator, stage.setup.names
+        assert isinstance(section, OwnSection), NEEDS
+        self.own = [entry(section.robots, name) for name in names]
+        trues = settings.trues(names)
+        self.radii = radii_mm(stage.setup, [robot.radius_mm for robot in self.own])
+        self._watchdog_s = section.watchdog_s
         self.robots = [self._robot(row, true) for row, true in enumerate(trues)]
-        self.roll(stage, trues, [(1.0, 1.0)] * len(names), self.radii, (speed_max, 1.0))
+        gains = [(robot.left_gain, robot.right_gain) for robot in self.own]
+        limit = section.speed_max_mm_s / section.unit_mm, section.unit_mm
+        self.roll(stage, trues, gains, self.radii, limit)
         self.radios = [
-            OwnRadio(stage, port, self, row, settings.loss) for row, port in enumerate(ports)
+            OwnRadio(stage, robot.address, self, row, settings.loss)
+            for row, robot in enumerate(self.own)
         ]
 
     @abstractmethod
-    def read(self, line: bytes, row: int) -> Counts:
-        """Return the wheel speeds left, right [mm/s] that a line asks of the robot in a row of the
-        setup; ValueError if it cannot be read."""
+    def read(self, message: bytes, row: int) -> Counts:
+        """Return the wheel speeds left, right [unit_mm mm/s] that a message asks of the robot in a
+        row of the setup; any of UNREADABLE, such as ValueError, if it cannot be read."""
 
     def _robot(self, row: int, true: TrueWheels) -> EmulatedRobot:
         def program(index: int) -> OwnProgram:
-            return OwnProgram(lambda line: self.read(line, index), self.watchdog_s)
+            return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)
 
         return EmulatedRobot(true.name, row, EmulatedBattery(float(true.battery_mv)), program)

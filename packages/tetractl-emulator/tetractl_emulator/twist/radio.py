@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from tetractl.core.clock import MILLISECOND
@@ -17,6 +18,8 @@ DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the 
 class LineRadio(RobotRadio):
     """Passes lines on `port` to `robots`, and their replies back; `indices` are the numbers of all
     robots of the setup."""
+
+    end = b"\n"  # of a line
 
     def __init__(
         self,
@@ -35,13 +38,18 @@ class LineRadio(RobotRadio):
 
     def hear(self, data: bytes) -> None:
         """Take bytes that have come over the line; robots hear whole lines or none."""
-        *lines, self._line = (self._line + data).split(b"\n")
+        *lines, self._line = self._split(self._line + data)
         for line in lines:
             arrives = self._timeline.now_ns + DELAY_NS + self.lateness_ns(self._random)
             for robot in self.robots:
                 if self._random.random() >= max(self.loss, robot.deaf):
                     for _ in range(1 + self.doubled):
-                        self._timeline.at(arrives, lambda to=robot, line=line: _hear(to, line))
+                        heard = partial(robot.hear, line + self.end)
+                        self._timeline.at(arrives, heard)
+
+    def _split(self, data: bytes) -> list[bytes]:
+        """Return the messages in data, and what is left."""
+        return data.split(b"\n")
 
     def stop_elsewhere(self, sequence: int) -> None:
         """Pass on an emergency stop that no program of ours has sent."""
@@ -55,7 +63,7 @@ class LineRadio(RobotRadio):
         return {"sequence": command.sequence, "flags": int(command.flags), **own}
 
     def _witness(self, data: bytes) -> None:
-        *lines, self._witnessed = (self._witnessed + data).split(b"\n")
+        *lines, self._witnessed = self._split(self._witnessed + data)
         self._note_commands(lines)
 
     def poll_answers(self) -> None:
@@ -63,7 +71,3 @@ class LineRadio(RobotRadio):
         for robot in self.robots:
             if answer := robot.answer():
                 self._answer(answer)
-
-
-def _hear(robot: EmulatedRobot, line: bytes) -> None:
-    robot.hear(line + b"\n")

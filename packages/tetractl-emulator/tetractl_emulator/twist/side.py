@@ -33,7 +33,10 @@ class EmulatedTwist(PortedSide):
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of radio and robots."""
-        return gains_of_day(setup)
+        section = lab.actuator
+        assert isinstance(section, TwistSection), "the actuator's section has the type twist"
+        own = [entry(section.robots, name) for name in setup.names]
+        return gains_of_day(setup, [(one.left_gain, one.right_gain) for one in own])
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator

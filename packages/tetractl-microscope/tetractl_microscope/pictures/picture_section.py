@@ -6,12 +6,15 @@ OpenCV is imported only if the camera is built.
 from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import Clock, MonotonicClock
+from tetractl.core.errors import AbortError
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import CameraSection
 from tetractl.experiment.registry_fields import KindSection
+from tetractl.testing.finding import Finding, Findings, true
 from tetractl_microscope.pictures.feed import Feed
 from tetractl_microscope.registries import PICTURE_SOURCES
 
@@ -36,6 +39,29 @@ class PictureSource(Model):
         """Open the source, waiting up to `timeout_s` [s] for what answers; AbortError if that
         fails."""
         return resolve_name(self.feed)(self, clock, timeout_s)
+
+    def checked(self) -> Findings:
+        """Read five pictures; for `tetractl kinds --check`. A source that cannot be opened is not
+        checked further."""
+        clock = MonotonicClock()
+        try:
+            feed = self.open(clock, 5.0)
+        except AbortError as error:
+            yield Finding(f"not opened, so its pictures are not checked ({error.message})")
+            return
+        try:
+            found = [feed.read() for _ in range(5)]
+        finally:
+            feed.interrupt()
+            feed.close()
+        times = [one.received_ns for one in found]
+        rise = times == sorted(set(times)) and times[-1] <= clock.now()
+        yield true("read: times rise, on the clock given", rise, str(times))
+        jpeg = [isinstance(one.content, bytes) or one.content.dtype == np.uint8 for one in found]
+        yield true("read: JPEG bytes, or pixels of 8 bits", jpeg)
+        shapes = [np.shape(one.content) for one in found if not isinstance(one.content, bytes)]
+        right = [len(one) == 2 or (len(one) == 3 and one[2] == 3) for one in shapes]
+        yield true("read: pixels (height, width) or (height, width, 3)", right)
 
 
 class DeviceSource(PictureSource):

@@ -1,11 +1,16 @@
 """Cameras that send messages to a port, at the other end of it."""
 
+import types
+
 import pytest
 
+from tetractl.cli.specs import template
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
+from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.port_camera import ASKED, PortCamera
+from tetractl.lab.client_port import ClientPort
 
 
 class Port:
@@ -32,11 +37,17 @@ class Port:
 
 class OneRobot(PortCamera):
     def poses(self, message):
-        return (Pose(float(message), 0.0, 0.0),)
+        x, _, stamp = message.partition(b"@")
+        self.stamp_s = float(stamp) if stamp else None
+        return (Pose(float(x), 0.0, 0.0),)
 
 
-def camera(port):
-    return OneRobot(1, "there", 0.02, VirtualClock(), lambda: None, port.made)
+SECTION = types.SimpleNamespace(address="there", latency=0.02)
+SETUP = parse_spec(template("check", "check"), "check").experiment.setup.only([0])
+
+
+def camera(port, make=OneRobot):
+    return make(SECTION, SETUP, VirtualClock(), ports=port.made)
 
 
 def test_a_frame_was_exposed_the_latency_before_its_message_came():
@@ -68,3 +79,50 @@ def test_a_camera_that_sends_nothing_or_has_failed_is_not_entered(failure):
     with pytest.raises(AbortError, match=failure or "no camera frame came"), camera(port):
         pass
     assert port.closed
+
+
+def test_messages_that_cannot_be_read_are_counted_and_the_first_is_shown():
+    """Regression: they looked like silence."""
+    with pytest.raises(AbortError, match=r"none of 2 messages .*ValueError.*b'nothing'"):
+        camera(Port([b"nothing", b"again"])).__enter__()
+
+    class TwoRobots(OneRobot):
+        def poses(self, message):
+            return (*super().poses(message), None)
+
+    with pytest.raises(AbortError, match=r"ValueError: 2 poses, not 1"):
+        camera(Port([b"7"]), TwoRobots).__enter__()
+
+
+def test_times_on_the_cameras_own_clock_say_which_frames_came_late():
+    port = Port([b"7@100.000"])  # 99 s ahead of ours: the first took `latency`
+    with camera(port) as opened:
+        port.heard(b"7@100.010", 1_015_000_000)  # 5 ms later than the first
+        port.heard(b"7@100.020", 1_017_000_000)  # 3 ms quicker: from now on the least
+        port.heard(b"7@100.030", 1_030_000_000)
+        ages = [frame.received_ns - frame.sampled_ns for frame in opened.frames()]
+    assert [round(age / 1e6) for age in ages] == [20, 25, 20, 23]
+
+
+def test_a_client_that_fails_is_said_and_released():
+    ended, took = [], []
+
+    class Client(ClientPort):
+        def connect(self):
+            self.take(self.name.encode())
+
+        def wait(self):
+            raise OSError("server gone")
+
+        def disconnect(self):
+            ended.append(True)
+
+    given = "there", 0, "the camera", VirtualClock(), lambda *data: took.append(data[0]), ""
+    Client(*given).close()
+    port = Client(*given)
+    port.open()
+    port._thread.join()
+    port.close()
+    with pytest.raises(AbortError, match="the camera: server gone"):
+        port.write(b"")
+    assert (ended, took) == ([True], [b"there", b""])

@@ -1,0 +1,44 @@
+"""The checks of `tetractl.testing` for a camera and an actuator before their emulated sides, in
+virtual time."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.udp_port import SCHEME
+from tetractl.testing import Finding, MovedRobots, SeenRobots, check_actuator, check_camera
+from tetractl_emulator.m3pi.wheeled_side import PortedSide
+from tetractl_emulator.pose_stream import PoseStream
+from tetractl_emulator.sides import Options
+from tetractl_emulator.virtual_wires import LabClock, started
+
+
+def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
+    """Check a lab whose camera is emulated by a `PoseStream` and its actuator by a `PortedSide`,
+    such as `OwnLines`; `tetractl.testing.failed` returns what is wrong."""
+    clock = LabClock()
+    emulation = started(lab, setup, clock, Options(address=None))
+    camera, actuator = emulation.camera, emulation.actuator
+    assert isinstance(camera, PoseStream), "the camera's emulated side is a PoseStream"
+    assert isinstance(actuator, PortedSide), "the actuator's emulated side is a PortedSide"
+
+    def poses() -> Floats:
+        bodies = [(one.x / stage_mm, one.y / stage_mm, one.heading) for one in actuator.bodies]
+        return np.array(bodies)
+
+    def hide(name: str) -> None:
+        camera.tracked_body(name).tracked = False
+
+    def moves() -> list[bool]:
+        return [not body.standing for body in actuator.bodies]
+
+    stage_mm, ports = setup.metres * 1000, emulation.wires.ports
+    unplug = None  # a robot that is gone from a network is not noticed
+    if not all(radio.port.name.startswith(SCHEME) for radio in actuator.radios):
+        unplug = lambda: actuator.plugged(False)  # noqa: E731
+    yield from check_camera(lab.camera, setup, SeenRobots(clock, poses, hide, ports))
+    yield from check_actuator(lab.actuator, setup, MovedRobots(clock, moves, unplug, ports))
+    emulation.close()

@@ -1,0 +1,110 @@
+"""The base of actuators for robots of another make: two wheels, and a port for each robot."""
+
+from abc import abstractmethod
+from collections.abc import Iterable
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Action, Health, RobotStatus, Stop, Transmission
+from tetractl.core.errors import AbortError
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import entry
+from tetractl.lab.actuators.own_section import OwnSection
+from tetractl.lab.actuators.twist.actuator import drivetrains
+from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator, radii_mm
+from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.udp_port import open_port
+from tetractl.model.wheels import CountArray
+
+BAUD = 57600  # of serial ports
+HINT = "is the robot on, and in this computer's network?"
+
+
+class OwnLinks:
+    """The ports of all robots, as one."""
+
+    def __init__(self, ports: Iterable[SerialPort]) -> None:
+        self.ports = tuple(ports)
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        return next((port.failure for port in self.ports if port.failure), None)
+
+    def open(self) -> None:
+        """Open all ports."""
+        for port in self.ports:
+            port.open()
+
+    def close(self) -> None:
+        """Release all ports; may be called twice, never raises."""
+        for port in self.ports:
+            port.close()
+
+    def send(self, messages: Iterable[bytes]) -> int:
+        """Send each robot its message, even if another's port has failed; return the time of the
+        last [ns]. AbortError if a port has failed."""
+        sent_ns, lost = 0, list[AbortError]()
+        for port, message in zip(self.ports, messages, strict=True):
+            try:
+                sent_ns = port.write(message)
+            except AbortError as error:
+                lost.append(error)
+        if lost:
+            raise lost[0]
+        return sent_ns
+
+
+class OwnRobots(WheeledActuator):
+    """Drives robots that do not answer; see `tetractl.core.protocols.Actuator`. A subclass packs
+    the speeds of a robot's wheels. `ports` makes other ports, such as those in memory.
+
+    `robots` are their entries in the section, and `radii` (N,) the distances r from their wheels to
+    their centres [mm], in the order of the setup.
+    """
+
+    def __init__(
+        self, section: OwnSection, setup: Setup, clock: Clock, ports: Ports | None = None
+    ) -> None:
+        self.robots = [entry(section.robots, name) for name in setup.names]
+        own, make = [robot.radius_mm for robot in self.robots], ports or open_port
+        self.radii = radii_mm(setup, own)
+        self.links = OwnLinks(
+            make(robot.address, BAUD, robot.name, clock, lambda *_: None, HINT)
+            for robot in self.robots
+        )
+        gains = np.array([(one.left_gain, one.right_gain) for one in self.robots]).T
+        self._gain = gains * section.unit_mm
+        wheels = drivetrains(self._gain, section.speed_max_mm_s / section.unit_mm)
+        commands = WheelCommands(setup, clock, own, wheels, round(section.delay * SECOND))
+        super().__init__(setup, self.links, lambda _: [], commands, section.rate, 0.0)
+
+    @abstractmethod
+    def packed(self, row: int, left: int, right: int) -> bytes:
+        """Return the message to the robot in a row of the setup that asks for these speeds of its
+        wheels, in units of the section's `unit_mm`."""
+
+    def halt(self, row: int, emergency: bool) -> bytes:
+        """Return the message that stops a robot, if `emergency` until it is switched off; by
+        default that of speeds 0."""
+        return self.packed(row, 0, 0)
+
+    def check(self) -> Health:
+        """Return nothing: ports that only take have nothing to report."""
+        return Health()
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Return that it is not known whether the robots hear."""
+        return [RobotStatus(answers=None) for _ in self.robots]
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Stop every robot."""
+        count = len(self.robots)
+        sent_ns = self.links.send(self.halt(row, emergency) for row in range(count))
+        return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
+
+    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+        pairs = enumerate(outputs.T.tolist())
+        sent_ns = self.links.send(self.packed(row, *pair) for row, pair in pairs)
+        return self._transmission(sent_ns, action, outputs * self._gain, moving)

@@ -84,7 +84,8 @@ def init(
     ] = None,
     lab: Annotated[bool, switch("Add a lab to the spec.", "--lab")] = False,
     camera: Annotated[
-        str | None, option("KIND", "The lab's camera, such as apriltag. [optitrack]")
+        str | None,
+        option("KIND", "The lab's camera, such as apriltag. [optitrack; toio: toio]"),
     ] = None,
     robots: Annotated[
         str | None, option("KIND", "The lab's robots, such as twist. [m3pi-xbee]")

@@ -221,12 +221,21 @@ class Transmission(Sent):
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """The answer of one robot to a poll; `answers` is None for a robot that cannot answer."""
+    """The answer of one robot to a poll; `answers` is None for a robot that cannot answer. It gives
+    the voltage of its battery [V], or its charge [%], or neither."""
 
     answers: bool | None
     battery_v: float | None = None
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    charge: int | None = None
+
+    @property
+    def battery(self) -> str | None:
+        """The voltage or the charge, for display; None if neither is known."""
+        if self.battery_v is not None:
+            return f"{self.battery_v:.2f} V"
+        return None if self.charge is None else f"{self.charge} %"
 
 
 @dataclass(frozen=True, slots=True)

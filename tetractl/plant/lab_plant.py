@@ -355,9 +355,9 @@ def _time_ns(item: Command | Note) -> int:
 def _facts(findings: Preflight) -> dict[str, str]:
     latency_ms = findings.latency_ms
     batteries = [
-        f"{robot.name} {robot.status.battery_v:.2f} V"
+        f"{robot.name} {robot.status.battery}"
         for robot in findings.robots
-        if robot.status.battery_v is not None
+        if robot.status.battery is not None
     ]
     facts = {"latency_ms": "unknown" if latency_ms is None else f"{latency_ms[0]:.2f}"}
     if batteries:

@@ -133,7 +133,8 @@ def parse_script(
     try:
         script = Script.model_validate(frozen(document.data), strict=True, context={"sides": sides})
     except ValidationError as error:
-        problems = [_problem(details, document) for details in error.errors(include_url=False)]
+        each = error.errors(include_url=False)
+        problems = [_problem(details, document, sides) for details in each]
         raise InvalidSpecError([*document.found, *problems]) from None
     if document.found:
         raise InvalidSpecError(document.found)
@@ -150,7 +151,12 @@ def _sides(info: ValidationInfo) -> Sides:
     return info.context["sides"]
 
 
-def _problem(details: ErrorDetails, document: Document) -> SpecProblem:
+def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecProblem:
     loc = tuple(details["loc"])
+    for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
+        if details["type"] == "extra_forbidden" and loc[:-1] == ("emulation", name):
+            known = list(side.Settings.model_fields)
+            guess = did_you_mean(str(loc[-1]), known) or f"; known here: {', '.join(known)}"
+            return document.key(loc).problem(loc, f"unknown key{guess}")
     place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
     return (place or document.place(loc)).problem(loc, words(details, details["input"]))

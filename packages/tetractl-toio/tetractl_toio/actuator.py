@@ -98,6 +98,7 @@ class ToioActuator(WheeledActuator):
         if charge is None:
             return RobotStatus(False, problems=(f"{name} does not answer: is its cube on?",))
         if charge < EMPTY:
-            return RobotStatus(True, None, (f"{name}'s battery is at {charge} %: charge it",))
+            empty = (f"{name}'s battery is at {charge} %: charge it",)
+            return RobotStatus(True, problems=empty, charge=charge)
         low = (f"{name}'s battery is at {charge} %",) if charge < self.section.battery_warn else ()
-        return RobotStatus(True, None, (), low)
+        return RobotStatus(True, warnings=low, charge=charge)

@@ -13,7 +13,8 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.serial_port import Ports
-from tetractl_toio.cubes import HINT, CubesLink
+from tetractl.lab.udp_port import SCHEME
+from tetractl_toio.cubes import HINT, UDP_HINT, CubesLink
 from tetractl_toio.messages import (
     DURATION_MS,
     Characteristic,
@@ -62,7 +63,8 @@ class ToioCamera:
             begun = any(self._begun() for _ in range(TRIES))
             silent = [n for n, at in zip(self.names, self._read_ns, strict=True) if at < 0]
             if not begun and silent:
-                raise AbortError(f"no message came from {', '.join(silent)}", HINT)
+                hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else HINT
+                raise AbortError(f"no message came from {', '.join(silent)}", hint)
         except BaseException:
             self._link.close()
             raise

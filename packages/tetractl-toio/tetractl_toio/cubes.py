@@ -11,6 +11,7 @@ from tetractl.lab.serial_port import Heard, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
 from tetractl_toio.messages import Characteristic, Unpacker, pack, refused
 
+UDP_HINT = "does `tetractl lab emulate` run in another terminal, with the same spec?"
 HINT = "the cubes stop by themselves; are they on and charged, and does no other program use them?"
 SPEED = 1_000_000  # bits a second of Bluetooth Low Energy
 Listener = Callable[[int, bytes, int], None]

@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.console import Console
 
-from tetractl.core.table.table import NONE, Column, Table, fixed
+from tetractl.core.table.table import NONE, Column, Table
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.lab.preflight import Preflight
 
@@ -33,13 +33,13 @@ def robots_table(found: Preflight) -> Table:
                 "rad",
                 _or(NONE, "{:+.2f}"),
             ),
-            Column("battery", [robot.status.battery_v for robot in robots], "V", fixed(2)),
+            Column("battery", [robot.status.battery for robot in robots], format=_or(NONE, "{}")),
             Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
         ),
     )
 
 
-def _or(unknown: str, form: str) -> Callable[[float | None], str]:
+def _or(unknown: str, form: str) -> Callable[[Any], str]:
     return lambda value: unknown if value is None else form.format(value)
 
 
@@ -71,6 +71,7 @@ def as_json(found: Preflight) -> dict[str, Any]:
             "placed": robot.tracked and not robot.misplaced,
             "answers": robot.status.answers,
             "battery_v": robot.status.battery_v,
+            "charge": robot.status.charge,
         }
         for robot in found.robots
     ]

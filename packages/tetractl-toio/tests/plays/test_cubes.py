@@ -148,7 +148,7 @@ def test_a_lab_of_cubes_is_checked_though_messages_are_lost(folder, lost):
     done = tetractl(folder, *check).ok()
     found = json.loads(done.stdout)
     assert found["ready"]
-    assert all(robot["answers"] for robot in found["robots"])
+    assert all(robot["answers"] and robot["charge"] == 100 for robot in found["robots"])
 
 
 @pytest.mark.long

@@ -17,7 +17,7 @@ FOUND = Preflight(
 
 def test_a_robot_that_is_not_tracked_has_no_place():
     assert list(robots_table(FOUND).rows) == [
-        ("green", "3", "-0.02", "7.41", "yes"),
+        ("green", "3", "-0.02", "7.41 V", "yes"),
         ("red", "not tracked", "-", "-", "n/a"),
     ]
 

@@ -47,7 +47,7 @@ def test_every_fault_has_a_script():
         ("emulation: {camera: {version: 2.10}}", "if 2.10 is meant, put it in quotes"),
         ("emulation: {camera: {version: '2.4'}}", "must match"),
         ("emulation: {version: '4.1'}", "version: unknown key"),
-        ("emulation: {actuator: {version: '4.1'}}", "version: unknown key"),
+        ("emulation: {actuator: {version: '4.1'}}", "version: unknown key; known here: "),
         ("faults: [{fault: unplug, at: 1, at: 2}]", "given twice"),
         ("emulation: !!python/object:os.system {}", "line|tag"),
     ],

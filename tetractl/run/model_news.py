@@ -58,7 +58,9 @@ class ModelNews:
 
     def of(self, known: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield level and text of what is news in an estimate."""
-        for name in set(known.standing(setup.names)) - self._stood:
+        for name in known.standing(setup.names):
+            if name in self._stood:
+                continue
             self._stood.add(name)
             yield "info", f"{name} stands although it is sent a direction"
         if unfit := known.unfit(setup.names):

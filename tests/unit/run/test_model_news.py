@@ -51,3 +51,9 @@ def test_a_robot_that_stands_is_named_once():
     assert stands.standing(SETUP.names) == [NAME]
     found = said((1, FITS), (2, stands), (3, FITS), (4, stands))
     assert found == [f"{NAME} stands although it is sent a direction"]
+
+
+def test_robots_that_stand_are_named_in_the_order_of_the_spec():
+    """Regression: the order was that of a set, which differs between processes."""
+    found = said((1, replace(FITS, stands=np.full(ROBOTS, 0.9))))
+    assert found == [f"{name} stands although it is sent a direction" for name in SETUP.names]

@@ -95,7 +95,8 @@ def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(f
 
 def test_of_readings_that_come_together_the_newest_counts(folder):
     """Regression: the earlier ones had its time; and frames were counted as if always read at once,
-    so that an observer took wrong ones after our side had slept."""
+    so that an observer took wrong ones after our side had slept. A cube that lost its settings, but
+    answered, was left without."""
     experiment = load_spec(folder / "cubes.yaml").experiment
     readings = (encode_reading(Reading(x, 355, 0)) for x in (145, 146))
     event = b"".join(pack(Characteristic.ID, reading) for reading in readings)
@@ -104,8 +105,13 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     class Wire(SerialPort):
         def open(self, alone=True): ...
 
+        asked = 0
+
         def write(self, data):
-            if encode_notify(10) in data:
+            self.asked += encode_notify(10) in data
+            if data == pack(Characteristic.ID):  # though the settings are lost
+                self._heard(event, 9 * MILLISECOND)
+            elif encode_notify(10) in data and self.asked == 2:
                 self._heard(event + answer, 9 * MILLISECOND)
             return 0
 
@@ -113,7 +119,7 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
 
     with ToioCamera(experiment.lab.camera, experiment.setup, VirtualClock(), ports=Wire) as camera:
         (frame,) = camera.frames()
-    assert frame.number == 3
+    assert frame.number == 12, "asked twice, set at the second, and asked as silent since"
     assert [pose.x for pose in frame.poses] == [pytest.approx(101 * 1.36)] * 3
 
 

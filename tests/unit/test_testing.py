@@ -37,6 +37,7 @@ from tetractl.testing import (
     check_optimizer,
     check_shape,
 )
+from tetractl.testing.device_checks import _check_leaving
 
 SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
@@ -346,6 +347,13 @@ def test_nothing_is_sent_to_the_port_of_a_network():
     assert found[-1].what.startswith("send: not called")
 
 
+def test_closing_before_opening_is_a_finding():
+    """Regression: it ended in a traceback."""
+    unopened = PortActuator(PortSection(), SETUP, None)
+    (found,) = _check_leaving(unopened, unopened)
+    assert found.problem == "AttributeError: 'PortActuator' object has no attribute 'port'"
+
+
 def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
     shutil.copy(ROOT / "experiments" / "single_cell.yaml", tmp_path / "one.yaml")
     words = ("kinds", "--check", "tetractl.control.sequence:SequenceSection", "--json")
@@ -356,6 +364,11 @@ def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
     assert (done.returncode, "need --check" in done.stderr) == (2, True)
     done = tetractl(tmp_path, *words, "--spec", "none.yaml")
     assert (done.returncode, "none.yaml" in done.stderr) == (2, True)
+    words = ("init", "robots", "--lab", "--robots", "twist", "--camera", "optitrack")
+    tetractl(tmp_path, *words).ok()
+    code = "tetractl.lab.actuators.twist.section:TwistSection"
+    done = tetractl(tmp_path, "kinds", "--check", code, "--spec", "robots.yaml")
+    assert (done.returncode, done.stderr) == (0, "")  # `robots` and `port` are the spec's
 
 
 def test_the_command_says_what_was_checked(tmp_path):

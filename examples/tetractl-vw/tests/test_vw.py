@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -14,8 +15,9 @@ from tetractl_vw.camera import JsonPoses, JsonPosesSection
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Steer
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Pose
+from tetractl.experiment.lab_template import lab_template
 from tetractl.experiment.load import load_spec
 
 PACKAGE = ROOT / "examples" / "tetractl-vw"
@@ -124,3 +126,20 @@ def test_what_the_guide_shows_runs(tmp_path):
     assert "1 days, 0 violations" in tetractl(
         "lab rehearse vw.yaml --days 1 --jobs 1 --no-faults --out days"
     )
+
+
+def test_the_guide_counts_the_lines_that_are_not_blank():
+    guide = (ROOT / "docs" / "how-to" / "own-robots.md").read_text("utf-8")
+    rows = re.findall(r"^\| `([\w/.]+)` \|.*\| (\d+) \|$", guide, re.MULTILINE)
+    counted = []
+    for name, _ in rows:
+        file = PACKAGE / name if "/" in name else PACKAGE / "tetractl_vw" / name
+        lines = file.read_text("utf-8").splitlines()
+        counted.append((name, str(sum(bool(line.strip()) for line in lines))))
+    assert len(rows) == 4 and counted == rows
+
+
+def test_init_says_that_a_camera_has_no_template():
+    """Regression: it was called unknown, though its package is installed."""
+    with pytest.raises(UsageError, match=r"brings no template cameras/json-poses\.yaml"):
+        lab_template("twist", "json-poses")

@@ -27,6 +27,7 @@ from tetractl_microscope.registries import PICTURE_SOURCES
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.testing import failed
 
 pytestmark = pytest.mark.slow
 
@@ -249,5 +250,6 @@ def test_a_source_of_another_package_is_found_by_its_name(monkeypatch):
     )
     assert (decoded(source.open(VirtualClock(), 1.0).read()) == 9).all()
     assert source.shown == "still"
+    assert failed(source.checked()) == []
     with pytest.raises(ValidationError, match="unknown type"):
         TypeAdapter(Annotated[PictureSource, mark]).validate_python({"type": "stil"})

@@ -8,12 +8,10 @@ from typing import Any
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import Heard, SerialPort
-from tetractl_toio.messages import SERVICE, Characteristic, Unpacker, pack
+from tetractl_toio.messages import SERVICE, TOGETHER_S, Characteristic, Unpacker, pack
 
 FIND_S = 10.0  # longest search for a cube
 CONNECT_S = 20.0  # longest time until it is connected and notifies
-TOGETHER_S = 0.003
-"""Messages within this time are of one event of the connection, of which two are 7.5 ms apart."""
 NOTIFYING = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
 
 

@@ -53,7 +53,7 @@ class ToioCamera:
         self._poses: list[Pose | None] = [None] * len(setup.names)
         self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
         self._number, self._told = 0, False  # of reports so far
-        self._asked_ns = 0
+        self._asked_ns, self._newest_ns = 0, -1
         self._set = [False] * len(setup.names)  # which cubes have taken the settings
 
     def __enter__(self) -> Self:
@@ -107,8 +107,9 @@ class ToioCamera:
             told, self._told = self._told, False
             poses, times, number = tuple(self._poses), tuple(self._read_ns), self._number
         newest = max(times)
-        if not told or min(times) < 0:
-            return []
+        if not told or min(times) < 0 or newest <= self._newest_ns:
+            return []  # a reading that another cube's has overtaken is in the next frame
+        self._newest_ns = newest
         sampled, now = tuple(map(self._sampled, times)), self._clock.now()
         return [CameraFrame(number, self._sampled(newest), now, poses, exposed_ns=sampled)]
 

@@ -2,14 +2,16 @@
 one connection only.
 """
 
+import select
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import Heard, Ports, SerialPort
-from tetractl.lab.udp_port import SCHEME, open_port
-from tetractl_toio.messages import Characteristic, Unpacker, pack, refused
+from tetractl.lab.udp_port import DATAGRAM_MAX, SCHEME, UdpPort
+from tetractl_toio.messages import TOGETHER_S, Characteristic, Unpacker, pack, refused
 
 UDP_HINT = "does `tetractl lab emulate` run in another terminal, with the same spec?"
 HINT = "the cubes stop by themselves; are they on and charged, and does no other program use them?"
@@ -125,12 +127,27 @@ class CubesLink:
         return self._run.send(cube, characteristic, data)
 
 
+class EmulatedCubePort(UdpPort):
+    """The port to an emulated cube, which passes on what comes within TOGETHER_S as one: of events
+    that waited, on a busy computer, the earlier are not as new as they seem."""
+
+    def _read(self) -> None:
+        assert self._socket is not None
+        while not self._closing.is_set():
+            with suppress(TimeoutError, ConnectionError):
+                data, at_ns = self._socket.recv(DATAGRAM_MAX), self._clock.now()
+                self._closing.wait(TOGETHER_S)
+                while select.select([self._socket], [], [], 0)[0]:
+                    data += self._socket.recv(DATAGRAM_MAX)
+                self._heard(data, at_ns)
+
+
 def make_port(
     name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
 ) -> SerialPort:
     """Return the port to a cube, not yet opened: UDP to an emulated one, else Bluetooth."""
     if name.startswith(SCHEME):
-        return open_port(name, baud, device, clock, heard, hint)
+        return EmulatedCubePort(name, baud, device, clock, heard, hint)
     from tetractl_toio.ble import BluetoothPort
 
     return BluetoothPort(name, baud, device, clock, heard, hint)

@@ -23,6 +23,8 @@ RADIUS_MM = 13.3
 """Distance from a wheel to the cube's centre [mm]: its wheels are 26.6 mm apart."""
 MAT_MM = 1.36
 """A unit of the mat's coordinates [mm]."""
+TOGETHER_S = 0.003
+"""Messages within this time are of one event of the connection, of which two are 7.5 ms apart."""
 POSITION, MISSED = 0x01, 0x03
 DURATION_MS = 10  # unit of a motor command's duration and of a notification interval
 

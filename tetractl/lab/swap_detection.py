@@ -10,7 +10,7 @@ which is the integral of (s_i - g w_j)^2 without the term s_i^2, which is the sa
 gain g is 1 for another robot's commands. For a robot's own commands, g is fitted, since
 uncalibrated wheels turn the robot somewhat more or less, and so is a constant rate b at which
 unequal wheels turn it: its own commands are g w_i + b. Robot i follows j if Q_ii - Q_ij exceeds a
-fraction of the integral of (w_i - w_j)^2.
+fraction of the integral of (w_i - w_j)^2, and w_j explains some of how it turns.
 
 A robot that moves as commanded follows no other robot, and robots that stand still cannot follow
 one another in a ring (i follows j, j follows i): robots that follow one another in a ring are
@@ -39,6 +39,8 @@ ALONE_NS = SECOND // 2  # time for which a single robot must follow another, twi
 ALONE_GAINS = (-1.25, 1.25)  # gains tried for its own commands, as a wheel may be stuck or inverted
 ALONE_BETTER = 0.25  # the same for a single robot that follows another
 ALONE_CLEAR = 0.06  # least Q_ii - Q_ij per integral of w_j^2, for a single robot
+# the same for each robot of a ring: commands that change faster than wheels follow explain nothing
+RING_EXPLAINED = 0.3
 EXPLAINED = 0.8  # fraction of another robot's commanded turning that must be measured
 
 
@@ -170,7 +172,8 @@ class _TurnIntegrals:
         if not (np.diagonal(misfit)[:, None] - misfit > 0.99 * least).any():
             return np.zeros(misfit.shape, dtype=np.bool_)  # with the best gain still less
         better = self._own(GAINS)[:, None] - misfit
-        return (self._differ > DISTINCT) & (better > least)
+        explained = misfit < -RING_EXPLAINED * self._commanded.max(axis=0)
+        return (self._differ > DISTINCT) & (better > least) & explained
 
     def follows_alone(self, i: int) -> np.ndarray:
         """Return, for each robot (N,), whether robot i follows that robot's commands in a way that

@@ -1,7 +1,9 @@
 """Runs in an emulated lab in which nothing goes wrong, over every kind of wire, in virtual time."""
 
 import pytest
+from support.cli import tetractl
 from support.good_runs import RUNS, check, script_of
+from support.paths import ROOT
 from support.scripts import load_script
 from support.virtual_lab import play
 
@@ -14,3 +16,29 @@ def test_a_run_in_which_nothing_goes_wrong(name, tmp_path):
     script = script_of(name, tmp_path)
     played = play(script, load_script(script), tmp_path, replace_after=replace_after, sets=sets)
     check(sets, played)
+
+
+SLOW = """
+about: wheels within what a spec allows, that follow quick turns late (day 51 of seed 20261204)
+emulation:
+  camera: {noise_mm: 0.409, noise_rad: 0.0039, latency: 0.0063}
+  robots:
+  - {name: green, start: [896.55, 795.69], heading: 0.0064}
+  - {name: blue, start: [902.2, 1203.37], heading: 0.0477}
+  - {name: red, start: [900.67, 1603.79], heading: -0.001}
+  actuator:
+    loss: 0.027
+    robots:
+    - {name: green, left: {gain_mm: 7.6592}, right: {gain_mm: 7.4895}, lag: 0.033}
+    - {name: blue, left: {gain_mm: 7.5495}, right: {gain_mm: 7.5727}, lag: 0.071}
+    - {name: red, left: {gain_mm: 8.1136}, right: {gain_mm: 7.8358}, lag: 0.04}
+"""
+
+
+def test_robots_that_follow_quick_turns_late_are_not_taken_for_one_another(tmp_path):
+    """Regression: commands that explain nothing of how a robot turned fitted it better than its
+    own, so that two robots seemed swapped."""
+    (tmp_path / "slow.yaml").write_text(SLOW)
+    words = ("--seed", "493409599", "--trials", "1", "--set", f"plant.faults={tmp_path}/slow.yaml")
+    lab = str(ROOT / "experiments" / "three_m3pi_lab.yaml")
+    tetractl(tmp_path, "run", lab, "--plant", "emulated", *words).ok()

@@ -80,7 +80,9 @@ def _repeated(truth: Truth) -> Iterator[Violation]:
     sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
     until = min(truth.ended_s + 2.0, truth.alive_s)
     apart = truth.unseen.max(axis=1) - truth.unseen.min(axis=1) > 2 * UNTRACKED_STOP_S
-    for at in truth.times[apart & (truth.times > truth.ended_s + 0.85) & (truth.times < until)]:
+    held_s = truth.times - np.maximum.accumulate(np.where(apart, -np.inf, truth.times))
+    late = (truth.times > truth.ended_s + 0.85) & (truth.times < until)
+    for at in truth.times[late & (held_s > REPEAT_S)]:
         if not ((sent > at - REPEAT_S) & (sent <= at)).any():
             yield Violation("stops", float(at), "not repeated while a robot is not shown")
             return

@@ -215,7 +215,7 @@ class LabPlant:
         self._returned.add(first.sent_ns)
         return Command(Stop(), first.sent_ns, reached, first.left, first.right)
 
-    def _check_pause(self) -> None:
+    def _check_pause(self, when: str = "in a pause") -> None:
         """Abort if a robot was seen to move in a pause as no command does, or once all have stood
         for `REST_NS`.
         """
@@ -227,7 +227,7 @@ class LabPlant:
         moved = [f"{self.setup.names[i]} {how}" for i, how in guard.moved.items()]
         moved = [CAMERA] if len(moved) == len(self.setup.names) > 1 else moved
         for line in [*lines, *moved]:
-            guard.abort(f"in a pause {line}")
+            guard.abort(f"{when} {line}")
 
     def settle(self) -> Verdict:
         """Wait until every robot is tracked and, if robots can stand, at rest; check the path.
@@ -236,6 +236,7 @@ class LabPlant:
         as not at rest.
         """
         not_at_rest = wait_for_rest(self.rig) if self.rig.frames.newest else ""
+        self._check_pause("after the stop")
         if not_at_rest:
             self._news.append(Note(self.clock.now(), "error", not_at_rest))
         if outdated := self.rig.guard.outdated:

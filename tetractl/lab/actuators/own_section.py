@@ -10,7 +10,6 @@ from tetractl.experiment.base import Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.wheeled_section import Found
-from tetractl.lab.udp_port import SCHEME, address_of
 
 
 class OwnRobot(RobotPart):
@@ -49,6 +48,8 @@ class OwnSection(ActuatorSection):
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the place and text of each problem with robots, addresses, wheels and rate."""
+        from tetractl.lab.udp_port import SCHEME, address_of
+
         yield from mismatches(self.robots, setup.names, self.unique)
         for i, robot in enumerate(self.robots):
             if robot.address.startswith(SCHEME) and address_of(robot.address) is None:

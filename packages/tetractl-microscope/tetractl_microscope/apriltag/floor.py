@@ -25,6 +25,7 @@ from tetractl_microscope.apriltag.section import FloorTag, Lens
 
 # corners of a tag of side 1: top left first, clockwise; x is the direction of reading
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
+ALIKE_PX = 0.15  # fits that differ less cannot be distinguished: corners are found to about 0.1 px
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +79,7 @@ class Plane:
         found = [
             self._upright(np.asarray(turn, float), np.asarray(shift, float))
             for turn, shift, misfit in zip(turns, shifts, misfits, strict=True)
-            # fits that differ by less than 0.1 px cannot be distinguished
-            if misfit <= misfits.min() + 0.1
+            if misfit <= misfits.min() + ALIKE_PX
         ]
         return min(found, key=lambda each: each[1], default=None)
 

@@ -4,7 +4,7 @@ OpenCV is imported only if the camera is built.
 """
 
 from pkgutil import resolve_name
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,9 +14,11 @@ from tetractl.core.errors import AbortError
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import CameraSection
 from tetractl.experiment.registry_fields import KindSection
-from tetractl.testing.finding import Finding, Findings, true
 from tetractl_microscope.pictures.feed import Feed
 from tetractl_microscope.registries import PICTURE_SOURCES
+
+if TYPE_CHECKING:
+    from tetractl.testing.finding import Findings
 
 PIXELS_MAX = 8192  # longest side of a picture [px]
 Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
@@ -40,9 +42,11 @@ class PictureSource(Model):
         fails."""
         return resolve_name(self.feed)(self, clock, timeout_s)
 
-    def checked(self) -> Findings:
+    def checked(self) -> "Findings":
         """Read five pictures; for `tetractl kinds --check`. A source that cannot be opened is not
         checked further."""
+        from tetractl.testing.finding import Finding, true
+
         clock = MonotonicClock()
         try:
             feed = self.open(clock, 5.0)

@@ -1,6 +1,5 @@
 """The base of ports to what is no port: the client of a maker's library, or another process."""
 
-import threading
 from abc import ABC, abstractmethod
 from contextlib import suppress
 
@@ -53,12 +52,6 @@ class ClientPort(SerialPort, ABC):
 
     def set_baud(self, baud: int) -> None:
         """Do nothing: a client has no baud rate."""
-
-    def close(self) -> None:
-        """End the thread; may be called twice and before `open`, never raises."""
-        self._closing.set()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join(2.0)
 
     def _end(self, why: str) -> None:
         if not self._closing.is_set():

@@ -113,7 +113,7 @@ class SerialPort:
     def close(self) -> None:
         """End the reader's thread and close the port; may be called twice, never raises."""
         self._closing.set()
-        if self._thread.is_alive():
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(2.0)
         if self._port is not None:
             with suppress(OSError, serial.SerialException):

@@ -7,7 +7,6 @@ arrives. `udp://:port` hears what anybody sends to this port of this computer, a
 import fcntl
 import socket
 import tempfile
-import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -104,9 +103,7 @@ class UdpPort(SerialPort):
 
     def close(self) -> None:
         """End the reader's thread and close the socket; may be called twice, never raises."""
-        self._closing.set()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join(2.0)
+        super().close()
         if self._socket is not None:
             self._socket.close()
             self._socket = None

@@ -2,6 +2,7 @@
 virtual time."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
     stage_mm, ports = setup.metres * 1000, emulation.wires.ports
     unplug = None  # a robot that is gone from a network is not noticed
     if not all(radio.port.name.startswith(SCHEME) for radio in actuator.radios):
-        unplug = lambda: actuator.plugged(False)  # noqa: E731
+        unplug = partial(actuator.plugged, False)
     yield from check_camera(lab.camera, setup, SeenRobots(clock, poses, hide, ports))
     yield from check_actuator(lab.actuator, setup, MovedRobots(clock, moves, unplug, ports))
     emulation.close()

@@ -1,14 +1,15 @@
-"""The process of libmotioncapture: it prints a line of JSON for each frame, and imports no more."""
+"""The process of libmotioncapture: it prints a line of JSON for each frame, and imports little."""
 
 import ctypes
 import json
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TextIO
+
+from tetractl.core.clock import host_ns
 
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 
@@ -23,7 +24,7 @@ def stream(connect: Callable[[str, dict[str, str]], Any], name: str, out: TextIO
             capture.waitForNextFrame()
             bodies = {key: _numbers(body) for key, body in capture.rigidBodies.items()}
             if bodies or system != "vrpn":  # of which every other turn has no news
-                print(time.monotonic_ns(), json.dumps({"bodies": bodies}), file=out, flush=True)
+                print(host_ns(), json.dumps({"bodies": bodies}), file=out, flush=True)
 
 
 def _numbers(body: Any) -> list[float]:

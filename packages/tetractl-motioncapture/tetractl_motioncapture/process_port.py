@@ -7,8 +7,8 @@ could not read; neither must reach the process that drives robots.
 import signal
 import subprocess
 import sys
-import time
 
+from tetractl.core.clock import host_ns
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
 
@@ -38,7 +38,7 @@ class ProcessPort(ClientPort):
             raise AbortError(f"the process of {self._device} has ended: {how}")
         stamp, _, message = line.partition(b" ")
         # in the pipe, as after a sleep
-        self.take(message, max(0, time.monotonic_ns() - int(stamp)))
+        self.take(message, max(0, host_ns() - int(stamp)))
 
     def disconnect(self) -> None:
         """Close the pipe."""

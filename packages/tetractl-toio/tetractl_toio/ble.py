@@ -62,8 +62,7 @@ class BluetoothPort(SerialPort):
         self._closing.set()
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._ended.set)
-        if self._thread.is_alive():
-            self._thread.join(2.0)
+        super().close()
 
     def _read(self) -> None:
         with suppress(Exception):

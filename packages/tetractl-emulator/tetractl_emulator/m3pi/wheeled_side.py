@@ -7,7 +7,7 @@ A side of your own derives from `OwnLines` if each robot takes lines at a port o
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from random import Random
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -213,9 +213,24 @@ def robots_of_day(
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
 
 
-def gains_of_day(setup: Setup, gains: Sequence[tuple[float, float]]) -> Rehearsal:
-    """Return what rehearsals draw of a side whose settings are `WheelsSettings`: gains near the
-    spec's `gains` of each robot's left and right wheel."""
+class Geared(Protocol):
+    """A robot's entry in a section, with the gains of its wheels."""
+
+    name: str
+    left_gain: float
+    right_gain: float
+
+
+def gains_of(robots: Sequence[Geared], names: Sequence[str]) -> list[tuple[float, float]]:
+    """Return the gains of the left and right wheel of each robot in the order of `names`."""
+    own = {robot.name: (robot.left_gain, robot.right_gain) for robot in robots}
+    return [own[name] for name in names]
+
+
+def gains_of_day(setup: Setup, robots: Sequence[Geared]) -> Rehearsal:
+    """Return what rehearsals draw of a side whose settings are `WheelsSettings`: gains near those
+    of the spec's `robots`."""
+    gains = gains_of(robots, setup.names)
 
     def world(random: Random, off: float) -> dict[str, Any]:
         drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))

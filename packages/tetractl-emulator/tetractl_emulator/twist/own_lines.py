@@ -26,6 +26,7 @@ from tetractl_emulator.m3pi.wheeled_side import (
     PortedSide,
     TrueWheels,
     WheelsSettings,
+    gains_of,
     gains_of_day,
 )
 from tetractl_emulator.rehearsal.participants import Rehearsal
@@ -111,8 +112,7 @@ class OwnLines(PortedSide):
         """Return what rehearsals draw of radio and robots."""
         section = lab.actuator
         assert isinstance(section, OwnSection), NEEDS
-        own = [entry(section.robots, name) for name in setup.names]
-        return gains_of_day(setup, [(one.left_gain, one.right_gain) for one in own])
+        return gains_of_day(setup, section.robots)
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section, names = stage.lab.actuator, stage.setup.names
@@ -122,7 +122,7 @@ class OwnLines(PortedSide):
         self.radii = radii_mm(stage.setup, [robot.radius_mm for robot in self.own])
         self._watchdog_s = section.watchdog_s
         self.robots = [self._robot(row, true) for row, true in enumerate(trues)]
-        gains = [(robot.left_gain, robot.right_gain) for robot in self.own]
+        gains = gains_of(section.robots, names)
         limit = section.speed_max_mm_s / section.unit_mm, section.unit_mm
         self.roll(stage, trues, gains, self.radii, limit)
         self.radios = [

@@ -17,6 +17,7 @@ from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     PortedSide,
     WheelsSettings,
+    gains_of,
     gains_of_day,
 )
 from tetractl_emulator.rehearsal.participants import Rehearsal
@@ -35,8 +36,7 @@ class EmulatedTwist(PortedSide):
         """Return what rehearsals draw of radio and robots."""
         section = lab.actuator
         assert isinstance(section, TwistSection), "the actuator's section has the type twist"
-        own = [entry(section.robots, name) for name in setup.names]
-        return gains_of_day(setup, [(one.left_gain, one.right_gain) for one in own])
+        return gains_of_day(setup, section.robots)
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator
@@ -53,7 +53,7 @@ class EmulatedTwist(PortedSide):
             )
             for name, true, radius in zip(names, trues, radii.tolist(), strict=True)
         ]
-        gains = [(one.left_gain, one.right_gain) for one in own]
+        gains = gains_of(section.robots, names)
         self.roll(stage, trues, gains, radii, (section.speed_max_mm_s, 1.0))
         serial = not section.port.startswith(SCHEME)
         others = {section.port: stage.options.link} if serial and stage.options.link else {}

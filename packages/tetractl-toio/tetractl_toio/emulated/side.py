@@ -12,6 +12,7 @@ from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     PortedSide,
     WheelsSettings,
+    gains_of,
     robots_of_day,
 )
 from tetractl_emulator.rehearsal.due import after
@@ -90,7 +91,7 @@ class EmulatedCubes(PortedSide):
             ConnectedCube(name, i, EmulatedBattery(float(true.battery_mv)))
             for i, (name, true) in enumerate(zip(names, trues, strict=True))
         ]
-        gains = [(one.left_gain, one.right_gain) for one in own]
+        gains = gains_of(section.robots, names)
         radii = np.array([one.radius_mm for one in own])
         self.roll(stage, trues, gains, radii, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)

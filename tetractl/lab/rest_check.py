@@ -9,7 +9,8 @@ over), the line's slope has the standard error
 and a robot stands still if the slope is at most STILL, or what noise makes of it with a probability
 of DOUBT: q s, with q = 4 for many poses and more for few (Student's distribution). While q s is
 more than STILL, as with a slow or coarse camera, the line is fitted to a time twice and four times
-as long.
+as long. A jump would pass for noise: of a robot at rest the first and the last pose of the last
+REST_NS differ by JUMP_MM at most.
 """
 
 import math
@@ -18,7 +19,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
-from tetractl.experiment.lab_section import UNTRACKED_STOP_S
+from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.rig import Rig
 
@@ -26,6 +27,7 @@ STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots
 REST_NS = SECOND // 4  # shortest time for which the camera must see robots stand still
 LONGER = (1, 2, 4)  # multiples of it, used in turn while the line is not certain
 STILL = np.array([2.0, 2.0, 0.02])  # greatest motion of a robot at rest [mm/s, mm/s, rad/s]
+JUMP_MM = 1.5 * STANDSTILL_MM_S * REST_NS / SECOND  # less than twice, which `verify` allows
 DOUBT = 3e-5  # probability that noise alone exceeds a limit, in each direction
 ALIKE = "all robots are seen to move alike ({}), though stopped: do the camera or its origin move?"
 
@@ -38,7 +40,7 @@ def moving_robots(rig: Rig, longer: tuple[int, ...] = LONGER) -> list[str]:
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
     found = [_not_at_rest(rig, i, window, longer) for i in rig.left]
-    return _alike(found) or [line for line, _ in found if line]
+    return _alike(found) or [line for line, _ in found if line] or _jumps(rig, window)
 
 
 def drifting_robots(rig: Rig, longer: tuple[int, ...] = LONGER) -> list[str]:
@@ -112,6 +114,22 @@ def _not_at_rest(
         if np.all(noise <= STILL):
             break
     return "", None
+
+
+def _jumps(rig: Rig, window: list[AcceptedFrame]) -> list[str]:
+    """Return one line for each robot whose pose has jumped within the last `REST_NS`."""
+    since, lines = window[-1].frame.sampled_ns - REST_NS, list[str]()
+    for i in rig.left:
+        known = {f.exposed(i): pose for f in window if (pose := f.pose(i)) is not None}
+        poses = [pose for at, pose in known.items() if at >= since]
+        if not poses:
+            continue
+        by_mm = math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm
+        if by_mm > JUMP_MM:
+            lines.append(
+                f"{rig.setup.names[i]} still moves (by {by_mm:.0f} mm in a quarter second)"
+            )
+    return lines
 
 
 def _alike(found: list[tuple[str, Floats | None]]) -> list[str]:

@@ -97,3 +97,24 @@ def test_a_run_does_not_start_while_a_standing_robot_is_seen_to_turn():
     with lab.plant.rig as rig:
         lab.clock.sleep_until(lab.clock.now() + SECOND)
         assert inspect(rig).problems == ("green still moves (0 mm/s, +0.25 rad/s)",)
+
+
+@pytest.mark.parametrize("ago_s", [0.02, 0.06, 0.12, 0.2, 0.24])
+def test_a_robot_whose_pose_has_just_jumped_is_not_at_rest(ago_s):
+    """Regression: a slide that ended in a jump back passed for noise, and `verify` failed."""
+    lab = fake_lab(SETUP)
+    frames = lab.camera.frames
+
+    def shown():
+        jumps_ns = SECOND - round(ago_s * SECOND)
+        return [
+            replace(f, poses=(replace(p, x=p.x + 11 * (f.sampled_ns > jumps_ns)), *f.poses[1:]))
+            for f in frames()
+            for p in f.poses[:1]
+        ]
+
+    lab.camera.frames = shown
+    with lab.plant.rig as rig:
+        lab.clock.sleep_until(SECOND)
+        (line,) = moving_robots(rig)
+    assert line.startswith("green still moves (")

@@ -98,7 +98,7 @@ class Broadcaster:
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
         """Poll all robots until each has replied, at most five times; a robot without a reply gives
-        None.
+        None. Ends at once if the link fails.
         """
         found: dict[int, Reply] = {}
         wanted = set(self._indices)
@@ -114,6 +114,8 @@ class Broadcaster:
                     with suppress(WireError):
                         reply = decode_reply(frame)
                         found[reply.id] = reply
+                if self._link.failure is not None:
+                    return [found.get(index) for index in self._indices]
             if wanted <= found.keys() or self._clock.now() >= deadline:
                 break
         return [found.get(index) for index in self._indices]

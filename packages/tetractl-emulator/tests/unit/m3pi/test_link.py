@@ -135,3 +135,11 @@ def test_an_answer_to_an_earlier_request_is_none_to_the_next():
 
     radio.port.written = late
     assert [link.ask(b"HV") for _ in range(3)] == [None] * 3
+
+
+def test_a_poll_ends_once_the_port_is_gone():
+    """Regression: a module unplugged while robots were asked was asked for ever."""
+    radio = Module(respond=lambda content: radio.port.unplug() or [])
+    link = radio.opened()
+    assert Broadcaster(link, radio.clock, (0, 1)).poll(1.0) == [None, None]
+    assert link.failure is not None

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Annotated, Any, ClassVar, Literal
+from weakref import WeakKeyDictionary
 
 from pydantic import Field, create_model
 
@@ -54,15 +55,33 @@ class Fault(Model):
         yield from (own[key] for key in ("robot", "other") if own.get(key) is not None)
 
 
+@dataclass(eq=False, slots=True)
+class _Set:
+    before: dict[str, Any]  # the attributes' values before they were set
+
+
+_SET: WeakKeyDictionary[Any, list[_Set]] = WeakKeyDictionary()
+"""What faults that go on have set of an object, in the order in which they began."""
+
+
 def setting(target: object, **values: object) -> Undo:
-    """Set attributes of `target`; return the function that restores the attributes' values."""
-    before = {name: getattr(target, name) for name in values}
+    """Set attributes of `target`, an object that is compared by identity; return the function that
+    restores the attributes' values. What another fault has set since remains until that one ends.
+    """
+    own = _Set({name: getattr(target, name) for name in values})
+    _SET.setdefault(target, []).append(own)
     for name, value in values.items():
         setattr(target, name, value)
 
     def undo() -> None:
-        for name, value in before.items():
-            setattr(target, name, value)
+        running = _SET[target]
+        later = running[running.index(own) + 1 :]
+        running.remove(own)
+        for name, value in own.before.items():
+            if since := next((one for one in later if name in one.before), None):
+                since.before[name] = value
+            else:
+                setattr(target, name, value)
 
     return undo
 

@@ -29,7 +29,7 @@ Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class EmulatedBattery:
     """A battery of four NiMH cells, whose voltage falls with the load and with the charge drawn."""
 

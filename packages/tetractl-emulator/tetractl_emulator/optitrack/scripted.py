@@ -64,7 +64,7 @@ class OptitrackSettings(Model):
     streamed."""
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class Trouble:
     """The present faults: the server is silent (no answers, no frames), sends no frames, repeats
     the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
@@ -88,7 +88,7 @@ class Trouble:
     hz: float = math.inf
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class ServerClock:
     """The server's clock. Up to the host time `since_ns` it is `ahead_ns` ahead of the host's
     clock; from then on it advances by `rate` seconds per second.

@@ -11,7 +11,7 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl_emulator.sides import Body
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class View:
     """The cameras' axes in the spec's coordinates, as in the camera's section: vertical axis `up`,
     `origin` [mm] and `rotation` [rad].
@@ -47,7 +47,7 @@ class View:
         return RigidBody(number, position, (*quaternion, half.real), True)
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 

@@ -10,7 +10,7 @@ from support.lab_processes import emulated, turn_until
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES, SCRIPTS
 from support.virtual_lab import virtual_lab
-from tetractl_emulator.faults import Injector, Visible
+from tetractl_emulator.faults import Injector, Visible, setting
 from tetractl_emulator.faults import fault as kind_of
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.process import PROCESS_FAULTS
@@ -220,3 +220,29 @@ def test_nothing_is_left_open(tmp_path):
             lab.actuator.plugged(True)
     assert open_files() == before
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]
+
+
+class Thing:
+    value, other = 0, 0
+
+
+@pytest.mark.parametrize(
+    "order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)]
+)
+def test_what_faults_set_remains_until_each_has_ended(order):
+    """Regression: a body that was tipped for a second hid for that second that it was untracked."""
+    thing, running = Thing(), {n: n + 1 for n in range(3)}
+    ends = [setting(thing, value=n + 1) for n in range(3)]
+    for n in order:
+        ends[n]()
+        del running[n]
+        assert thing.value == max(running.values(), default=0)
+
+
+def test_faults_that_set_other_values_do_not_meet():
+    thing = Thing()
+    first, second = setting(thing, value=1), setting(thing, other=2)
+    first()
+    assert (thing.value, thing.other) == (0, 2)
+    second()
+    assert (thing.value, thing.other) == (0, 0)

@@ -36,8 +36,10 @@ def late(truth: Truth) -> Iterator[Violation]:
         due, name = truth.day.plan.kind(fault).due, str(fault["kind"])
         if due is None or (due.alone and truth.day.plan.off):
             continue
-        if fault["fault"] == "host_clock" and not truth.dated and began < truth.began_s:
-            continue  # a jump before the run, where no other clock shows it, harms nothing
+        if fault["fault"] == "host_clock" and began < truth.began_s:
+            asked_s = truth.first("client")
+            if not truth.dated or began <= asked_s < math.inf:
+                continue  # no other clock shows it, or none had been read: it harms nothing
         hides = fault["fault"] != "repeat" and truth.met("repeat")  # what else there is to see
         if due.seen and (hides or truth.met("clock_jump", "clock_rate")):
             continue

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 SIDE = 512  # largest side of the pictures whose shift is computed [px]
 LEAST = 0.5  # least shift that counts, in pixels of these pictures
-MOST = 0.25  # largest, in sides of the picture
+MOST = 0.3  # largest, in sides of the picture
 PLAIN = 31  # side of the square whose mean is subtracted [px]
 STANDS_OUT = 6.0  # least difference from it, in medians of the differences
 LEFT = 0.85  # fraction of changed pixels that may be left if pictures are shifted
@@ -22,7 +22,7 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
     if round(scale * min(now.shape)) < PLAIN:
         return 0.0, 0.0
     one, two = (
-        cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        _even(cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
         for each in (before, now)
     )
     window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
@@ -32,10 +32,14 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     apart, left = cv2.absdiff(one, two), cv2.absdiff(moved(one, (x, y)), two)
     changed = max(STANDS_OUT * float(np.median(apart)), 8.0)
-    by = math.ceil(far)
-    inner = slice(by, one.shape[0] - by), slice(by, one.shape[1] - by)
-    counts = [np.count_nonzero(each[inner] > changed) for each in (apart, left)]
+    both = _both(y, one.shape[0]), _both(x, one.shape[1])
+    counts = [np.count_nonzero(each[both] > changed) for each in (apart, left)]
     return (x / scale, y / scale) if counts[1] < LEFT * counts[0] else (0.0, 0.0)
+
+
+def _both(shift: float, size: int) -> slice:
+    """Return what two pictures of a size, one shifted, both show."""
+    return slice(max(0, math.ceil(shift)), size + min(0, math.floor(shift)))
 
 
 def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
@@ -49,9 +53,14 @@ def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
     return cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _features(picture: np.ndarray) -> NDArray[np.float32]:
-    """Return what stands out of a picture; noise, also a camera's fixed pattern, becomes 0."""
+def _even(picture: np.ndarray) -> NDArray[np.float32]:
+    """Return a picture without what changes slowly across it, as light does."""
     even = picture.astype(np.float32)
     even -= cv2.blur(even, (PLAIN, PLAIN))
+    return even
+
+
+def _features(even: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return what stands out of an even picture; noise, also a fixed pattern, becomes 0."""
     least = STANDS_OUT * float(np.median(np.abs(even[::4, ::4])))
     return even - np.clip(even, -least, least)

@@ -10,3 +10,22 @@ pytestmark = pytest.mark.slow
 def test_a_picture_far_wider_than_high_has_no_shift() -> None:
     wide = np.full((32, 65_666), 90, np.uint8)
     assert shift_of(wide, wide) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("by", [(12, 7), (40, -200), (-280, 90)])
+def test_a_far_knock_is_seen_under_uneven_light(by) -> None:
+    """Regression: light moved with the debris hid a knock by a fifth of the picture."""
+    random, side = np.random.default_rng(5), 1024
+    rows, columns = np.mgrid[:side, :side].astype(np.float32)
+    light = 160 * (1 - 0.2 * np.hypot(rows - side / 2, columns - side / 2) / side * 1.41)
+    specks = random.uniform(-200, side + 200, (30, 2))
+
+    def picture(right, down):
+        dark = np.zeros((side, side), np.float32)
+        for x, y in specks:
+            far = np.hypot(columns - x - right, rows - y - down) / 6
+            dark += 50 * np.clip(2 - far, 0, 1)
+        return np.clip(light - dark + random.normal(0, 3, light.shape), 0, 255).astype(np.uint8)
+
+    assert shift_of(picture(0, 0), picture(*by)) == pytest.approx(by, abs=2)
+    assert shift_of(picture(0, 0), picture(0, 0)) == (0.0, 0.0)

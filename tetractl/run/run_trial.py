@@ -140,7 +140,7 @@ class Trial:
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
             late = self.clock.now() - (began + round(k * period_s * SECOND))
-            if late > period:  # after an overrun, the following steps have the full period again
+            if late >= period:  # after an overrun, the following steps have the full period again
                 began += late
             began += round(PAUSE_S * SECOND) if standing else 0
             self._sleep_until(began + round((k + 1) * period_s * SECOND))

@@ -302,11 +302,14 @@ def test_two_interruptions_end_the_square_at_once():
     assert result.duration_s == 2.2  # the second side was not driven to its end
 
 
-def test_after_an_overrun_the_steps_keep_their_distance():
-    """A step that takes 2.5 periods: it is late, and those after it come a period apart."""
+@pytest.mark.parametrize("slow", [PERIOD, 5 * PERIOD // 2])
+def test_after_an_overrun_the_steps_keep_their_distance(slow):
+    """A step that takes one period, or 2.5: it is late, and those after it come a period apart.
+
+    Regression: after a period to the nanosecond two steps were sent at once.
+    """
     made = bench(5)
     clock = made.trial.clock
-    slow = 5 * PERIOD // 2
     made.happenings.actions["plan", 2] = lambda: clock.sleep_until(clock.now() + slow)
     made.run()
     sent = [when for when, _ in made.plant.steered]

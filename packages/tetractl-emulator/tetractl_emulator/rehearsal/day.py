@@ -9,6 +9,7 @@ import hashlib
 import importlib
 import json
 import os
+import resource
 import select
 import signal
 import sys
@@ -135,8 +136,10 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
 
 def _run(words: list[str], folder: Path) -> None:
     """Run a command in this forked process, and end it."""
-    code = 1
+    code, most_s = 1, round(HANGS_S + STILL_S)
     try:
+        # should the process that waits for it be gone
+        resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
         said = os.open(folder / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         null = os.open(os.devnull, os.O_RDONLY)
         for target, source in ((0, null), (1, said), (2, said)):

@@ -15,6 +15,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.verify import differences
 from tetractl_emulator.rehearsal.depths import places
 from tetractl_emulator.rehearsal.logged import logged
+from tetractl_emulator.rehearsal.schedule import MOTION
 from tetractl_emulator.rehearsal.sending import sending
 from tetractl_emulator.rehearsal.times import times
 from tetractl_emulator.rehearsal.truth import Truth
@@ -145,7 +146,7 @@ def reasons(truth: Truth) -> Iterator[Violation]:
     if reason and not truth.day.plan.faults:
         yield Violation("false alarm", min(truth.abort_s, 1e6), reason[:200])
         return
-    grid = "drift together" if truth.setup.sight.coarse and truth.met("freeze") else ""
+    grid = MOTION if truth.setup.sight.coarse and truth.met("freeze") else ""
     right = [
         truth.day.plan.right,
         grid,

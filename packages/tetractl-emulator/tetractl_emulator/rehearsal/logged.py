@@ -1,6 +1,7 @@
 """That the log says what happened: each command as it was sent, and each frame as it was shown."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,7 @@ NOTED_S = 0.002  # from a transmission to its record: the poll of the wire
 FRAMES = 4  # frames in a row that may be missing though robots are shown
 STREAM = ("clock_jump", "clock_rate", "counter_back", "outdated", "bad_datagrams", "reordered")
 FAULTY = ("other_version", "edit_mode", "twin_id", *MUTE)  # frames that are shown, and not taken
+LATE_STEPS = re.compile(r"(\d+) control steps in a row were late(?!: the controller gave no)")
 HIDDEN = ("untracked", "nan", "bad_quaternion")
 
 
@@ -24,6 +26,8 @@ def logged(truth: Truth) -> Iterator[Violation]:
         return
     if not truth.met(*MUTE):
         yield from _commands(truth)
+    yield from _late_steps(truth)
+    yield from _told(truth)
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
         yield Violation("log", 0.0, "a frame comes twice, or late")
     known = [(row, k) for k, row in enumerate(truth.rows) if row is not None]
@@ -46,6 +50,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     sent = np.array([e["t_ns"] for e in truth.of("command")]) / 1e9
     said = np.array([one.sent_ns for one in truth.trial.commands]) / 1e9
     flags = [bool(e["flags"] & RUN) for e in truth.of("command")]
+    drives = [truth.drives(e) for e in truth.of("command")]
     for at, one in zip(said.tolist(), truth.trial.commands, strict=True):
         noted = (sent >= at) & (sent <= at + NOTED_S)
         if not noted.any():
@@ -56,15 +61,53 @@ def _commands(truth: Truth) -> Iterator[Violation]:
         ):
             yield Violation("log", at, "says stop, and robots were driven")
             return
-    drives = [e["t_ns"] / 1e9 for e in truth.of("command") if any(truth.drives(e))]
+        if (said == at).sum() > noted.sum():
+            yield Violation("log", at, "has a command twice")
+            return
+        drove = [d for d, fits in zip(drives, noted, strict=True) if fits]
+        if any(one.delivered) and one.action != Stop() and not _reached(one.delivered, drove):
+            yield Violation("log", at, "says that a robot was driven that was not")
+            return
+    driven = [e["t_ns"] / 1e9 for e in truth.of("command") if any(truth.drives(e))]
     stop_s = truth.trial.commands[-1].sent_ns / 1e9
-    if drives and drives[-1] > stop_s + NOTED_S:
+    if driven and driven[-1] > stop_s + NOTED_S:
         yield Violation("log", stop_s, "its last stop came before robots were last driven")
         return
-    ends_s = max(*drives, *said)  # a driver hears a last stop as its port is closed
+    ends_s = max(*driven, *said)  # a driver hears a last stop as its port is closed
     for at in sent[(sent > truth.first("run")) & (sent <= ends_s)].tolist():
         if not ((said <= at) & (said >= at - NOTED_S)).any():
             yield Violation("log", at, "lacks a command")
+            return
+
+
+def _reached(delivered: Sequence[bool], drove: Sequence[Sequence[bool]]) -> bool:
+    """Return whether each robot to which a command was delivered was driven; each may have its own
+    message.
+    """
+    return all(not got or any(d) for got, *d in zip(delivered, *drove, strict=False))
+
+
+def _late_steps(truth: Truth) -> Iterator[Violation]:
+    """An abort after late control steps in a row comes after late ones."""
+    assert truth.trial is not None
+    if not (found := LATE_STEPS.match(truth.reason)):
+        return
+    period_ns = truth.setup.period_s * 1e9
+    for step in truth.trial.steps[1 - int(found[1]) :]:  # the last one was not sent
+        if step.command.sent_ns - step.observation.received_ns < period_ns:
+            at = step.command.sent_ns / 1e9
+            yield Violation("log", at, f"has a punctual step among them: {truth.reason}")
+            return
+
+
+def _told(truth: Truth) -> Iterator[Violation]:
+    """A robot is lost, and tracked again, in turn."""
+    assert truth.trial is not None
+    notes = truth.trial.notes
+    for name in truth.setup.names:
+        told = [n for n in notes if n.text in (f"{name} is lost", f"{name} is tracked again")]
+        if any(one.text == two.text for one, two in pairwise(told)):
+            yield Violation("log", 0.0, f"says twice that {name} is lost, or tracked")
             return
 
 

@@ -14,6 +14,7 @@ from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.verify import differences
 from tetractl_emulator.rehearsal.depths import places
+from tetractl_emulator.rehearsal.due import FRAME_S
 from tetractl_emulator.rehearsal.logged import logged
 from tetractl_emulator.rehearsal.schedule import MOTION
 from tetractl_emulator.rehearsal.sending import sending
@@ -27,6 +28,8 @@ BELIEF_MM, BELIEF_S = 60.0, 1.0
 RESULT_MM = 10.0
 RESTS_S = 0.3  # of robots after the reason that ended a run, before its process ends
 LATE = ("late_radio", "overtaken_packets")
+VERSION = ("other_version",)  # damages all frames
+DAMAGED = re.compile(r"(\d+) damaged camera frames within a second")
 ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 
 
@@ -146,6 +149,10 @@ def reasons(truth: Truth) -> Iterator[Violation]:
     if reason and not truth.day.plan.faults:
         yield Violation("false alarm", min(truth.abort_s, 1e6), reason[:200])
         return
+    spoilt = sum(f["share"] for _, _, f in truth.faults if f["fault"] == "bad_datagrams") / FRAME_S
+    most = spoilt + 6.0 * math.sqrt(spoilt)  # in a second, but for one case in a billion
+    if (count := DAMAGED.match(reason)) and 0 < most < int(count[1]) and not truth.met(*VERSION):
+        yield Violation("reason", truth.abort_s, f"{reason}: {spoilt:.0f} a second were")
     grid = MOTION if truth.setup.sight.coarse and truth.met("freeze") else ""
     right = [
         truth.day.plan.right,

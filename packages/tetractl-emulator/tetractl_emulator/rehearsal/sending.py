@@ -44,7 +44,8 @@ def _commands(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
             return
         unseen = truth.unseen_at(command)
         blind = [u for u, drives in zip(unseen, driven, strict=False) if drives]
-        if blind and (max(blind) > one_s or min(unseen) > all_s):
+        most_s = min(one_s, min(unseen, default=0.0) + UNTRACKED_STOP_S + SLACK_S)
+        if blind and (max(blind) > most_s or min(unseen) > all_s):
             yield Violation("drives blind", at, f"unseen for {max(blind):.3f} s")
             return
 

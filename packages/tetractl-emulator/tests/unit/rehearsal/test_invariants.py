@@ -83,6 +83,7 @@ def test_a_good_end_breaks_nothing():
     ("name", "events", "more"),
     [
         ("drives blind", [SEEN, STOP, command(2.1, 20, unseen=160.0)], {}),
+        ("drives blind", [SEEN, STOP, command(2.1, 20) | {"unseen_ms": [95.0, 10.0, 10.0]}], {}),
         ("drives after stop", [SEEN, STOP, command(2.4, 20)], {}),
         ("moves after stop", [SEEN, STOP, truth_at(3.4, 90.0)], {}),
         ("moves unseen", [SEEN, STOP, truth_at(2.2, 90.0, unseen=1100.0)], {}),
@@ -115,6 +116,17 @@ def test_a_good_end_breaks_nothing():
 )
 def test_an_invariant_is_broken(name, events, more):
     assert name in found(*events, **more)
+
+
+SPOILT = {"kind": "frames damaged", "strength": 0.5, "fault": "bad_datagrams", "at": 1.0}
+
+
+@pytest.mark.parametrize(("share", "wrong"), [(0.05, True), (0.1, False)])
+def test_as_many_frames_are_called_damaged_as_were(share, wrong):
+    begins = at(2.0, "fault", phase="start", name="bad_datagrams", row=0)
+    said = "error: trial 1: 22 damaged camera frames within a second\n"
+    names = found(begins, STOP, fault=SPOILT | {"share": share}, said=said)
+    assert ("reason" in names) == wrong
 
 
 @pytest.mark.parametrize(

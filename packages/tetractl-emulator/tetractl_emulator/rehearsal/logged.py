@@ -73,7 +73,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     if driven and driven[-1] > stop_s + NOTED_S:
         yield Violation("log", stop_s, "its last stop came before robots were last driven")
         return
-    ends_s = max(*driven, *said)  # a driver hears a last stop as its port is closed
+    ends_s = max([*driven, *said])  # a driver hears a last stop as its port is closed
     for at in sent[(sent > truth.first("run")) & (sent <= ends_s)].tolist():
         if not ((said <= at) & (said >= at - NOTED_S)).any():
             yield Violation("log", at, "lacks a command")

@@ -73,6 +73,7 @@ AHEAD, STAND = (9, 1, [True, True]), (9, 1, [True, False])
         ([(9, Steer(0.0), (True, True))], [AHEAD], None),
         ([(9, Steer(0.0), (True, False))], [STAND], None),
         ([(9, Steer(0.0), (True, True))], [STAND], "says that a robot was driven that was not"),
+        ([(9, Stop(), (True, True))], [(9, 0, [False, False])], None),
         ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])], "has a command twice"),
         ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])] * 2, None),
     ],

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tetractl.core.commands import Stop
+from tetractl.core.commands import Steer, Stop
 from tetractl_emulator.rehearsal.sending import MUTE
 from tetractl_emulator.rehearsal.truth import RUN, Truth
 from tetractl_emulator.rehearsal.violation import Violation
@@ -65,7 +65,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
             yield Violation("log", at, "has a command twice")
             return
         drove = [d for d, fits in zip(drives, noted, strict=True) if fits]
-        if any(one.delivered) and one.action != Stop() and not _reached(one.delivered, drove):
+        if isinstance(one.action, Steer) and not _reached(one.delivered, drove):
             yield Violation("log", at, "says that a robot was driven that was not")
             return
     driven = [e["t_ns"] / 1e9 for e in truth.of("command") if any(truth.drives(e))]

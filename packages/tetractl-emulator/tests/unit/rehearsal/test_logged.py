@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from tetractl_emulator.rehearsal.logged import logged
 
-from tetractl.core.commands import Note, Steer, Stop
+from tetractl.core.commands import Note, Steer, Stop, Turn
 
 FIVE = "5 control steps in a row were late"
 
@@ -72,6 +72,7 @@ AHEAD, STAND = (9, 1, [True, True]), (9, 1, [True, False])
     [
         ([(9, Steer(0.0), (True, True))], [AHEAD], None),
         ([(9, Steer(0.0), (True, False))], [STAND], None),
+        ([(9, Turn(0.0), (True, True))], [STAND], None),  # it faces there
         ([(9, Steer(0.0), (True, True))], [STAND], "says that a robot was driven that was not"),
         ([(9, Stop(), (True, True))], [(9, 0, [False, False])], None),
         ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])], "has a command twice"),

@@ -26,6 +26,7 @@ from tetractl_emulator.rehearsal.world import LAG_MAX_S
 ROLL_S = LAG_MAX_S * math.log(1000.0)  # from 1 m/s to 1 mm/s with the slowest wheels
 BELIEF_MM, BELIEF_S = 60.0, 1.0
 RESULT_MM = 10.0
+CHECKED_S = 0.55  # time of the frames that are checked before a run, and a tick
 RESTS_S = 0.3  # of robots after the reason that ended a run, before its process ends
 LATE = ("late_radio", "overtaken_packets")
 VERSION = ("other_version",)  # damages all frames
@@ -38,7 +39,7 @@ def violations(truth: Truth, limits: LabLimits, watchdog_s: float) -> list[Viola
     class_ = hidden(truth, limits)
     found = [*sending(truth, limits, watchdog_s), *_rest(truth, limits, watchdog_s), *ends(truth)]
     found += [*reasons(truth), *times(truth, limits.stale, limits.untracked_abort), *logged(truth)]
-    found += places(truth, limits)
+    found += [*places(truth, limits), *_begins(truth, limits)]
     beyond = [*_space(truth, limits, watchdog_s), *_belief(truth)]
     return found + [Violation(v.name, v.at_s, v.found, class_) for v in beyond]
 
@@ -46,6 +47,17 @@ def violations(truth: Truth, limits: LabLimits, watchdog_s: float) -> list[Viola
 def _late_s(truth: Truth) -> float:
     """Return by how much the radio was late."""
     return sum(fault["by"] for _, _, fault in truth.faults if fault["fault"] in LATE)
+
+
+def _begins(truth: Truth, limits: LabLimits) -> Iterator[Violation]:
+    """No run begins on frames that are older on arrival than the limit, which the check before a
+    run sees in half a second of frames.
+    """
+    run = truth.first("run") if truth.dated else -np.inf
+    for began, ended, fault in truth.faults:
+        old = fault["fault"] == "late_frames" and fault["by"] > limits.latency + SLACK_S
+        if old and began + fault["by"] + CHECKED_S < run < ended:
+            yield Violation("begins blind", run, f"frames are {fault['by']:.2f} s old")
 
 
 def _rest(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Violation]:

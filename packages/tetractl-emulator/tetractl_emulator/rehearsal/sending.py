@@ -9,6 +9,7 @@ from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
 from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
 
 STOPS, STOPS_S = 10, 0.25  # stops after a run, and the time of ten, 20 ms apart, and a tick
+SPREAD_S = 0.17  # least time that they take, so that one disturbance does not hit all
 REPEAT_S = 0.5 + 0.05 + 0.02  # from a stop to its repetition: the wait, a poll, and the stop's gap
 TICK_S = 0.004  # within which commands of one tick of our side are sent
 MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
@@ -71,6 +72,9 @@ def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
         stops = [c for c in still if until - 0.004 <= c["t_ns"] / 1e9 <= until + STOPS_S]
         if len(stops) < STOPS and until + STOPS_S < truth.alive_s:
             yield Violation("stops", until, f"{len(stops)} in {STOPS_S} s")
+            return
+        if stops and (took := (stops[-1]["t_ns"] - stops[0]["t_ns"]) / 1e9) < SPREAD_S:
+            yield Violation("stops", until, f"all {len(stops)} within {took:.3f} s")
             return
 
 

@@ -48,6 +48,9 @@ ENDS = at(5.5, "guard", state="abort", reason="green is not tracked (0.30 s)")
 SEEN_GHOST = at(0.2, "fault", phase="start", name="ghost", row=0)
 LATER = [at(1.5, "run"), at(1.5, "guard", state="run", reason=""), command(1.5, 20)]
 
+LATE = {"kind": "frames late", "strength": 0.9, "fault": "late_frames", "by": 0.2, "at": 0.1}
+OLD, END = at(0.1, "fault", phase="start", name="late_frames", row=0), truth_at(4.0)
+
 
 def pressed(seconds):
     return at(seconds, "fault", phase="start", name="emergency", row=0)
@@ -97,6 +100,8 @@ def test_a_good_end_breaks_nothing():
         ("hangs", [SEEN, STOP], {"code": -100}),
         ("silent", [SEEN, STOP, at(2.9, "end"), truth_at(5.0)], {"run": RUN[:6]}),
         ("stops", [SEEN, STOP, *STOPS[:4], truth_at(4.0)], {}),
+        ("stops", [SEEN, STOP, *[command(2.31 + k / 500, 0, 0) for k in range(10)], END], {}),
+        ("begins blind", [OLD, truth_at(2.0)], {"fault": LATE, "run": LATER}),
         ("emergency not sent", [pressed(2.0), truth_at(4.0)], {"fault": KEY}),
         ("late", [SEEN, at(2.9, "guard", state="abort", reason="")], {"fault": BUSY}),
         ("late", [TURNS, ENDS], {"fault": GHOST | {"turn": 0.005}, "run": LONG}),

@@ -7,16 +7,18 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
+from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
 from tetractl.lab.motion_check import motion
 
 NAMES, SPEED, FRAME_NS = ("green", "blue", "red"), 180.0, SECOND // 120
 
 
-def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None, noisy=1.0):
+def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None, noisy=1.0, lag_s=0.0, most=1.5):
     """Return what is said first, and when [s], if the camera adds `shown` (3, 3) [mm, mm, rad] to
     the robots' true places (3, 3) t s after the start; wheels are up to `share` off, and poses
-    `noisy` times as noisy as usual.
+    `noisy` times as noisy as usual. Robots are turned by up to `most` [rad/s], which acts after
+    wheels' lag.
 
     The check is added to `checks`.
     """
@@ -24,12 +26,13 @@ def drifting(shown, seconds=20.0, seed=1, share=0.06, checks=None, noisy=1.0):
     check, gains = DriftCheck(NAMES, 40.0, 1.0, 0.12), 1 + random.uniform(-share, share, 3)
     (checks if checks is not None else []).append(check)
     places, way, before = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)]), 0.0, ()
-    turning = np.zeros(3)
+    turning = rate = np.zeros(3)
     for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
         if not before or now * 5 // SECOND != (now - FRAME_NS) * 5 // SECOND:
-            turning = random.uniform(-1.5, 1.5, 3)
+            turning = random.uniform(-most, most, 3)
             check.sent(now - SECOND // 20, [SPEED] * 3, turning)  # the delay of the radio
-        places[:, 2] += turning * gains * FRAME_NS / SECOND
+        rate = rate + (turning - rate) * (-np.expm1(-FRAME_NS / SECOND / lag_s) if lag_s else 1.0)
+        places[:, 2] += rate * gains * FRAME_NS / SECOND
         courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
         places[:, :2] += SPEED * (gains * courses).T * FRAME_NS / SECOND
         noise = noisy * random.normal(size=(3, 3)) * (0.3, 0.3, 0.004)
@@ -50,6 +53,16 @@ def test_robots_that_drive_as_commanded_are_let():
 
 def test_robots_before_a_camera_eight_times_as_noisy_as_usual_are_let():
     assert drifting(lambda places, t: 0.0, 4.0, noisy=8.0)[0] == ""
+
+
+def test_robots_with_slow_wheels_that_are_turned_to_and_fro_are_let(monkeypatch):
+    """Regression: what is left of a reversal 0.2 s later was taken for a pose that turns; in 14
+    trials the statistic reached 13, it reaches 9.
+    """
+    monkeypatch.setattr(drift_check, "LIMIT", 10.0)
+    seeds = range(14)
+    found = [drifting(lambda places, t: 0.0, 12.0, k, lag_s=0.08, most=8.0)[0] for k in seeds]
+    assert found == [""] * 14
 
 
 def test_a_rest_leaves_out_the_ways_that_were_still_to_be_counted():

@@ -33,8 +33,11 @@ def logged(truth: Truth) -> Iterator[Violation]:
     known = [(row, k) for k, row in enumerate(truth.rows) if row is not None]
     if not truth.met(*STREAM, *FAULTY):
         yield from _whole(truth, [row for row, _ in known])
+    # a robot that is swapped is shown where another is
+    swaps = [fault for _, _, fault in truth.faults if fault["fault"] == "swap"]
+    swapped = {name for fault in swaps for name in (fault["robot"], fault["other"])}
     for began, ended, fault in truth.faults:
-        if fault["fault"] in HIDDEN:
+        if fault["fault"] in HIDDEN and fault["robot"] not in swapped:
             i = truth.setup.names.index(fault["robot"])
             for row, k in known:
                 # a loss is not shown before its message arrives

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from tetractl_emulator.rehearsal.logged import logged
 
@@ -81,3 +82,15 @@ AHEAD, STAND = (9, 1, [True, True]), (9, 1, [True, False])
 )
 def test_the_log_has_each_command_as_it_was_sent(commands, sent, text):
     assert said(commands=commands, sent=sent, muted=False) == ([text] if text else [])
+
+
+@pytest.mark.parametrize(("other", "text"), [("blue", "says that it saw a robot"), ("red", None)])
+def test_a_hidden_robot_is_not_seen_unless_it_is_swapped(other, text):
+    day = truth()
+    day.trial.frames, day.trial.mocap_ns = np.array([1, 2]), np.array([10**9, 2 * 10**9])
+    day.trial.exposed_ns, day.trial.valid = day.trial.mocap_ns[:, None], np.ones((2, 2), bool)
+    day.times, day.rows = np.array([1.0, 2.0]), (0, 1)
+    hides = {"fault": "nan", "robot": "red"}, {"fault": "swap", "robot": "blue", "other": other}
+    day.faults = [(0.5, 1.5, fault) for fault in hides]
+    day.trial.exposed_ns = np.repeat(day.trial.exposed_ns, 2, axis=1)
+    assert [one.found for one in logged(day)] == ([text] if text else [])

@@ -14,11 +14,12 @@ REST_NS differ by JUMP_MM at most.
 """
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.rig import Rig
@@ -94,10 +95,9 @@ def _not_at_rest(
     from scipy.special import stdtrit
 
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
-    known = {f.exposed(i): pose for f in window if (pose := f.pose(i)) is not None}
     seen = [
         ((at - newest) / SECOND, pose.x * rig.mm, pose.y * rig.mm, pose.heading)
-        for at, pose in known.items()
+        for at, pose in _seen(window, i)
     ]
     if not seen or -seen[-1][0] > UNTRACKED_STOP_S:
         return f"{rig.not_tracked(i)}, so it is not seen to stand", None
@@ -116,12 +116,16 @@ def _not_at_rest(
     return "", None
 
 
+def _seen(window: list[AcceptedFrame], i: int) -> Iterable[tuple[int, Pose]]:
+    """Return the poses of robot i in the frames of `window`, each once, with their times [ns]."""
+    return {f.exposed(i): pose for f in window if (pose := f.pose(i)) is not None}.items()
+
+
 def _jumps(rig: Rig, window: list[AcceptedFrame]) -> list[str]:
     """Return one line for each robot whose pose has jumped within the last `REST_NS`."""
     since, lines = window[-1].frame.sampled_ns - REST_NS, list[str]()
     for i in rig.left:
-        known = {f.exposed(i): pose for f in window if (pose := f.pose(i)) is not None}
-        poses = [pose for at, pose in known.items() if at >= since]
+        poses = [pose for at, pose in _seen(window, i) if at >= since]
         if not poses:
             continue
         by_mm = math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm

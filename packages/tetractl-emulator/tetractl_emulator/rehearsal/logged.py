@@ -55,23 +55,21 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     flags = [bool(e["flags"] & RUN) for e in truth.of("command")]
     drives = [truth.drives(e) for e in truth.of("command")]
     for at, one in zip(said.tolist(), truth.trial.commands, strict=True):
-        noted = (sent >= at) & (sent <= at + NOTED_S)
-        if not noted.any():
+        noted = np.flatnonzero((sent >= at) & (sent <= at + NOTED_S)).tolist()
+        if not noted:
             yield Violation("log", at, "has a command that was not sent")
             return
-        if one.action == Stop() and all(
-            run for run, fits in zip(flags, noted, strict=True) if fits
-        ):
+        if one.action == Stop() and all(flags[k] for k in noted):
             yield Violation("log", at, "says stop, and robots were driven")
             return
-        if (said == at).sum() > noted.sum():
+        if (said == at).sum() > len(noted):
             yield Violation("log", at, "has a command twice")
             return
-        drove = [d for d, fits in zip(drives, noted, strict=True) if fits]
-        if isinstance(one.action, Steer) and not _reached(one.delivered, drove):
+        steers = isinstance(one.action, Steer)
+        if steers and not _reached(one.delivered, [drives[k] for k in noted]):
             yield Violation("log", at, "says that a robot was driven that was not")
             return
-    driven = [e["t_ns"] / 1e9 for e in truth.of("command") if any(truth.drives(e))]
+    driven = [at for at, robots in zip(sent.tolist(), drives, strict=True) if any(robots)]
     stop_s = truth.trial.commands[-1].sent_ns / 1e9
     if driven and driven[-1] > stop_s + NOTED_S:
         yield Violation("log", stop_s, "its last stop came before robots were last driven")

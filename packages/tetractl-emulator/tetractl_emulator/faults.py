@@ -5,7 +5,7 @@ during it, or at once; see `Visible`. A table next to each device lists its faul
 each row.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Annotated, Any, ClassVar, Literal
@@ -82,6 +82,16 @@ def setting(target: object, **values: object) -> Undo:
                 since.before[name] = value
             else:
                 setattr(target, name, value)
+
+    return undo
+
+
+def together(undos: Sequence[Undo]) -> Undo:
+    """Return the function that ends several faults at once."""
+
+    def undo() -> None:
+        for each in undos:
+            each()
 
     return undo
 

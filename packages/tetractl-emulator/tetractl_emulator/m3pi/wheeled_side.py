@@ -28,6 +28,7 @@ from tetractl_emulator.faults import (
     setting,
     settings,
     switching,
+    together,
 )
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
@@ -251,13 +252,7 @@ def _radios(**values: Any) -> Begin:
 
     def begin(fault: Any, device: Any) -> Undo:
         now = {name: v(fault) if callable(v) else v for name, v in values.items()}
-        undos = [setting(radio, **now) for radio in device.radios]
-
-        def end() -> None:
-            for undo in undos:
-                undo()
-
-        return end
+        return together([setting(radio, **now) for radio in device.radios])
 
     return begin
 

@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.natnet import Version
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings, together
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, halved, nowhere, rolled
 
 CLOCK_HZ = 10_000_000
@@ -125,13 +125,7 @@ def _of_body(
 
 def _repeat(fault: Any, device: Any) -> Undo:
     chosen = [b for b in device.tracked if fault.robot in (None, b.robot.name)]
-    undos = [setting(body, repeats=True) for body in chosen]
-
-    def undo() -> None:
-        for each in undos:
-            each()
-
-    return undo
+    return together([setting(body, repeats=True) for body in chosen])
 
 
 def _swap(fault: Any, device: Any) -> Undo:

@@ -6,7 +6,7 @@ from random import Random
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
-from tetractl_emulator.faults import Fault, Undo, Visible, fault, setting, settings
+from tetractl_emulator.faults import Fault, Undo, Visible, fault, setting, settings, together
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
@@ -45,13 +45,7 @@ def _eye(device: Any, own: Any) -> Eye:
 
 
 def _freeze(_: Any, device: Any) -> Undo:
-    undos = [setting(eye, frozen=True) for eye in device.eyes]
-
-    def undo() -> None:
-        for each in undos:
-            each()
-
-    return undo
+    return together([setting(eye, frozen=True) for eye in device.eyes])
 
 
 SENT, EXPOSED = Visible.SENT, Visible.EXPOSED

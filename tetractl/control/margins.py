@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.control.collision import Collision
+from tetractl.control.evaluate import compiled_drive
 from tetractl.control.kernels import clearance
 from tetractl.control.kernels.motion import flat
 from tetractl.control.kernels.prediction import unheard
@@ -37,6 +38,7 @@ from tetractl.model.obstacles import Obstacles
 
 LOST = 0.75  # deviation by a lost command, as a fraction of a period's path
 SIGMAS = 2.0
+TESTED = np.linspace(0, 1, 5)  # parts of a time at which paths under a held direction are tested
 SAMPLE_S = 0.15  # time step of paths under a held direction [s]
 
 
@@ -125,6 +127,11 @@ class Margins:
         bare, bodies = self._bare, self._bodies
         obstacles = bare.rows, bare.walls, bodies.rows, bodies.walls
         return clearance.enters(*obstacles, self._radius, path)
+
+    def meets(self, problem: Problem, held: Floats, seconds: float) -> bool:
+        """Return whether a body enters an obstacle within `seconds`, in which robots follow `held`
+        (N,) [rad], NaN for a robot that stands still."""
+        return self.entered(compiled_drive(problem, held, seconds * TESTED))
 
     def clear_unheard(
         self,

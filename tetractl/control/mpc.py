@@ -25,7 +25,7 @@ from tetractl.control import crowd
 from tetractl.control.corners import STILL, away
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.evaluate import compiled_drive, compiled_foresee
+from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import best_stop, given_search, least_error, make_plan
 from tetractl.control.holding import CircleSearch, held
 from tetractl.control.lengths import Searcher, least_length
@@ -61,7 +61,7 @@ REST_S = 1.0  # time after which the searches of a step end for standing robots 
 SOON, RESTS = 0.7, 10
 """Robots rest on, up to so many steps, while no plan found is worth so much of their error."""
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
-TESTED = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
+GUARD_S = 0.15  # for which a lab's guard looks ahead, `limits.reaction`
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
@@ -221,10 +221,9 @@ class Mpc:
     def _under_way(self, step: StepStart, warm: Floats, holds: bool) -> Plan | Outcome | End:
         """Decide while a plan is under way, of which the signals `warm` are left."""
         problem, value, last = step.problem, step.value, self._last_leg
-        goes_on = np.inf
+        goes_on = rest = np.inf
         if len(warm):
             goes_on = self._worth(step, warm, compiled_foresee(problem, warm))
-        rest = np.inf
         least = least_length(problem)
         wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
         if step.allows(least, 0.0):  # time for a new attempt
@@ -235,6 +234,9 @@ class Mpc:
         period, held = self.section.period if last else 0.0, self.estimator.held_at_action
         if least_error(problem, period) <= min(goes_on, rest):
             stop = best_stop(problem, held, period)
+            seconds = stop.delay_ns / SECOND + GUARD_S
+            if stop.delay_ns and self.stands and self.margins.meets(problem, held, seconds):
+                stop = best_stop(problem, held, 0.0)
             if stop.error <= min(goes_on, rest):
                 if holds or (self.stands and last):
                     return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
@@ -380,9 +382,7 @@ class Mpc:
     def _enters(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""
         seconds = self.section.period + LATE * self.estimator.dead_time_s
-        towards = np.full(len(problem.a), signals[0])
-        path = compiled_drive(problem, towards, seconds * TESTED)
-        return self.margins.entered(path)
+        return self.margins.meets(problem, np.full(len(problem.a), signals[0]), seconds)
 
     def _expired(self) -> Callable[[int], bool]:
         """Return whether the deadline of the step, which begins now, has passed."""

@@ -13,11 +13,13 @@ from support.trials import experiment
 from tetractl.control.corners import OUT
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
+from tetractl.control.margins import Margins
 from tetractl.control.mpc_step import StepStart
 from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
 from tetractl.core.poses import Poses
+from tetractl.core.shape import Shape
 
 ACCEPT = 20.0
 POINTS = {"walls": False, "adaptive": False, "stop_before_collision": False, "silence": 0}
@@ -134,10 +136,12 @@ def test_arrival_and_the_last_step_end_a_trial():
     assert step(controller, now=400_000_000) is Outcome.TIME_LIMIT
 
 
-def along_x(collision, time_limit=12.2):
+def along_x(collision, time_limit=12.2, beyond=None):
     """Robots that all drive along +x with an empty plan: blue is 200 mm/s fast and 20 mm short of
-    its target, so that all are there in 0.1 s."""
+    its target, so that all are there in 0.1 s. An obstacle may be `beyond` it."""
     controller, _ = driving({}, left=0, collision=collision, time_limit=time_limit)
+    if beyond is not None:
+        controller.margins = Margins([beyond], None, TARGETS[:, :2], 47)
     controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = TARGETS.copy()
     poses[:, 0] -= [18, 20, 15]
@@ -152,6 +156,16 @@ def test_the_stop_comes_between_two_steps_where_that_is_best():
 
 
 RESTS = POINTS | {"stop_before_collision": True}
+
+
+@pytest.mark.parametrize(("gap", "delay_ms"), [(79, 100), (75, 0)])
+def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(gap, delay_ms):
+    """Regression: robots that were to stop 0.2 s later drove towards an obstacle until the guard,
+    which looks 30 mm ahead, aborted the trial."""
+    box = np.array([[0, -50], [100, -50], [100, 50], [0, 50]])
+    beyond = np.array([TARGETS[1, 0] + gap, TARGETS[1, 1]])
+    _, rest = along_x(RESTS, beyond=Shape(box + beyond))
+    assert rest.delay_ns == pytest.approx(delay_ms * 1e6, abs=3_000_000)
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,11 @@ class WheeledSide:
             self.timeline.at(at, lambda: self.wheels.shift(row, x, y, turn))
         return lambda: None
 
+    def swap_numbers(self, one: EmulatedRobot, other: EmulatedRobot) -> Undo:
+        """Let each of two robots obey, and answer as, the other."""
+        swapped = [(one, other.index, other.core), (other, one.index, one.core)]
+        return together([setting(each, index=i, core=core) for each, i, core in swapped])
+
     def stop_elsewhere(self) -> Undo:
         """Let robots hear ten emergency stops of another sender."""
         for k in range(STOPS):
@@ -285,6 +290,13 @@ WHEELED_FAULTS = (
         settings(_robot_of, deaf=attrgetter("share")),
         robot=Name,
         share=Share,
+    ),
+    fault(
+        "swapped_numbers",
+        "Two robots have exchanged numbers: each obeys what is sent to the other.",
+        lambda f, d: d.swap_numbers(d.robot(f.robot), d.robot(f.other)),
+        robot=Name,
+        other=Name,
     ),
     fault(
         "late_radio",

@@ -182,6 +182,8 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("radio stuck", "stuck_port", RADIO, due=after(0.1, False))
     yield FaultRow("radio silent", "loss", link, _share(0.05))
     yield FaultRow("robot deaf", "deaf", link, lambda d: d.robot() | _share(0.05)(d))
+    numbers = "swapped_numbers"
+    yield FaultRow("numbers swapped", numbers, moved, Draw.robots, at_once=True, start=1.0)
     yield FaultRow("radio late", "late_radio", link, lambda d: {"by": d.between(0.005, 1)})
     overtaken = "overtaken_packets"
     yield FaultRow("packets overtaken", overtaken, link, lambda d: {"by": d.between(0.005, 0.3)})
@@ -313,5 +315,5 @@ def _fault(
     else:
         fault["at"] = round(random.uniform(0, span_s), 3)
     if not kind.at_once and "for" not in fault and draw.strength < STRONG:
-        fault["for"] = round(0.02 * 200 ** random.random(), 3)  # from 20 ms to 4 s
+        fault["for"] = round(0.02 * 800 ** random.random(), 3)  # from 20 ms to 16 s
     return fault

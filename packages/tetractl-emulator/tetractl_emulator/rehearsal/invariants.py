@@ -165,6 +165,8 @@ def reasons(truth: Truth) -> Iterator[Violation]:
     all_damaged = truth.met("other_version")
     if (count := DAMAGED.match(reason)) and 0 < most < int(count[1]) and not all_damaged:
         yield Violation("reason", truth.abort_s, f"{reason}: {spoilt:.0f} a second were")
+    if other := _misnamed(truth):
+        yield Violation("reason", min(truth.abort_s, 1e6), f"{reason[:200]}: it was {other}")
     grid = MOTION if truth.setup.sight.coarse and truth.met("freeze") else ""
     right = [
         truth.day.plan.right,
@@ -173,6 +175,15 @@ def reasons(truth: Truth) -> Iterator[Violation]:
     ]
     if reason and not re.search("|".join(filter(None, right)) or "$.", reason, re.IGNORECASE):
         yield Violation("reason", min(truth.abort_s, 1e6), reason[:200])
+
+
+def _misnamed(truth: Truth) -> str:
+    """Return the robot that has the only fault, if the reason names others; "" if it does not."""
+    robots = {fault.get(key) for _, _, fault in truth.faults for key in ("robot", "other")}
+    named = {name for name in truth.setup.names if re.search(rf"\b{name}\b", truth.reason)}
+    alone = len(truth.faults) == 1 and truth.faults[0][2].get("robot")
+    natural = truth.day.plan.right and re.search(truth.day.plan.right, truth.reason)
+    return str(alone) if alone and named and not named & robots and not natural else ""
 
 
 def hidden(truth: Truth, limits: LabLimits) -> str:

@@ -60,7 +60,7 @@ def _off(truth: Truth) -> Iterator[Violation]:
     plan = truth.day.plan
     if not plan.slower or "actuator" not in plan.emulation:
         return
-    blocks = 2 * OFF_BLOCKS * (OFF / (plan.slower - WHEEL)) ** 2
+    blocks = 4 * OFF_BLOCKS * (OFF / (plan.slower - WHEEL)) ** 2
     allowed = max(OFF_S, blocks * BLOCK_S) + BLOCK_S + AIR_S  # once the last block has ended
     for since, until in truth.driven[:1]:
         steps = [(one, two) for one, two in pairwise(truth.sent(0)) if since <= one[0] < until]

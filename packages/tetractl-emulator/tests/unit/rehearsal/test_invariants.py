@@ -134,6 +134,11 @@ def test_as_many_frames_are_called_damaged_as_were(share, wrong):
     assert ("reason" in names) == wrong
 
 
+@pytest.mark.parametrize(("robot", "wrong"), [("green", False), ("blue", True)])
+def test_a_reason_names_the_robot_that_has_the_fault(robot, wrong):
+    assert ("reason" in found(SEEN, STOP, fault=LOST | {"robot": robot})) == wrong
+
+
 @pytest.mark.parametrize(
     ("state", "stopped", "wrong"),
     [("ready", 2.401, False), ("ready", 2.5, True), ("abort", 2.401, True)],

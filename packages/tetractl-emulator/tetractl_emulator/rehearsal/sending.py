@@ -11,6 +11,7 @@ from tetractl_emulator.rehearsal.violation import SLACK_S, Violation
 STOPS, STOPS_S = 10, 0.25  # stops after a run, and the time of ten, 20 ms apart, and a tick
 SPREAD_S = 0.17  # least time that they take, so that one disturbance does not hit all
 REPEAT_S = 0.5 + 0.05 + 0.02  # from a stop to its repetition: the wait, a poll, and the stop's gap
+QUARTER_S, SOME = 0.25, 40  # commands are counted in each quarter of a second, if there are so many
 TICK_S = 0.004  # within which commands of one tick of our side are sent
 MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
 
@@ -18,6 +19,7 @@ MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
 def sending(truth: Truth, limits: LabLimits, watchdog_s: float) -> Iterator[Violation]:
     """Yield what is wrong with the commands sent."""
     yield from _commands(truth, limits)
+    yield from _evenly(truth)
     if not truth.met(*MUTE) and not truth.killed:
         yield from _often(truth, watchdog_s)
         yield from _repeated(truth)
@@ -76,6 +78,19 @@ def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
         if stops and (took := (stops[-1]["t_ns"] - stops[0]["t_ns"]) / 1e9) < SPREAD_S:
             yield Violation("stops", until, f"all {len(stops)} within {took:.3f} s")
             return
+
+
+def _evenly(truth: Truth) -> Iterator[Violation]:
+    """In no quarter of a second are more than twice as many commands sent as in most: a radio would
+    queue them.
+    """
+    at = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
+    during = [(at >= since) & (at < until) for since, until in truth.driven]
+    sent = at[np.any(during, axis=0)] if during else at[:0]
+    counts = np.searchsorted(sent, sent + QUARTER_S) - np.arange(len(sent))
+    if len(sent) > SOME and counts.max() > 2 * (most := np.median(counts)):
+        found = f"{counts.max()} in {QUARTER_S} s, {most:.0f} in most"
+        yield Violation("too often", float(sent[counts.argmax()]), found)
 
 
 def _repeated(truth: Truth) -> Iterator[Violation]:

@@ -134,6 +134,13 @@ def test_as_many_frames_are_called_damaged_as_were(share, wrong):
     assert ("reason" in names) == wrong
 
 
+@pytest.mark.parametrize(("burst", "wrong"), [(8, False), (14, True)])
+def test_commands_are_sent_evenly(burst, wrong):
+    most = [command(1.0 + k / 40, 20) for k in range(50)]
+    more = [command(1.5 + k / 500, 20) for k in range(burst)]
+    assert ("too often" in found(SEEN, STOP, *most, *more)) == wrong
+
+
 @pytest.mark.parametrize(("robot", "wrong"), [("green", False), ("blue", True)])
 def test_a_reason_names_the_robot_that_has_the_fault(robot, wrong):
     assert ("reason" in found(SEEN, STOP, fault=LOST | {"robot": robot})) == wrong

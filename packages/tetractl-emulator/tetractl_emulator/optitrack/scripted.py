@@ -1,7 +1,7 @@
 """What a script may change of the emulated cameras of type `optitrack`: settings and faults."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Annotated, Any, Literal
@@ -12,8 +12,18 @@ from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.natnet import Version
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings, together
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, halved, nowhere, rolled
+from tetractl_emulator.faults import (
+    Begin,
+    Fault,
+    Share,
+    Undo,
+    Visible,
+    fault,
+    setting,
+    settings,
+    together,
+)
+from tetractl_emulator.optitrack.tracked_body import Change, TrackedBody, halved, nowhere, rolled
 
 CLOCK_HZ = 10_000_000
 
@@ -121,6 +131,17 @@ def _of_body(
 ) -> type[Fault]:
     """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
     return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
+
+
+def _changed(change: Callable[[Any], Change]) -> Begin:
+    """Return a function that starts a fault: a robot's body is changed by `change(fault)`, too."""
+
+    def begin(fault: Any, device: Any) -> Undo:
+        changes, own = _body(device, fault).changes, change(fault)
+        changes.append(own)
+        return lambda: changes.remove(own)
+
+    return begin
 
 
 def _repeat(fault: Any, device: Any) -> Undo:
@@ -257,15 +278,27 @@ FAULTS = (
         {"height": Finite},
         height=attrgetter("height"),
     ),
-    _of_body(
+    fault(
         "tipped",
         "A body is seen rolled about its own x axis by this angle [rad].",
-        {"angle": Finite},
-        change=lambda f: rolled(f.angle),
+        _changed(lambda f: rolled(f.angle)),
+        EXPOSED,
+        robot=Name,
+        angle=Finite,
     ),
-    _of_body("nan", "A body's position is not a number.", change=lambda f: nowhere),
-    _of_body(
-        "bad_quaternion", "A body's quaternion does not have norm 1.", change=lambda f: halved
+    fault(
+        "nan",
+        "A body's position is not a number.",
+        _changed(lambda f: nowhere),
+        EXPOSED,
+        robot=Name,
+    ),
+    fault(
+        "bad_quaternion",
+        "A body's quaternion does not have norm 1.",
+        _changed(lambda f: halved),
+        EXPOSED,
+        robot=Name,
     ),
     fault(
         "repeat",

@@ -4,11 +4,14 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from random import Random
 
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl_emulator.sides import Body
+
+Change = Callable[[RigidBody], RigidBody]
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -57,7 +60,7 @@ class TrackedBody:
     (`repeats`); displaced by `shift` [mm], which grows by `step` [mm] per exposure, along the
     robot's own axes if `own`; turned by `turned` [rad], which grows by `turn` [rad] per exposure;
     at another `height` [mm]; its plate slipped on the robot by `plate` [mm] along the robot's axes,
-    and turned by `plate_turned` [rad]; or its pose is changed by `change`.
+    and turned by `plate_turned` [rad]; or its pose is changed by each of `changes`.
     """
 
     robot: Body
@@ -78,7 +81,7 @@ class TrackedBody:
     height: float = 60.0
     plate: complex = 0j
     plate_turned: float = 0.0
-    change: Callable[[RigidBody], RigidBody] | None = None
+    changes: list[Change] = field(default_factory=list)
     seen: RigidBody | None = None  # the body at its last tracked pose
 
     def expose(self, view: View) -> RigidBody:
@@ -89,7 +92,7 @@ class TrackedBody:
         assert self.seen is not None, "it was exposed"
         if not tracked:
             return replace(self.seen, tracking_valid=False)
-        return self.change(self.seen) if self.change else self.seen
+        return reduce(lambda body, change: change(body), self.changes, self.seen)
 
     def _look(self, view: View) -> None:
         robot, draw, heading = self.robot, self.random.gauss, self.robot.heading
@@ -120,7 +123,7 @@ def is_somewhere(body: RigidBody) -> bool:
     return math.isfinite(sum(body.position)) and abs(norm - 1.0) < 0.01
 
 
-def rolled(angle: float) -> Callable[[RigidBody], RigidBody]:
+def rolled(angle: float) -> Change:
     """Return a function that turns a body about its own x axis by `angle` [rad]."""
     sin, cos = math.sin(angle / 2), math.cos(angle / 2)
 

@@ -1,7 +1,9 @@
 """What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
 
 import json
+import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -13,6 +15,8 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.faults import Injector, Visible, setting
 from tetractl_emulator.faults import fault as kind_of
 from tetractl_emulator.loop import Timeline
+from tetractl_emulator.optitrack.scripted import FAULTS
+from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
 from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
@@ -246,3 +250,19 @@ def test_faults_that_set_other_values_do_not_meet():
     assert (thing.value, thing.other) == (0, 2)
     second()
     assert (thing.value, thing.other) == (0, 0)
+
+
+def test_faults_of_one_body_act_together():
+    """Regression: a body without a position had one again once it was tipped."""
+    body = TrackedBody(SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0), 1, "green")
+    device = SimpleNamespace(tracked_body=lambda name: body)
+    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
+    first = kinds["nan"](fault="nan", robot="green")
+    second = kinds["tipped"](fault="tipped", robot="green", angle=1.0)
+    end_first, end_second = (type(each).begin(each, device) for each in (first, second))
+    assert math.isnan(body.expose(View()).position[0])
+    end_first()
+    assert body.expose(View()).position[0] == 0.0
+    assert body.expose(View()).quaternion[0] == pytest.approx(math.sin(0.5))
+    end_second()
+    assert body.expose(View()).quaternion == (0.0, 0.0, 0.0, 1.0)

@@ -223,11 +223,10 @@ class Guard:
         self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return the fault text for a stream without a new frame for `silent_ns`."""
-        text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
-        if not self._outdated_in_a_row:
-            return text
-        return f"{text}: {self._outdated_in_a_row} outdated frames came, the last {self._behind()}"
+        """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
+        text = self.reason or f"no new camera frame for {silent_ns / SECOND:.2f} s"
+        old = self._outdated_in_a_row if not self.reason else 0
+        return f"{text}: {old} outdated frames came, the last {self._behind()}" if old else text
 
     def awake(self, now_ns: int) -> None:
         """Abort if nothing was decided for `stream_lost` before the time of a tick; to be called

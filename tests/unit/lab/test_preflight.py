@@ -6,6 +6,7 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
+from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab.preflight import inspect
 
@@ -46,6 +47,18 @@ def test_a_silent_camera_is_a_problem():
 
     (problem,) = looked_over(silence).problems
     assert problem.startswith("no new camera frame for 0.5")
+
+
+def test_a_camera_whose_program_ends_meanwhile_is_the_problem():
+    """Regression: its frames were reported as missing."""
+
+    def end(camera):
+        camera.silent, camera.frames = True, gone
+
+    def gone():
+        raise AbortError("the program of the camera has ended")
+
+    assert looked_over(end).problems == ("the program of the camera has ended",)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,8 @@ from random import Random
 from typing import Any
 
 from tetractl_emulator.rehearsal.due import after
-from tetractl_emulator.rehearsal.schedule import MOTION, PLACE, SIGHT, Draw, FaultRow, Fields
+from tetractl_emulator.rehearsal.schedule import CELLS, MOTION, PLACE, SIGHT, Draw, FaultRow, Fields
 
-CELLS = r"respond to the field|divided, or has parted|not been known which cell|are needed"
 SEEN = rf"{SIGHT}|{MOTION}|{PLACE}|{CELLS}|no picture|damaged|picture is|in view|was the stage"
 GONE_S = 0.65
 """Time in which a stream that ends must end a trial [s]: `stream_lost`, latency, two pictures."""

@@ -23,6 +23,7 @@ MOTION = (
     r"|camera or its origin|swapped|pose jumped|pose repeats|still moves|from its start|turned by"
 )
 PLACE = r"about to leave|about to enter|too close"
+CELLS = r"respond to the field|divided, or has parted|not been known which cell|are needed"
 CLOCK = r"server's clock|after reception|before reception"
 RADIO = r"radio|\bport\b|does not answer|battery"
 STOP_SHARE = 0.1  # of the faults that begin while robots stop, in a pause or at the end
@@ -196,7 +197,7 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow(
         "host's clock jumps",
         "host_clock",
-        f"stood still|{clock}",
+        f"stood still|{CELLS}|{clock}",  # between two pictures cells seem to have swum no further
         _jump,
         above("by", 0.6, 0.1, False),
         True,

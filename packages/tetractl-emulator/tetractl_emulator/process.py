@@ -11,7 +11,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from errno import ENOSPC
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
+
+from pydantic import Field
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
@@ -27,12 +29,13 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 class HostClock(Clock, Protocol):
     """The clock of our side in virtual time: `ahead_ns` of true time; it goes on while the
-    process is `stopped`. A plan takes `plan_s` [s].
+    process is `stopped`. Of `plan_every` plans one takes `plan_s` [s].
     """
 
     ahead_ns: int
     stopped: bool
     plan_s: float
+    plan_every: int
 
 
 class Process:
@@ -56,8 +59,8 @@ class Process:
     def set_clock(self, by_ns: int) -> None:
         """Set the host's monotonic clock forward [ns]."""
 
-    def plan_for(self, seconds: float) -> None:
-        """Let each plan from now on take a time [s]."""
+    def plan_for(self, seconds: float, every: int = 1) -> None:
+        """Let one of so many plans, from now on, take a time [s]."""
 
     def press_stop(self) -> None:
         """Press the key of the emergency stop."""
@@ -136,9 +139,9 @@ class ThisProcess(Process):
         """Set our side's clock forward."""
         self._host.ahead_ns += by_ns
 
-    def plan_for(self, seconds: float) -> None:
-        """Let each plan take a time [s] of our side's clock."""
-        self._host.plan_s = seconds
+    def plan_for(self, seconds: float, every: int = 1) -> None:
+        """Let plans take a time [s] of our side's clock."""
+        self._host.plan_s, self._host.plan_every = seconds, every
 
     def press_stop(self) -> None:
         """Set the event of the key."""
@@ -156,7 +159,7 @@ def _once(act: Callable[[Any, Process], object]) -> Begin:
 
 
 def _busy(fault: Any, process: Process) -> Undo:
-    process.plan_for(fault.seconds)
+    process.plan_for(fault.seconds, fault.every)
     return lambda: process.plan_for(0.0)
 
 
@@ -175,7 +178,13 @@ PROCESS_FAULTS = (
         _once(lambda f, p: p.set_clock(round(f.by * SECOND))),
         by=Positive,
     ),
-    fault("busy", "Each plan takes this time [s]; only in virtual time.", _busy, seconds=Positive),
+    fault(
+        "busy",
+        "Each plan, or one of `every` plans, takes this time [s]; only in virtual time.",
+        _busy,
+        seconds=Positive,
+        every=(Annotated[int, Field(ge=1)], 1),
+    ),
     fault(
         "emergency",
         "The operator presses the emergency stop; only in virtual time.",

@@ -139,14 +139,15 @@ class EmulatedPlantSection(RigSection):
 
 class BusyPlant(LabPlant):
     """A `LabPlant` in virtual time: between a frame and the action that is planned from it, the
-    clock's `plan_s` [s] passes. `halves` says what is real, for the log.
+    clock's `plan_s` [s] passes, at one of `plan_every` plans. `halves` says what is real, for the
+    log.
     """
 
     def __init__(
         self, rig: Rig, supervision: LabSupervision, kind: str, halves: dict[str, str]
     ) -> None:
         super().__init__(rig, supervision, kind)
-        self._halves = halves
+        self._halves, self._plans = halves, 0
 
     def open(self) -> PlantInfo:
         """Open the lab; return its facts, with what is real."""
@@ -158,6 +159,8 @@ class BusyPlant(LabPlant):
         from tetractl_emulator.virtual_wires import LabClock
 
         assert isinstance(self.clock, LabClock), "the section returned it"
-        if self._observed_ns is not None and self.clock.plan_s:
+        self._plans += 1
+        due = self._observed_ns is not None and self._plans % self.clock.plan_every == 0
+        if due and self.clock.plan_s:
             self.clock.sleep_until(self.clock.now() + round(self.clock.plan_s * SECOND))
         return super().send(action)

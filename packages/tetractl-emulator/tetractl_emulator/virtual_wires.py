@@ -38,7 +38,7 @@ class LabClock(VirtualClock):
         self.steps: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
         self.stopped = False  # the process stands still
-        self.plan_s = 0.0  # time that a plan takes [s]
+        self.plan_s, self.plan_every = 0.0, 1  # time that one of so many plans takes [s]
 
     def now(self) -> int:
         """Return the time on the host's clock [ns]."""

@@ -108,3 +108,15 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     assert read_result(tmp_path / "one" / "trial-000.mcap").origin.value == "emulated lab"
     done = tetractl(tmp_path, "rerun", "one/trial-000.mcap", "--plant", "emulated", "-o", "again")
     assert "the content digests agree" in done.stderr, done.stderr
+
+
+@needs_compiler
+def test_late_steps_between_punctual_ones_do_not_end_a_trial(tmp_path):
+    script = tmp_path / "busy.yaml"
+    busy = "{fault: busy, seconds: 0.07, every: 2}"
+    script.write_text(f"about: every second plan is late\nfaults: [{busy}]\n")
+    few = flags(("controller.time_limit=1.5", "controller.deadline=60", f"plant.faults={script}"))
+    run(tmp_path, "busy", "--trials", "1", *few).ok()
+    log = read_trial(tmp_path / "busy" / "trial-000.mcap")
+    took_ns = [step.command.sent_ns - step.observation.received_ns for step in log.steps]
+    assert sum(one > 50_000_000 for one in took_ns) > 5  # as would end it in a row

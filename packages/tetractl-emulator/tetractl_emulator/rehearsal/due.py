@@ -72,7 +72,7 @@ def plans(period_s: float) -> Due:
     silent_s = max(0.5, 6 * period_s) + 0.05
 
     def within(f: Fields, v: float) -> float:
-        seconds = f["seconds"]
+        seconds = f["seconds"] if f.get("every", 1) == 1 else 0.0
         if seconds >= silent_s:
             return silent_s + 0.05
         late = 5 * (seconds + period_s) + seconds + 0.05

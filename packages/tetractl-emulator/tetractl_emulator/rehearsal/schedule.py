@@ -137,7 +137,7 @@ def _kinds() -> Iterator[FaultRow]:
     for name in ("untracked", "nan", "bad_quaternion"):
         yield FaultRow(name, name, SIGHT, Draw.robot, after(0.4))
     part = "half_tracked"
-    yield FaultRow("tracked in part", part, SIGHT, lambda d: d.robot() | _share(0.05)(d))
+    yield FaultRow("tracked in part", part, SIGHT, lambda d: d.robot() | _lost(d))
     yield FaultRow("pose frozen", "repeat", moved, Draw.robot, due.REPEATS)
     yield FaultRow("picture frozen", "repeat", moved, due=due.REPEATS)
     height, angle = above("height", 520, 0.4), above("angle", 0.55, 0.4)
@@ -181,8 +181,8 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("brown-out", "off", link, Draw.robot)
     yield FaultRow("radio unplugged", "unplug", RADIO, due=after(0.1, False))
     yield FaultRow("radio stuck", "stuck_port", RADIO, due=after(0.1, False))
-    yield FaultRow("radio silent", "loss", link, _share(0.05))
-    yield FaultRow("robot deaf", "deaf", link, lambda d: d.robot() | _share(0.05)(d))
+    yield FaultRow("radio silent", "loss", link, _lost)
+    yield FaultRow("robot deaf", "deaf", link, lambda d: d.robot() | _lost(d))
     numbers = "swapped_numbers"
     yield FaultRow("numbers swapped", numbers, moved, Draw.robots, at_once=True, start=1.0)
     yield FaultRow("radio late", "late_radio", link, lambda d: {"by": d.between(0.005, 1)})
@@ -205,6 +205,8 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow(
         "host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)}, due.PLANS
     )
+    at_times = "host busy at times"
+    yield FaultRow(at_times, "busy", f"late|silent|{moved}", _at_times, weight=0.5)
     yield FaultRow("suspended", "stopped", f"stood still|late|{clock}|{moved}", _nap)
     yield FaultRow(
         "disk full", "disk_full", "cannot write the log", due=after(1.0, False), at_once=True
@@ -219,6 +221,12 @@ def _kinds() -> Iterator[FaultRow]:
 
 def _share(least: float) -> Fields:
     return lambda d: {"share": min(1.0, d.between(least, 1.3))}
+
+
+def _lost(d: Draw) -> dict[str, Any]:
+    """Return a share from 5 to 98 %, near 98 % as often as near 5 %; a strong one is 1."""
+    share = 1.0 / (1.0 + math.exp(3.0 - 7.0 * d.strength / STRONG))
+    return {"share": round(share, 4) if d.strength < STRONG else 1.0}
 
 
 def _version(d: Draw) -> dict[str, Any]:
@@ -273,6 +281,10 @@ def _jump(d: Draw) -> dict[str, Any]:
 
 def _plan(d: Draw) -> float:
     return d.between(0.01, 6)
+
+
+def _at_times(d: Draw) -> dict[str, Any]:
+    return {"seconds": d.between(0.05, 0.45), "every": d.random.randint(2, 4)}
 
 
 def _nap(d: Draw) -> dict[str, Any]:

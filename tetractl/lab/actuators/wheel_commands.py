@@ -17,6 +17,7 @@ from tetractl.core.setup import MM, Setup
 from tetractl.model.wheels import CountArray, Drivetrains, WheelHost
 
 AHEAD_NS = SECOND // 10  # longest time over which headings are predicted
+TRIES = 5  # number of polls: frames may be lost
 EMPTY_V = 4.0  # voltage of four cells below which motors would soon fail
 
 
@@ -42,6 +43,12 @@ class Reply:
     battery_mv: int
     received: int
     rejected: int
+
+
+def tries(timeout_s: float, each_ns: int) -> int:
+    """Return how often robots are polled that have not all replied, in `timeout_s` if each poll
+    takes `each_ns`: at most TRIES times, and once at least."""
+    return max(1, min(TRIES, round(timeout_s * SECOND) // each_ns))
 
 
 class WheelCommands:

@@ -197,7 +197,7 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow(
         "host's clock jumps",
         "host_clock",
-        f"stood still|{CELLS}|{clock}",  # between two pictures cells seem to have swum no further
+        f"stood still|late|{CELLS}|{clock}",  # cells seem to stand still meanwhile
         _jump,
         above("by", 0.6, 0.1, False),
         True,

@@ -15,7 +15,7 @@ from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Reply, Status
+from tetractl.lab.actuators.wheel_commands import Reply, Status, tries
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
@@ -97,17 +97,17 @@ class Broadcaster:
         return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Poll all robots until each has replied, at most five times; a robot without a reply gives
-        None. Ends at once if the link fails.
+        """Poll all robots until each has replied, at most TRIES times; a robot without a reply
+        gives None. Ends at once if the link fails. A time in which the computer slept counts as one
+        try.
         """
         found: dict[int, Reply] = {}
         wanted = set(self._indices)
-        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
-        deadline = self._clock.now() + round(timeout_s * SECOND)
-        for _ in range(5):  # frames may be lost
+        wait_ns = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND + SECOND // 10
+        for _ in range(tries(timeout_s, wait_ns)):
             splitter = cobs.Splitter()
             self._link.fetch()
-            until = min(deadline, self.send(cobs.Flag.POLL) + slots + SECOND // 10)
+            until = self.send(cobs.Flag.POLL) + wait_ns
             while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
                 self._link.wait(left / SECOND)
                 for frame in splitter.feed(b"".join(self._link.fetch())):
@@ -116,7 +116,7 @@ class Broadcaster:
                         found[reply.id] = reply
                 if self._link.failure is not None:
                     return [found.get(index) for index in self._indices]
-            if wanted <= found.keys() or self._clock.now() >= deadline:
+            if wanted <= found.keys():
                 break
         return [found.get(index) for index in self._indices]
 

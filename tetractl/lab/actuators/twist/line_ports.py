@@ -15,13 +15,12 @@ from tetractl.lab.actuators.twist.lines import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.wheel_commands import Reply
+from tetractl.lab.actuators.wheel_commands import Reply, tries
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports
 from tetractl.lab.udp_port import open_port
 
 HINT = "the robots stop by their watchdog; connect them and start again"
-TRIES = 5  # number of polls: lines may be lost
 PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
@@ -78,18 +77,17 @@ class TwistLink:
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
         """Poll all robots until each has replied, at most TRIES times; a robot without a reply
-        gives None."""
+        gives None. A time in which the computer slept counts as one try."""
         found, wanted = dict[int, Reply](), set(self._indices)
-        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
-        deadline = self._clock.now() + round(timeout_s * SECOND)
-        for _ in range(TRIES):
-            until = min(deadline, self._send(Flag.POLL, []) + slots + SECOND // 10)
+        wait_ns = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND + SECOND // 10
+        for _ in range(tries(timeout_s, wait_ns)):
+            until = self._send(Flag.POLL, []) + wait_ns
             while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
                 wait_for(self._clock, self._heard, left / SECOND)
                 found |= {reply.id: reply for reply in drained(self._replies)}
                 if self.failure is not None:
                     return [found.get(index) for index in self._indices]
-            if wanted <= found.keys() or self._clock.now() >= deadline:
+            if wanted <= found.keys():
                 break
         return [found.get(index) for index in self._indices]
 

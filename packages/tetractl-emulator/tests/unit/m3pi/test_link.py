@@ -3,6 +3,7 @@
 import pytest
 from tetractl_emulator.virtual_wires import LabClock, memory_wires
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command
 from tetractl.lab.actuators.xbee.frames import (
@@ -135,6 +136,20 @@ def test_an_answer_to_an_earlier_request_is_none_to_the_next():
 
     radio.port.written = late
     assert [link.ask(b"HV") for _ in range(3)] == [None] * 3
+
+
+def test_robots_are_asked_again_if_the_computer_slept_meanwhile():
+    """Regression: of a robot whose first reply was lost it was said that it does not answer."""
+    polls = []
+
+    def sleep(content):
+        polls.append(content)
+        radio.clock.sleep_until(radio.clock.now() + 3 * SECOND)
+        return []
+
+    radio = Module(respond=sleep)
+    assert Broadcaster(radio.opened(), radio.clock, (0, 1)).poll(1.0) == [None, None]
+    assert len(polls) == 5
 
 
 def test_a_poll_ends_once_the_port_is_gone():

@@ -37,11 +37,12 @@ from tetractl.model.motion.rolling import rolled
 
 BLOCK_NS = SECOND // 20
 TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)  # delays, the nominal one first
+BEFORE_NS = (*TAPS_NS, 37 * SECOND // 200)  # and one between the last two, which has no weight
 NOISE = np.array([0.4, 0.4, 0.005])  # of a pose [mm, mm, rad]
 LATEST = 3  # taps within which commands differ where a packet is lost
 SLIP = np.array([1.5, 1.5, 0.02])  # random walk of a robot [mm, mm, rad, each per sqrt(s)]
 LOST = np.array([0.15, 0.0, 0.15])  # error of a motion, over how much the commands differ
-LAGS = LOST / 5  # of it, what wheels of a lag of 80 ms leave 0.13 s later, at the last tap
+LAGS = LOST / 5  # of it, what wheels of a lag of 80 ms leave 0.13 s later: from 0.18 s before on
 CLIP = 1.7  # standard deviations beyond which a residual counts no more
 # standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays
 PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * (2 * len(TAPS_NS) - 2)])
@@ -201,9 +202,9 @@ class DriftCheck:
 
     def _commanded(self, robots: Sequence[int], spans: Sequence[tuple[int, int]]) -> Floats:
         """Return what was commanded to robots over the `spans` that end at a time and are so long,
-        [ns], with each delay: (K, TAPS, 2)."""
+        [ns], with each delay: (K, TAPS + 1, 2)."""
         taps = {
-            (until_ns, dt_ns): [self.commands.mean(until_ns - tap, dt_ns) for tap in TAPS_NS]
+            (until_ns, dt_ns): [self.commands.mean(until_ns - tap, dt_ns) for tap in BEFORE_NS]
             for until_ns, dt_ns in set(spans)
         }
         every = np.array([taps[span] for span in spans])
@@ -220,7 +221,8 @@ class DriftCheck:
         `then` (K,), in which robots `moved` (K, 3) over `spans`; and the variances (K, 3) of those
         motions.
         """
-        sent = self._commanded(robots, spans)
+        every = self._commanded(robots, spans)
+        sent = every[:, : len(TAPS_NS)]
         dt = np.array([dt_ns / SECOND for _, dt_ns in spans])
         r, (v, w) = self._radius, sent[:, 0].T * dt
         x = np.zeros((len(robots), 3, 1 + KNOWN + len(LARGEST)))
@@ -240,7 +242,7 @@ class DriftCheck:
         x[:, :2, 4 + KNOWN :] = axes @ shift.transpose(2, 0, 1) * dt[:, None, None]
         x[:, 2, 6 + KNOWN] = dt
         unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt[:, None]
-        before = np.abs(sent[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]] * dt[:, None]
+        before = np.abs(every[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]] * dt[:, None]
         return x, SLIP**2 * dt[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
 
     def _add(

@@ -138,8 +138,9 @@ class RobotCandidate:
 
     @property
     def magnetised(self) -> bool:
-        """Whether the cell responds to the field: a exceeds 0 by RESPONDS standard deviations."""
-        return self.a > RESPONDS * self.a_sd
+        """Whether the cell responds to the field: its a and its speed exceed 0 by RESPONDS standard
+        deviations. What does not swim, such as a speck, has an axis that noise may turn."""
+        return self.a > RESPONDS * self.a_sd and self.speed > RESPONDS * self.speed_sd
 
 
 @dataclass(frozen=True, slots=True)

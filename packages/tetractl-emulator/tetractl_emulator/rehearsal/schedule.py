@@ -207,7 +207,7 @@ def _kinds() -> Iterator[FaultRow]:
     )
     at_times = "host busy at times"
     yield FaultRow(at_times, "busy", f"late|silent|{moved}", _at_times, weight=0.5)
-    yield FaultRow("suspended", "stopped", f"stood still|late|{clock}|{moved}", _nap)
+    yield FaultRow("suspended", "stopped", f"stood still|late|{CELLS}|{clock}|{moved}", _nap)
     yield FaultRow(
         "disk full", "disk_full", "cannot write the log", due=after(1.0, False), at_once=True
     )

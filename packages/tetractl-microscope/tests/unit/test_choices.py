@@ -1,5 +1,7 @@
 """Choices of cells, ranked by what is predicted for steering them together."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.paths import EXAMPLES
@@ -31,6 +33,13 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
 
 def found_cell(number, a):
     return RobotCandidate(number, Pose(1000 + 300 * number, 900, 0.0), a, 0.1, 400, 4)
+
+
+def test_what_does_not_swim_does_not_respond_to_the_field():
+    """Regression: a speck of which an axis was seen, at 8 um/s, was chosen, and steered for 6 s."""
+    speck = replace(found_cell(1, 6.04), a_sd=1.71, speed=7.9, speed_sd=5.2)
+    assert not speck.magnetised
+    assert replace(speck, speed=79.0).magnetised
 
 
 def test_no_choice_has_cells_that_cannot_be_distinguished():

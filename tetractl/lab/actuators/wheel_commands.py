@@ -3,14 +3,14 @@ robots reply."""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import Protocol, Self
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.commands import Action, RobotStatus, Steer, Transmission, Turn
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.setup import MM, Setup
@@ -45,10 +45,36 @@ class Reply:
     rejected: int
 
 
-def tries(timeout_s: float, each_ns: int) -> int:
-    """Return how often robots are polled that have not all replied, in `timeout_s` if each poll
-    takes `each_ns`: at most TRIES times, and once at least."""
-    return max(1, min(TRIES, round(timeout_s * SECOND) // each_ns))
+Hear = Callable[[float], Iterable[Reply]]
+"""Waits for replies to a poll for at most a time [s], and returns those that have come."""
+
+
+def polled(
+    ask: Callable[[], tuple[int, Hear]],
+    failed: Callable[[], bool],
+    indices: Sequence[int],
+    clock: Clock,
+    timeout_s: float,
+    slot_ms: int,
+) -> list[Reply | None]:
+    """Poll robots with the numbers `indices` until each has replied, at most TRIES times; a robot
+    without a reply gives None. Ends at once if the link has `failed`.
+
+    `ask` sends a poll, to which robot i replies i slots later, and returns the time of sending [ns]
+    and what hears the replies. A time in which the computer slept counts as one try.
+    """
+    found, wanted = dict[int, Reply](), set(indices)
+    wait_ns = (max(indices) + 2) * slot_ms * MILLISECOND + SECOND // 10
+    for _ in range(max(1, min(TRIES, round(timeout_s * SECOND) // wait_ns))):
+        sent_ns, hear = ask()
+        until = sent_ns + wait_ns
+        while not wanted <= found.keys() and (left := until - clock.now()) > 0:
+            found |= {reply.id: reply for reply in hear(left / SECOND)}
+            if failed():
+                break
+        if failed() or wanted <= found.keys():
+            break
+    return [found.get(index) for index in indices]
 
 
 class WheelCommands:

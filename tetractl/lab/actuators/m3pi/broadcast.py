@@ -7,15 +7,15 @@ robot, CRC. The bytes of a reply, sent only when polled: 0x52, id, sequence, sta
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from tetractl.core.clock import MILLISECOND, SECOND, Clock
+from tetractl.core.clock import Clock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Reply, Status, tries
+from tetractl.lab.actuators.wheel_commands import Hear, Reply, Status, polled
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
@@ -97,28 +97,25 @@ class Broadcaster:
         return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Poll all robots until each has replied, at most TRIES times; a robot without a reply
-        gives None. Ends at once if the link fails. A time in which the computer slept counts as one
-        try.
-        """
-        found: dict[int, Reply] = {}
-        wanted = set(self._indices)
-        wait_ns = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND + SECOND // 10
-        for _ in range(tries(timeout_s, wait_ns)):
-            splitter = cobs.Splitter()
-            self._link.fetch()
-            until = self.send(cobs.Flag.POLL) + wait_ns
-            while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
-                self._link.wait(left / SECOND)
-                for frame in splitter.feed(b"".join(self._link.fetch())):
-                    with suppress(WireError):
-                        reply = decode_reply(frame)
-                        found[reply.id] = reply
-                if self._link.failure is not None:
-                    return [found.get(index) for index in self._indices]
-            if wanted <= found.keys():
-                break
-        return [found.get(index) for index in self._indices]
+        """Poll all robots; a robot without a reply gives None. Ends at once if the link fails."""
+        indices = self._indices
+        return polled(self._ask, self._failed, indices, self._clock, timeout_s, REPLY_SLOT_MS)
+
+    def _failed(self) -> bool:
+        return self._link.failure is not None
+
+    def _ask(self) -> tuple[int, Hear]:
+        """Send a poll; return the time of sending [ns], and what hears the replies."""
+        splitter = cobs.Splitter()
+        self._link.fetch()
+
+        def hear(timeout_s: float) -> Iterator[Reply]:
+            self._link.wait(timeout_s)
+            for frame in splitter.feed(b"".join(self._link.fetch())):
+                with suppress(WireError):
+                    yield decode_reply(frame)
+
+        return self.send(cobs.Flag.POLL), hear
 
 
 def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 
-from tetractl.core.clock import MILLISECOND, SECOND, Clock, wait_for
+from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError, WireError
 from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.lab.actuators.twist.lines import (
@@ -15,7 +15,7 @@ from tetractl.lab.actuators.twist.lines import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.wheel_commands import Reply, tries
+from tetractl.lab.actuators.wheel_commands import Hear, Reply, polled
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports
 from tetractl.lab.udp_port import open_port
@@ -76,23 +76,21 @@ class TwistLink:
         return self._send(Flag.EMERGENCY_STOP if emergency else Flag(0), [])
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Poll all robots until each has replied, at most TRIES times; a robot without a reply
-        gives None. A time in which the computer slept counts as one try."""
-        found, wanted = dict[int, Reply](), set(self._indices)
-        wait_ns = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND + SECOND // 10
-        for _ in range(tries(timeout_s, wait_ns)):
-            until = self._send(Flag.POLL, []) + wait_ns
-            while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
-                wait_for(self._clock, self._heard, left / SECOND)
-                found |= {reply.id: reply for reply in drained(self._replies)}
-                if self.failure is not None:
-                    return [found.get(index) for index in self._indices]
-            if wanted <= found.keys():
-                break
-        return [found.get(index) for index in self._indices]
+        """Poll all robots; a robot without a reply gives None. Ends at once if a port fails."""
+        indices = self._indices
+        return polled(self._ask, self._failed, indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
-    def _heard(self) -> bool:
-        return bool(self._replies) or self.failure is not None
+    def _ask(self) -> tuple[int, Hear]:
+        """Send a poll; return the time of the last sending [ns], and what hears the replies."""
+
+        def hear(timeout_s: float) -> list[Reply]:
+            wait_for(self._clock, lambda: bool(self._replies) or self._failed(), timeout_s)
+            return drained(self._replies)
+
+        return self._send(Flag.POLL, []), hear
+
+    def _failed(self) -> bool:
+        return self.failure is not None
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
         self._sequence = (self._sequence + 1) % 256

@@ -24,7 +24,7 @@ def drifting(
     lag_s=0.0,
     most=1.5,
     rate_hz=5,
-    astray=None,
+    astray=lambda t: 0.0,
 ):
     """Return what is said first, and when [s], if the camera adds `shown` (3, 3) [mm, mm, rad] to
     the robots' true places (3, 3) t s after the start; wheels are up to `share` off, and poses
@@ -43,9 +43,7 @@ def drifting(
             turning = random.uniform(-most, most, 3)
             check.sent(now - SECOND // 20, [SPEED] * 3, turning)  # the delay of the radio
         rate = rate + (turning - rate) * (-np.expm1(-FRAME_NS / SECOND / lag_s) if lag_s else 1.0)
-        places[:, 2] += (
-            (rate * gains + (astray(now / SECOND) if astray else 0.0)) * FRAME_NS / SECOND
-        )
+        places[:, 2] += (rate * gains + astray(now / SECOND)) * FRAME_NS / SECOND
         courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
         places[:, :2] += SPEED * (gains * courses).T * FRAME_NS / SECOND
         noise = noisy * random.normal(size=(3, 3)) * (0.3, 0.3, 0.004)

@@ -12,17 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.natnet import Version
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
-from tetractl_emulator.faults import (
-    Begin,
-    Fault,
-    Share,
-    Undo,
-    Visible,
-    fault,
-    setting,
-    settings,
-    together,
-)
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings, together
 from tetractl_emulator.optitrack.tracked_body import Change, TrackedBody, halved, nowhere, rolled
 
 CLOCK_HZ = 10_000_000
@@ -133,15 +123,15 @@ def _of_body(
     return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
 
 
-def _changed(change: Callable[[Any], Change]) -> Begin:
-    """Return a function that starts a fault: a robot's body is changed by `change(fault)`, too."""
+def _changed(name: str, about: str, change: Callable[[Any], Change], **fields: Any) -> type[Fault]:
+    """Return a kind of fault of one robot's rigid body, also changed by `change(fault)`."""
 
     def begin(fault: Any, device: Any) -> Undo:
         changes, own = _body(device, fault).changes, change(fault)
         changes.append(own)
         return lambda: changes.remove(own)
 
-    return begin
+    return fault(name, about, begin, EXPOSED, robot=Name, **fields)
 
 
 def _repeat(fault: Any, device: Any) -> Undo:
@@ -278,28 +268,14 @@ FAULTS = (
         {"height": Finite},
         height=attrgetter("height"),
     ),
-    fault(
+    _changed(
         "tipped",
         "A body is seen rolled about its own x axis by this angle [rad].",
-        _changed(lambda f: rolled(f.angle)),
-        EXPOSED,
-        robot=Name,
+        lambda f: rolled(f.angle),
         angle=Finite,
     ),
-    fault(
-        "nan",
-        "A body's position is not a number.",
-        _changed(lambda f: nowhere),
-        EXPOSED,
-        robot=Name,
-    ),
-    fault(
-        "bad_quaternion",
-        "A body's quaternion does not have norm 1.",
-        _changed(lambda f: halved),
-        EXPOSED,
-        robot=Name,
-    ),
+    _changed("nan", "A body's position is not a number.", lambda f: nowhere),
+    _changed("bad_quaternion", "A body's quaternion does not have norm 1.", lambda f: halved),
     fault(
         "repeat",
         "The pose of a body, or of all bodies, is repeated in new frames.",

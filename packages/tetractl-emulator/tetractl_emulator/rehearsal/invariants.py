@@ -179,11 +179,12 @@ def reasons(truth: Truth) -> Iterator[Violation]:
 
 def _misnamed(truth: Truth) -> str:
     """Return the robot that has the only fault, if the reason names others; "" if it does not."""
-    robots = {fault.get(key) for _, _, fault in truth.faults for key in ("robot", "other")}
+    natural = re.search(truth.day.plan.right or "$.", truth.reason)
+    if len(truth.faults) != 1 or natural or "robot" not in truth.faults[0][2]:
+        return ""
+    (_, _, fault) = truth.faults[0]
     named = {name for name in truth.setup.names if re.search(rf"\b{name}\b", truth.reason)}
-    alone = len(truth.faults) == 1 and truth.faults[0][2].get("robot")
-    natural = truth.day.plan.right and re.search(truth.day.plan.right, truth.reason)
-    return str(alone) if alone and named and not named & robots and not natural else ""
+    return str(fault["robot"]) if named and not named & {fault["robot"], fault.get("other")} else ""
 
 
 def hidden(truth: Truth, limits: LabLimits) -> str:

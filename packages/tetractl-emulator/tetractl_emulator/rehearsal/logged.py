@@ -50,7 +50,7 @@ def logged(truth: Truth) -> Iterator[Violation]:
 
 def _commands(truth: Truth) -> Iterator[Violation]:
     assert truth.trial is not None
-    sent = np.array([e["t_ns"] for e in truth.of("command")]) / 1e9
+    sent = truth.commanded
     said = np.array([one.sent_ns for one in truth.trial.commands]) / 1e9
     flags = [bool(e["flags"] & RUN) for e in truth.of("command")]
     drives = [truth.drives(e) for e in truth.of("command")]

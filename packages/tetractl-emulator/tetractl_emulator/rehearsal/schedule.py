@@ -123,7 +123,7 @@ def _kinds() -> Iterator[FaultRow]:
         "frames damaged",
         "bad_datagrams",
         f"damaged|{sight}",
-        _share(0.005),
+        _damaged,
         above("share", 0.5, 0.6, False),
     )
     yield FaultRow(
@@ -219,8 +219,8 @@ def _kinds() -> Iterator[FaultRow]:
     )
 
 
-def _share(least: float) -> Fields:
-    return lambda d: {"share": min(1.0, d.between(least, 1.3))}
+def _damaged(d: Draw) -> dict[str, Any]:
+    return {"share": min(1.0, d.between(0.005, 1.3))}
 
 
 def _lost(d: Draw) -> dict[str, Any]:

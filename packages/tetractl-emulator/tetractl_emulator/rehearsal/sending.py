@@ -62,7 +62,7 @@ def _often(truth: Truth, watchdog_s: float) -> Iterator[Violation]:
     sent_s = min((at for at in flagged if at > pressed - SLACK_S), default=np.inf)
     if truth.first("run") < pressed < truth.alive_s - SLACK_S and sent_s > pressed + SLACK_S:
         yield Violation("emergency not sent", pressed, "no latched stop in time")
-    sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
+    sent = truth.commanded
     for since, until in truth.driven:
         during = [since, *sent[(sent > since) & (sent < until)], min(until, truth.alive_s)]
         gaps = np.diff(during)
@@ -84,9 +84,9 @@ def _evenly(truth: Truth) -> Iterator[Violation]:
     """In no quarter of a second are more than twice as many commands sent as in most: a radio would
     queue them.
     """
-    at = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
-    during = [(at >= since) & (at < until) for since, until in truth.driven]
-    sent = at[np.any(during, axis=0)] if during else at[:0]
+    at = truth.commanded
+    during = [at[(at >= since) & (at < until)] for since, until in truth.driven]
+    sent = np.concatenate([at[:0], *during])
     counts = np.searchsorted(sent, sent + QUARTER_S) - np.arange(len(sent))
     if len(sent) > SOME and counts.max() > 2 * (most := np.median(counts)):
         found = f"{counts.max()} in {QUARTER_S} s, {most:.0f} in most"
@@ -97,7 +97,7 @@ def _repeated(truth: Truth) -> Iterator[Violation]:
     """While one robot is not shown, stops are at most half a second apart, for two seconds. They
     may begin again within: a run that is paused first, and ends once the robots stand.
     """
-    sent = np.array([command["t_ns"] for command in truth.of("command")]) / 1e9
+    sent = truth.commanded
     until = min(truth.ended_s + 2.0, truth.alive_s)
     apart = truth.unseen.max(axis=1) - truth.unseen.min(axis=1) > 2 * UNTRACKED_STOP_S
     held_s = truth.times - np.maximum.accumulate(np.where(apart, -np.inf, truth.times))

@@ -71,6 +71,11 @@ class Truth:
         wheels = [e.get("wheels", still) for e in self.of("truth")]
         return np.abs(np.array(wheels)).reshape(-1, len(still), 2).max(axis=2)
 
+    @cached_property
+    def commanded(self) -> Floats:
+        """Times of the commands [s]."""
+        return np.array([command["t_ns"] for command in self.of("command")]) / SECOND
+
     def drives(self, command: dict[str, Any]) -> list[bool]:
         """Return which robots a command drives: `drives` or, of robots with `wheels`, if not 0."""
         running = bool(command["flags"] & RUN)

@@ -39,6 +39,7 @@ def truth(late=(), notes=(), reason="", commands=(), sent=(), muted=True):
         setup=SimpleNamespace(period_s=0.05, names=("blue", "red")),
         met=lambda *names: muted,
         of=lambda event: events,
+        commanded=np.array([event["t_ns"] for event in events]) / 1e9,
         drives=lambda event: event["driven"],
         first=lambda event: 0.0,
         rows=(),
@@ -88,9 +89,9 @@ def test_the_log_has_each_command_as_it_was_sent(commands, sent, text):
 def test_a_hidden_robot_is_not_seen_unless_it_is_swapped(other, text):
     day = truth()
     day.trial.frames, day.trial.mocap_ns = np.array([1, 2]), np.array([10**9, 2 * 10**9])
-    day.trial.exposed_ns, day.trial.valid = day.trial.mocap_ns[:, None], np.ones((2, 2), bool)
+    day.trial.exposed_ns = np.repeat(day.trial.mocap_ns[:, None], 2, axis=1)
+    day.trial.valid = np.ones((2, 2), bool)
     day.times, day.rows = np.array([1.0, 2.0]), (0, 1)
     hides = {"fault": "nan", "robot": "red"}, {"fault": "swap", "robot": "blue", "other": other}
     day.faults = [(0.5, 1.5, fault) for fault in hides]
-    day.trial.exposed_ns = np.repeat(day.trial.exposed_ns, 2, axis=1)
     assert [one.found for one in logged(day)] == ([text] if text else [])

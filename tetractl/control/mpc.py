@@ -55,13 +55,13 @@ from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
 from tetractl.core.tour import told_dead
 from tetractl.experiment.controller import Host, Square
+from tetractl.experiment.lab_section import REACTION_S
 
 RESTED_S = 2.0  # least time that a plan is driven before a rest for a better one [s]
 REST_S = 1.0  # time after which the searches of a step end for standing robots [s]
 SOON, RESTS = 0.7, 10
 """Robots rest on, up to so many steps, while no plan found is worth so much of their error."""
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
-GUARD_S = 0.15  # for which a lab's guard looks ahead, `limits.reaction`
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
@@ -234,7 +234,7 @@ class Mpc:
         period, held = self.section.period if last else 0.0, self.estimator.held_at_action
         if least_error(problem, period) <= min(goes_on, rest):
             stop = best_stop(problem, held, period)
-            seconds = stop.delay_ns / SECOND + GUARD_S
+            seconds = stop.delay_ns / SECOND + REACTION_S  # the guard looks so far ahead
             if stop.delay_ns and self.stands and self.margins.meets(problem, held, seconds):
                 stop = best_stop(problem, held, 0.0)
             if stop.error <= min(goes_on, rest):

@@ -29,6 +29,8 @@ UNTRACKED_STOP_S = 0.05
 single robot still."""
 STANDSTILL_MM_S = 10.0
 """Speed below which a robot stands still [mm/s]."""
+REACTION_S = 0.15
+"""Time for which the guard predicts motion, unless the limits say otherwise [s]."""
 STOPS = 10
 STOP_GAP_NS = SECOND // 50  # time between two of the ten stops that are sent [ns]
 
@@ -176,7 +178,7 @@ class LabLimits(Model):
     """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""
     separation_mm: NonNegative = 110.0
     """Least distance between the centres of two robots [mm]; 0 disables the test."""
-    reaction: NonNegative = 0.15
+    reaction: NonNegative = REACTION_S
     """Time from detecting an edge, an obstacle or another robot until a robot stands still [s]; the
     guard predicts motion over this time."""
     wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12

@@ -174,12 +174,14 @@ def save_calibration(out: Path, found: "Measured") -> int:
 
     calibration = Calibration(
         measured=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        emulated=", ".join(found.emulated) or None,
         camera=dict(found.camera),
         actuator=dict(found.actuator),
     )
-    save_whole(out, dump(calibration.model_dump(mode="json")).encode())
+    save_whole(out, dump(calibration.model_dump(mode="json", exclude_none=True)).encode())
     print(*found.lines, sep="\n")
-    ui.tell(f"wrote {out}; name it in the spec: lab.calibration")
+    whose = f", of an emulated {' and '.join(found.emulated)}" if found.emulated else ""
+    ui.tell(f"wrote {out}{whose}; name it in the spec: lab.calibration")
     return Exit.DONE
 
 

@@ -41,12 +41,13 @@ class Measured:
 
     `camera` and `actuator` map keys of the lab's sections with these names to new values; an entry
     of a list is found by its `name`.
-    `lines` is a summary for readers.
+    `lines` is a summary for readers. `emulated` names the devices that were not real.
     """
 
     camera: Mapping[str, Any] = field(default_factory=dict)
     actuator: Mapping[str, Any] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
+    emulated: tuple[str, ...] = ()
 
 
 class RobotPart(Model):

@@ -27,6 +27,8 @@ class Calibration(Model):
 
     measured: str = Field(max_length=100)
     """Date and time of the measurement."""
+    emulated: str | None = Field(default=None, max_length=100)
+    """The devices that were not real, such as `camera, actuator`; none in a lab."""
     camera: dict[str, Any] = Field(default={})
     """Values that replace values in `lab.camera`."""
     actuator: dict[str, Any] = Field(default={})

@@ -70,7 +70,10 @@ def calibrate_robots(
 
     AbortError, with the reason, if a robot cannot be measured.
     """
-    offsets, wheels, lines = [], [], []
+    offsets = []
+    wheels = []
+    lines = []
+    emulated: tuple[str, ...] = ()
     for name in names:
         report(f"{name}: measuring")
         known = lab.camera.heading_offset(name)
@@ -84,13 +87,15 @@ def calibrate_robots(
                 report(f"warning: {question}")
             found = bench.measure()
             waits = bench.first_motions()
+            emulated = rig.emulated
         finally:
             bench.close()
         if known is not None:
             offsets.append({"name": name, "heading_offset": found.heading_offset})
         wheels.append({"name": name, **section.measured(found)})
         lines += [f"{name}: {found}", f"{name}: {latency_line(waits)}"]
-    return Measured({"robots": offsets} if offsets else {}, {"robots": wheels}, tuple(lines))
+    camera = {"robots": offsets} if offsets else {}
+    return Measured(camera, {"robots": wheels}, tuple(lines), emulated)
 
 
 class _Bench:

@@ -105,8 +105,7 @@ def inspect(rig: Rig) -> Preflight:
         problems += _strangers(rig, newest.frame)
         problems += drifting_robots(rig)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
-    devices = {"camera": camera, "actuator": actuator}
-    emulated = ", ".join(name for name, health in devices.items() if health.emulated)
+    emulated = ", ".join(rig.emulated)
     return Preflight(
         robots,
         latency_ms,

@@ -22,7 +22,8 @@ class Rig:
 
     Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
     `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
-    `frames` are the camera frames that the guard accepted.
+    `frames` are the camera frames that the guard accepted. `emulated` names the devices that the
+    plant emulates, whether or not they say so.
     """
 
     def __init__(
@@ -35,8 +36,10 @@ class Rig:
         emergency: threading.Event | None = None,
         wake: threading.Event | None = None,
         threaded: bool = True,
+        emulated: Sequence[str] = (),
     ) -> None:
         self.camera, self.actuator, self.limits = camera, actuator, limits
+        self._emulated = frozenset(emulated)
         self.setup, self.clock = setup, clock
         self.mm = setup.metres / MM  # millimetres per length unit of the spec
         self.guard = Guard(guard_rules(setup, limits, actuator.individual))
@@ -105,6 +108,12 @@ class Rig:
     def left(self) -> list[int]:
         """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
+
+    @property
+    def emulated(self) -> tuple[str, ...]:
+        """The devices that are not real, as the plant or they themselves say: "camera"."""
+        said = {"camera": self.camera.check().emulated, "actuator": self.actuator.check().emulated}
+        return tuple(name for name in said if said[name] or name in self._emulated)
 
     def not_tracked(self, i: int) -> str:
         """Return a line that says that robot i is not tracked and, if known, why."""

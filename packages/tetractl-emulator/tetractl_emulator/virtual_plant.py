@@ -50,8 +50,12 @@ class EmulatedPlantSection(RigSection):
         """Return what is real and what is emulated, by names; nothing if all is emulated."""
         if self.real is None:
             return {}
-        other = "actuator" if self.real == "camera" else "camera"
-        return {"real": self.real, EMULATED_DEVICES: other}
+        return {"real": self.real, EMULATED_DEVICES: ", ".join(self.emulated_devices)}
+
+    @property
+    def emulated_devices(self) -> tuple[str, ...]:
+        """The names of the devices that are not real."""
+        return tuple(name for name in ("camera", "actuator") if name != self.real)
 
     def clock(self) -> Clock:
         """Return a clock in virtual time, or in real time if a device is real."""
@@ -122,7 +126,8 @@ class EmulatedPlantSection(RigSection):
             actuator = TwinActuator(self.actuator.build(setup, clock), actuator)
         live = isinstance(clock, LiveClock)
         devices = camera, actuator, self.limits, setup, clock
-        rig = Rig(*devices, watched.emergency, wake, threaded=live)
+        emulated = self.emulated_devices
+        rig = Rig(*devices, watched.emergency, wake, threaded=live, emulated=emulated)
         if live:
             rig.after_close(clock.start())
         else:

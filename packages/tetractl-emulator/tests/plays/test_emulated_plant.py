@@ -10,12 +10,14 @@ from support.lab_processes import SPEC, flags
 from support.paths import EXAMPLES, ROOT
 from tetractl_emulator import firmware
 
+from tetractl.core.commands import Health
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 pytestmark = pytest.mark.slow
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 DISH = EXAMPLES / "tetrahymena_dish.yaml"
+LINES = "{type: twist, port: p, robots: [{name: green}, {name: blue}, {name: red}]}"
 SMALL = flags((*(one for one in FEW_STEPS if not one.startswith("lab")), "controller.deadline=60"))
 
 
@@ -61,6 +63,22 @@ def test_a_spec_of_the_emulated_plant_drives_the_lab_only_where_that_is_asked_fo
     spec.write_text(text)
     done = tetractl(tmp_path, "run", spec, "--plant", "lab", "--yes")
     assert (done.returncode, "there is no such port" in done.stderr) == (1, True)
+
+
+def test_an_emulated_plant_says_so_for_a_camera_that_does_not(tmp_path, monkeypatch):
+    """A camera of one's own need not say that it is emulated: the plant knows."""
+    silent = "tetractl.lab.cameras.optitrack.camera.OptitrackCamera.check"
+    monkeypatch.setattr(silent, lambda camera: Health())
+    own = (*SMALL, *flags((f"lab.actuator={LINES}",)))
+    ran = run(tmp_path, "out", "--trials", "1", *own).ok()
+    assert "three-m3pi-lab, emulated lab: " in ran.stdout
+    assert read_result(tmp_path / "out" / "trial-000.mcap").origin.value == "emulated lab"
+    check = ("lab", "check", SPEC, "--plant", "emulated", *own)
+    assert "emulated: camera, actuator" in tetractl(tmp_path, *check).ok().stdout
+    words = ("lab", "calibrate", SPEC, "--plant", "emulated", "--robot", "green", *own)
+    done = tetractl(tmp_path, *words).ok()
+    assert "emulated: camera, actuator" in (tmp_path / "calibration.yaml").read_text()
+    assert "calibration.yaml, of an emulated camera and actuator" in done.stderr
 
 
 def test_what_cannot_be_emulated_is_one_line(tmp_path):

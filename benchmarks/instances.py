@@ -103,7 +103,7 @@ class Arm:
     entered: int
     left: int
     seconds: float
-    cpu_s: float
+    solving_s: float
     digest: str
 
 
@@ -113,10 +113,10 @@ def arms(folder: Path) -> list[Arm]:
     for row in _read(folder / "trials.csv"):
         if row["counted"] == "true":
             rows.setdefault(row["arm"], []).append(row)
-    spent: dict[str, list[float]] = {}
+    step_ms: dict[str, list[float]] = {}
     for row in _read(folder / "times.csv"):
-        spent.setdefault(row["arm"], []).append(float(row["cpu_s"]))
-    return [_arm(name, found, spent[name]) for name, found in rows.items()]
+        step_ms.setdefault(row["arm"], []).append(float(row["solve_mean_ms"]))
+    return [_arm(name, found, step_ms[name]) for name, found in rows.items()]
 
 
 def _read(path: Path) -> list[dict[str, str]]:
@@ -124,7 +124,7 @@ def _read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def _arm(name: str, rows: list[dict[str, str]], cpu_s: list[float]) -> Arm:
+def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
     column = next(key for key in rows[0] if key.startswith("total_error_"))
     every = "".join(row["content_digest"] for row in rows)
     return Arm(
@@ -134,7 +134,7 @@ def _arm(name: str, rows: list[dict[str, str]], cpu_s: list[float]) -> Arm:
         sum(row["entered_obstacle"] == "true" for row in rows),
         sum(row["outside_arena"] == "true" for row in rows),
         float(np.mean([float(row["duration_s"]) for row in rows])),
-        float(np.mean(cpu_s)),
+        float(np.mean([float(row["steps"]) for row in rows]) * np.mean(step_ms)) / 1e3,
         hashlib.sha256(every.encode()).hexdigest()[:12],
     )
 
@@ -150,7 +150,7 @@ HEAD = (
     "entered",
     "left the arena",
     "trial [s]",
-    "CPU [s]",
+    "solving [s]",
     "digest",
 )
 
@@ -175,7 +175,7 @@ def table(found: Sequence[Arm]) -> list[str]:
             _share(arm.entered, n),
             _share(arm.left, n),
             f"{arm.seconds:.1f}",
-            f"{arm.cpu_s:.2f}",
+            f"{arm.solving_s:.2f}",
             f"`{arm.digest}`",
         ]
         lines.append(f"| {' | '.join(cells)} |")

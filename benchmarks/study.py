@@ -2,12 +2,12 @@
 
 Run `python benchmarks/study.py` on an idle machine. Each round runs every case once, one after
 another, so that cases are compared within a round. A rate is that of the trials after the first
-ones, which also wait for processes to start. CPU time depends less on what else the machine does:
-that of a trial is what its worker spends from its start to its end, that elsewhere is what this
-process spends on handing trials out and storing rows.
+ones, which also wait for processes to start. CPU time is that of
+this process, and depends less on what else the machine does.
 """
 
 import argparse
+import math
 import statistics
 import tempfile
 import time
@@ -23,10 +23,10 @@ from tetractl.study.options import Logs, lacking
 
 ROOT = Path(__file__).parents[1]
 CASES = {
-    "1 process, all logs": (1, "all"),
-    "1 process, no logs": (1, "none"),
-    "2 processes, all logs": (2, "all"),
-    "2 processes, no logs": (2, "none"),
+    "1 process, whole logs": (1, "all"),
+    "1 process, brief logs": (1, "none"),
+    "2 processes, whole logs": (2, "all"),
+    "2 processes, brief logs": (2, "none"),
 }
 
 
@@ -47,12 +47,11 @@ class Clocked:
 
 
 class Measured(NamedTuple):
-    """Whole trials a minute, and CPU time a trial [ms]: in the trial, and elsewhere in here; the
-    longest control step of a trial, which is its first plan [ms], and the share of a trial's CPU
-    time that is none of its control steps'."""
+    """Whole trials a minute; CPU time a trial of this process [ms]; the longest control step of a
+    trial, which is its first plan [ms], and the share of the CPU time that is none of the control
+    steps', NaN if they are taken elsewhere."""
 
     rate: float
-    trial_ms: float
     here_ms: float
     first_ms: float
     outside: float
@@ -72,16 +71,13 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
             run_batch(tasks, store, executor, clocked)
             here_s = time.process_time() - before_s
         first = 2 * jobs
-        rows = list(store.batches[loaded.arms[0].name].rows.values())
-        used_s = [row.cpu_s for row in rows]
-        first_ms = [1e-6 * max(row.result.solve_ns) for row in rows]
-        solved_s = sum(1e-9 * sum(row.result.solve_ns) for row in rows)
+        found = list(store.batches[loaded.arms[0].name].results.values())
+        first_ms = [1e-6 * max(trial.result.solve_ns) for trial in found]
+        solved_s = sum(1e-9 * sum(trial.result.solve_ns) for trial in found)
     took_s = clocked.ends_s[-1] - clocked.ends_s[first - 1]
-    if jobs == 1:
-        here_s -= sum(used_s)
     rate = 60 * (trials - first) / took_s
-    trial_ms, outside = 1e3 * statistics.median(used_s), 1 - solved_s / sum(used_s)
-    return Measured(rate, trial_ms, 1e3 * here_s / trials, statistics.mean(first_ms), outside)
+    outside = 1 - solved_s / here_s if jobs == 1 else math.nan
+    return Measured(rate, 1e3 * here_s / trials, statistics.mean(first_ms), outside)
 
 
 def main() -> None:
@@ -97,13 +93,13 @@ def main() -> None:
             found[name].append(measure(asked.spec.resolve(), asked.trials, jobs, logs))
     print(f"{asked.spec.name}, {asked.rounds} rounds of {asked.trials} trials, median (range)")
     for name, values in found.items():
-        rates, trial_ms, here_ms, first_ms, outside = map(list, zip(*values, strict=True))
+        rates, here_ms, first_ms, outside = map(list, zip(*values, strict=True))
         print(
-            f"{name:22} {_span(rates, 0)} trials a minute, CPU {_span(trial_ms, 0)} ms a trial,"
-            f" {_span([100 * share for share in outside], 0)} % of it outside the solver, and"
-            f" {_span(here_ms, 1)} ms elsewhere; first plan {_span(first_ms, 1)} ms on average"
+            f"{name:23} {_span(rates, 0)} trials a minute, CPU here {_span(here_ms, 1)} ms a trial,"
+            f" {_span([100 * share for share in outside], 0)} % of it outside the solver;"
+            f" first plan {_span(first_ms, 1)} ms on average"
         )
-    for logs in ("all logs", "no logs"):
+    for logs in ("whole logs", "brief logs"):
         one, two = found[f"1 process, {logs}"], found[f"2 processes, {logs}"]
         gains = [b.rate / a.rate for a, b in zip(one, two, strict=True)]
         print(f"2 processes against 1, {logs}: {_span(gains, 2)}x")

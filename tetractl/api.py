@@ -165,8 +165,8 @@ def read_batch(*paths: str | Path) -> "Batch":
     """Read the results of trials, in about a millisecond per log; paths are logs, folders or
     patterns.
 
-    The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Trials of a study that
-    have no log are read from its rows. Raises UsageError for a path without a trial.
+    The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Raises UsageError for a
+    path without a trial.
     """
     from tetractl.results.open_batch import open_batch
 

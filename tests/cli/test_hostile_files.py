@@ -1,21 +1,16 @@
 """Tables, rows, specs and names from anybody: one line, within bounds, at every command."""
 
-import os
-import shutil
-
 import pytest
 from support import random_trials
 from support.cli import tetractl
 from support.mutate import rewrite, stating
 from support.running import QUICK
-from support.studies import SMALL, run, write
 
 from tetractl.core.table import table_files
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact
 from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import passes, tracks
-from tetractl.run import rows as log_rows
 
 pytestmark = pytest.mark.slow
 
@@ -75,47 +70,6 @@ def test_what_determines_nothing_is_told(tmp_path):
     (tmp_path / "commands.csv").write_text("time_s,direction_rad\n0,0\n0.1,0\n19,0\n")
     done = tetractl(tmp_path, "identify", "poses.csv", "commands.csv")
     assert done.returncode in (0, 2), done
-
-
-@pytest.fixture(scope="module")
-def study(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("study")
-    run(folder, SMALL)
-    return folder
-
-
-@pytest.fixture
-def rows(study, tmp_path):
-    """The rows of an arm of a study, which a test may spoil."""
-    shutil.copytree(study / "out", tmp_path / "out")
-    return tmp_path / "out" / "dead_time=0.1" / "trials.jsonl"
-
-
-@pytest.mark.parametrize("kind", ["folder", "fifo", "broken link"])
-def test_rows_that_are_no_file_are_told(kind, rows, tmp_path):
-    """Regression: their arm vanished without a word."""
-    rows.unlink()
-    made = {"folder": rows.mkdir, "fifo": lambda: os.mkfifo(rows)}
-    made.get(kind, lambda: rows.symlink_to("nowhere"))()
-    refused(tetractl(tmp_path, "stats", "out"), "dead_time=0.1/trials.jsonl: is not a regular file")
-
-
-def test_a_study_does_not_wait_for_rows_that_are_a_fifo(rows, tmp_path):
-    rows.unlink()
-    os.mkfifo(rows)
-    write(tmp_path, SMALL)
-    done = tetractl(tmp_path, "study", "study.yaml", "--out", "out")
-    refused(done, "trials.jsonl: is not a regular file")
-
-
-def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
-    rows.write_text("[" * 20_000_000 + "\n" + rows.read_text())
-    assert "3 of 3 trials valid" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
-    monkeypatch.setattr(log_rows, "file_limit", lambda: 20_000_000)
-    done = tetractl(tmp_path, "stats", "out/dead_time=0.1")
-    (told,) = (line for line in done.stderr.splitlines() if line.startswith("damaged: "))
-    assert "trials.jsonl: contains 2000" in told and "more than tetractl reads" in told
-    assert done.returncode == 1
 
 
 @pytest.mark.parametrize("fact", ["{", "[1]", "1" * 400, "[1e300, 1, 1]"])

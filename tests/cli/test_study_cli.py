@@ -4,7 +4,7 @@ import csv
 import signal
 
 import pytest
-from support.studies import FAILING, Running, results, rows, tetractl, write
+from support.studies import FAILING, Running, logs, results, tetractl, write
 
 from tetractl.api import run_study
 from tetractl.log.read.reader import content_digest, read_result
@@ -77,13 +77,13 @@ def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
     out = tmp_path / "out"
     for already in (5, 20):
         with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
-            running.until_rows(out, already)
+            running.until_logs(out, already)
             running.process.send_signal(signal.SIGKILL)
             running.process.wait()
-        assert rows(out) < 40
+        assert logs(out) < 40
         assert not (out / "trials.csv").exists()
-    torn = next(out.glob("*/trials.jsonl"))
-    torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave a line
+    torn = next(out.glob("*/trial-*.mcap"))
+    torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave it
     done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path).ok()
     assert "40 of 40 to run" not in done.stderr
     assert results(out) == results(whole[0] / "out")
@@ -94,7 +94,7 @@ def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
     write(tmp_path)
     out = tmp_path / "out"
     with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
-        running.until_rows(out, 5)
+        running.until_logs(out, 5)
         running.process.send_signal(signal.SIGINT)
         assert running.end() == 130
     told = running.err.read_text().splitlines()
@@ -114,6 +114,6 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert "4 trials aborted" in done.stderr
     found = table(tmp_path / "out")
     assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
-    assert [bool(row["path"]) for row in found] == [True] * 4 + [False] * 4
-    for row in found[:4]:
-        assert content_digest(tmp_path / "out" / row["path"]) == row["content_digest"]
+    read = [read_result(tmp_path / "out" / row["path"]) for row in found]
+    assert [one.brief for one in read] == [False] * 4 + [True] * 4
+    assert [one.digest for one in read] == [row["content_digest"] for row in found]

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 import pytest
 from support.cli import process
 from support.running import PATIENCE_S, environment
-from support.studies import LONGER, SMALL, Running, results, rows, tetractl, write
+from support.studies import LONGER, SMALL, Running, logs, results, tetractl, write
 
 from tetractl.log.read.reader import content_digest
 
@@ -73,10 +73,10 @@ def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path,
     with cluster(tmp_path) as (address, _, workers):
         args = ["study.yaml", "--out", out, "--cluster", address]
         with Running(tmp_path, *args) as running:
-            running.until_rows(out, 10)
+            running.until_logs(out, 10)
             workers[0].kill()
             assert running.end() == 0, running.err.read_text()
-    assert rows(out) == 96
+    assert logs(out) == 96
     assert results(out) == results(here)
     for path in sorted(out.rglob("*.mcap"))[::17]:
         assert content_digest(path) == content_digest(here / path.relative_to(out))
@@ -90,18 +90,18 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
     with cluster(tmp_path) as (address, scheduler, _):
         args = ("--out", out, "--cluster", address, "-q")
         with Running(tmp_path, "study.yaml", *args) as running:
-            running.until_rows(out, 10)
+            running.until_logs(out, 10)
             scheduler.kill()
             assert running.end() == 1
     assert running.err.read_text() == (
         f"error: {address}: the scheduler is gone; results so far are stored\n"
         "hint: start a scheduler, and give the same command with its address to continue\n"
     )
-    assert 10 <= rows(out) < 96
+    assert 10 <= logs(out) < 96
     with cluster(tmp_path) as (address, _, _):
         args = ("--out", out, "--cluster", address, "-q")
         tetractl("study", "study.yaml", *args, cwd=tmp_path).ok()
-    assert rows(out) == 96
+    assert logs(out) == 96
     assert results(out) == results(here)
 
 
@@ -133,14 +133,14 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypat
         done = tetractl("study", *args, address.replace("tls:", "tcp:"), cwd=tmp_path)
         assert done.returncode == 2
         assert "no Dask scheduler answers there" in done.stderr
-        assert rows(tmp_path / "there") == 0
+        assert logs(tmp_path / "there") == 0
         tls = "DASK_DISTRIBUTED__COMM__TLS__"
         for name, file in (("CA_FILE", ca), ("CLIENT__CERT", own), ("CLIENT__KEY", key)):
             monkeypatch.setenv(tls + name, file)
         done = process(
             tmp_path, "study", *args, address
         ).ok()  # Dask reads them when it is imported
-        assert rows(tmp_path / "there") == 6
+        assert logs(tmp_path / "there") == 6
 
 
 def test_an_address_without_a_scheduler_is_told(tmp_path):

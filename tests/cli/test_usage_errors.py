@@ -50,8 +50,6 @@ run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
 study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
-study study.yaml --trial many -o out | --trial many: must be ARM/N
-study study.yaml --trial dead_time=0.1/9 -o out | it has no row in
 stats nowhere | nowhere: no such file or folder
 stats empty | empty: no logs
 stats '' | an argument is empty | is a variable of the shell not set?
@@ -125,7 +123,7 @@ ROWS += [(1, row) for row in FAILED.strip().splitlines()]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with specs, good and bad, a study and its rows, three logs, and no log."""
+    """A folder with specs, good and bad, a study and its logs, three logs, and no log."""
     place = tmp_path_factory.mktemp("usage")
     write(place, SMALL)
     for words in (

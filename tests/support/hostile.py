@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.records import Attachment
-from support import commands, random_trials, studies
+from support import commands, random_trials
 from support.mutate import holder_of, places, rewrite
 from support.paths import ROOT
 from support.tampering import sim_log
@@ -24,7 +24,6 @@ from support.targets import files, mutant, scratch
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
-from tetractl.study.options import Logs
 
 SPARSE = 60  # one input in so many is given to a slow command
 BOMBS = 150  # one text in so many is large
@@ -146,7 +145,7 @@ def _spoilt_entry(entry: Entry, rng: random.Random) -> Entry:
 @cache
 def _texts() -> list[tuple[Path, dict[Path, list[bytes]], tuple[str, ...]]]:
     """What commands are given, the files of it that are spoilt, with good texts, and who reads."""
-    tables, identified, specs, own = map(_folder, ("tables", "identified", "specs", "study"))
+    tables, identified, specs = map(_folder, ("tables", "identified", "specs"))
     times, specs_of = [k / 20 for k in range(60)], ROOT / "experiments"
     poses = [f"{t},r{i},{100 * t},{50 * i},{i / 9},True" for t in times for i in range(2)]
     poses = ["time_s,robot,x_mm,y_mm,heading_rad,valid", *poses, ""]
@@ -162,14 +161,11 @@ def _texts() -> list[tuple[Path, dict[Path, list[bytes]], tuple[str, ...]]]:
     )
     for base in specs_of.glob("*.yaml"):  # of the studies
         (scratch() / base.name).write_bytes(base.read_bytes())
-    studies.run(own, studies.SMALL, logs=Logs(0, False))
-    rows = own / "out" / "dead_time=0.1" / "trials.jsonl"
     spec, study = specs / "spec.yaml", specs / "study.yaml"
     return [
         (tables, {tables / "poses.csv": ["\n".join(poses).encode()],
                   tables / "steps.csv": ["\n".join(sent).encode()]}, ("identify tables",)),
         (identified / "spec.yaml", {identified / "m.yaml": [measured.encode()]}, ("validate",)),
-        (own, {rows: [rows.read_bytes()]}, commands.STUDIES),
         (spec, {spec: files(specs_of)()}, commands.SPECS),
         (study, {study: files(specs_of / "studies")()}, commands.STUDY_FILES),
     ]  # fmt: skip

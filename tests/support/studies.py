@@ -8,7 +8,7 @@ from support.running import QUICK, Started
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.study.arm_table import counted_rows, write_tables
+from tetractl.study.arm_table import finished_trials, write_tables
 from tetractl.study.load_study import load_study
 from tetractl.study.options import Logs, lacking
 
@@ -48,9 +48,9 @@ def tetractl(*args, cwd, env=None):
     return cli.tetractl(cwd, *args, env=env)
 
 
-def rows(out):
-    """Number of rows that a study's folder holds."""
-    return sum(path.read_bytes().count(b"\n") for path in out.glob("*/trials.jsonl"))
+def logs(out):
+    """Number of finished logs that a study's folder holds."""
+    return len([path for path in out.glob("*/trial-*.mcap") if ".attempt-" not in path.name])
 
 
 def results(out):
@@ -65,19 +65,19 @@ class Running(Started):
     def __init__(self, cwd, *args):
         super().__init__(cwd, "study", *args)
 
-    def until_rows(self, out, count):
-        self.until(lambda: rows(out) >= count)
+    def until_logs(self, out, count):
+        self.until(lambda: logs(out) >= count)
 
 
 def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     """Run a study in this process; return the study, its store and what became of the trials."""
     loaded = load_study(write(folder, study, spec))
     store = loaded.store(folder / out)
-    logs = options.get("logs", Logs(0, False))
+    whole = options.get("logs", Logs(0, False))
     watcher = Watcher()
     with store.opened():
         rerun_outdated = options.get("rerun_outdated", False)
-        tasks, outdated = lacking(loaded, store, logs, rerun_outdated)
+        tasks, outdated = lacking(loaded, store, whole, rerun_outdated)
         executor = options.get("executor") or on_this_machine(
             options.get("jobs", 1), len(tasks), Interrupt()
         )
@@ -95,9 +95,10 @@ class Ran(NamedTuple):
     watcher: Any
 
     @property
-    def rows(self):
-        """Rows by arm and trial."""
-        return {(arm.name, row.trial): row for arm, row in counted_rows(self.loaded, self.store)}
+    def finished(self):
+        """Results by arm and trial."""
+        found = finished_trials(self.loaded, self.store)
+        return {(arm.name, trial.trial): trial for arm, trial in found}
 
     @property
     def counts(self):

@@ -45,11 +45,12 @@ def rerun(
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
-    from tetractl.log.read.reader import read_trial
+    from tetractl.log.read.reader import trial_of
+    from tetractl.log.read.salvage import scan
     from tetractl.run.task import log_path
 
     log = find_log(log)
-    trial = read_trial(log)
+    trial = trial_of(scan(log))
     how = RunOptions(out, 1, False, dry_run, quiet, yes, wanted_port(serve, port), json, unattended)
     number = trial.start.trial
     code, folder = run_command(_recorded(trial, plant, sets or ()), how, number)
@@ -110,7 +111,7 @@ def _compare(log: Path, again: Path) -> int:
         one, two = (names.get(plant.type, plant.type) for plant in plants)
         ui.tell(f"the log is {one}, the new one {two}: the two are not compared")
         return Exit.DONE
-    one, two = was.digests.content, is_now.digests.content
+    one, two = was.content_digest, is_now.content_digest
     if one == two:
         ui.tell(f"the content digests agree: {one}")
         return Exit.DONE

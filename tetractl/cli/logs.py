@@ -66,6 +66,8 @@ def _lines(found: "Overview") -> Iterator[str]:
     digests = stated | {"computed": found.digest}
     if found.stated_digest == found.digest:
         digests = {"stated and computed": found.digest}
+    if found.brief:
+        digests = {"of the whole log": found.digest}
     yield from _section("content digest", _aligned(digests))
     if found.damage:
         lost = (f"lost: {lost}" for lost in found.damage.lost)

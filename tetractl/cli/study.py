@@ -29,25 +29,22 @@ def study(
         int | None,
         option("N", "Number of trials run at a time, each in its own process. [processors]", min=1),
     ] = None,
-    logs: Annotated[str, option("all|failed|sample:N|none", "Trials whose logs are kept.")] = "all",
+    logs: Annotated[
+        str,
+        option("all|failed|sample:N|none", "Trials whose logs are whole, not brief."),
+    ] = "all",
     fail_fast: Annotated[
         bool, switch("Stop at the first trial that fails.", "--fail-fast")
     ] = False,
     rerun_outdated: Annotated[
         bool,
         switch(
-            "Run again the trials whose rows were written by another version of the code.",
+            "Run again the trials that another version of the code has run.",
             "--rerun-outdated",
         ),
     ] = False,
     cluster: Annotated[
         str | None, option("ADDRESS", "Run on the Dask cluster with the scheduler at this address.")
-    ] = None,
-    trial: Annotated[
-        str | None,
-        option(
-            "ARM/N", "Run one trial again, write its log, and compare the log with the trial's row."
-        ),
     ] = None,
     dry_run: Annotated[
         bool,
@@ -85,9 +82,6 @@ def study(
         print_tables([options.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
-        if trial is not None:
-            print(options.repeat(loaded, store, trial))
-            return Exit.DONE
         tasks, outdated = options.lacking(loaded, store, rule, rerun_outdated)
         if outdated:
             named = [f"{name} ({n})" for name, n in outdated.items()]
@@ -119,16 +113,16 @@ def _conclude(loaded: "LoadedStudy", store: "Store", stopped: bool) -> int:
     """Write tables and figures; print the errors and the number of missing trials; return the exit
     code.
     """
-    from tetractl.study.arm_table import arms_table, counted_rows, write_tables
+    from tetractl.study.arm_table import arms_table, finished_trials, write_tables
     from tetractl.study.figure import write_figures
 
-    rows = [row for _, row in counted_rows(loaded, store)]
-    if rows:
+    finished = [trial for _, trial in finished_trials(loaded, store)]
+    if finished:
         paths = [*write_tables(loaded, store), *write_figures(loaded, store)]
         print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
     wanted = len(loaded.arms) * loaded.study.trials.count
-    lacking, aborted = wanted - len(rows), sum(not row.outcome.complete for row in rows)
+    lacking, aborted = wanted - len(finished), sum(not t.outcome.complete for t in finished)
     if aborted:
         ui.tell(f"{aborted} trials aborted")
     if lacking > 0:

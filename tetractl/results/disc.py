@@ -40,12 +40,12 @@ def _of_log(log: Path, digest: str | None) -> Sequence[float]:
 
 
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:
-    """Return the diameter of each robot's disc; None without a log or a complete hold."""
+    """Return the diameter of each robot's disc; None without a whole log or a complete hold."""
     hold, log = trial.experiment.hold, Path(trial.path)
     if hold is None or hold.time <= SETTLING_S:
         return {}
     names = trial.experiment.setup.names
-    known = trial.outcome.complete and log.suffix == ".mcap" and log.is_file()
+    known = trial.outcome.complete and not trial.brief
     found = _of_log(log, trial.digest) if known else [None] * len(names)
     return {f"disc_{name}": one for name, one in zip(names, found, strict=True)}
 

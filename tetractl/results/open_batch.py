@@ -1,8 +1,7 @@
-"""Opens batches: reads each trial's result once, from its log or its row in a study."""
+"""Opens batches: reads each trial's result once, from its log."""
 
 import json
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,17 +9,16 @@ from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.find import ROWS, find_logs, find_rows, is_set_aside, without_others
+from tetractl.log.read.find import find_logs, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.run.rows import row_results
 
 OnLog = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log without a readable trial, or a damaged row: where it is, and what is wrong."""
+    """A log without a readable trial: where it is, and what is wrong."""
 
     path: str
     problem: str
@@ -36,8 +34,8 @@ class Batch:
     """Trials that form one batch.
 
     `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete while a
-    complete log of the trial exists. `damaged` are logs and rows without a readable trial,
-    including attempts. The path of a trial read from a row is the row's file and line.
+    complete log of the trial exists. `damaged` are logs without a readable trial, including
+    attempts.
     """
 
     trials: tuple[ResultSummary, ...]
@@ -63,12 +61,12 @@ class Batch:
 
     @property
     def logs(self) -> list[Path]:
-        """The paths of the trials that were read from logs, not from rows."""
-        return [Path(trial.path) for trial in self.trials if f"{ROWS}:" not in trial.path]
+        """The paths of the trials whose logs are whole."""
+        return [Path(trial.path) for trial in self.trials if not trial.brief]
 
     @property
     def lost(self) -> tuple[Damaged, ...]:
-        """Damaged logs and rows, whose trials are missing in the batch."""
+        """Damaged logs, whose trials are missing in the batch."""
         return tuple(log for log in self.damaged if not log.set_aside)
 
     @property
@@ -78,7 +76,7 @@ class Batch:
 
     @property
     def whole(self) -> bool:
-        """Whether no log or row of the batch is damaged; attempts are ignored."""
+        """Whether no log of the batch is damaged; attempts are ignored."""
         return not self.lost and not any(trial.recovered for trial in self.trials)
 
 
@@ -94,36 +92,33 @@ def counts(trial: ResultSummary) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The files of a batch that is called `name`: logs, and files with the rows of a study."""
+    """The logs of a batch that is called `name`."""
 
     name: str
     logs: Sequence[Path]
-    rows: Sequence[Path] = ()
 
     @classmethod
     def of(cls, paths: Sequence[Path | str]) -> "Source":
-        """Return the files that logs, folders and patterns name, including earlier attempts.
+        """Return the logs that files, folders and patterns name, including earlier attempts.
 
         Raises UsageError for a path without a trial.
         """
         places = [Path(path) for path in paths]
-        kept = {place: found for place in places if (found := find_rows(place))}
-        logs = find_logs(places, attempts=True, bare=kept)
+        logs = find_logs(places, attempts=True)
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
         name = str(paths[0]) if any(c in str(paths[0]) for c in "*?[") else places[0].resolve().name
-        return cls(name + more, logs, [file for found in kept.values() for file in found])
+        return cls(name + more, logs)
 
     def by_arm(self, folder: Path) -> "list[Source]":
         """Return a source per folder in `folder` if all trials are in several of these, such as the
         arms of a study, otherwise this source.
         """
-        rows = {file.parent: [file] for file in self.rows}
-        logs: dict[Path, list[Path]] = {arm: [] for arm in rows}
+        logs: dict[Path, list[Path]] = {}
         for log in self.logs:
             logs.setdefault(log.parent, []).append(log)
         if len(logs) < 2 or any(arm.parent != folder for arm in logs):
             return [self]
-        return [Source(arm.name, found, rows.get(arm, ())) for arm, found in logs.items()]
+        return [Source(arm.name, found) for arm, found in logs.items()]
 
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
         """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
@@ -135,14 +130,12 @@ class Source:
             except LogError as error:
                 damaged.append(Damaged(str(log), error.message.removeprefix(f"{log}: ")))
             on_log(done, len(self.logs))
-        _add_unlogged(self.rows, trials, damaged)
         return Batch.of(trials, damaged)
 
 
 def open_batch(paths: Sequence[Path | str]) -> Batch:
-    """Read the results of the logs in files, folders and patterns, and of the trials of a study
-    that have no log from its rows; UsageError for a path without a trial.
-    """
+    """Read the results of the logs in files, folders and patterns; UsageError for a path without a
+    trial."""
     return Source.of(paths).read()
 
 
@@ -155,7 +148,7 @@ def sources(paths: Sequence[str]) -> list[Source]:
     if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
         found = [one_source([path]) for path in paths]
         if len({source.name for source in found}) < len(found):
-            found = [Source(path, s.logs, s.rows) for path, s in zip(paths, found, strict=True)]
+            found = [Source(path, s.logs) for path, s in zip(paths, found, strict=True)]
         return found
     return Source.of(paths).by_arm(Path(paths[0])) if len(paths) == 1 else [one_source(paths)]
 
@@ -170,43 +163,6 @@ def one_source(paths: Sequence[str]) -> Source:
         if (count := len(listed.by_arm(folder))) > 1:
             raise UsageError(f"{folder}: holds {count} batches", "name the folder of each")
     return source
-
-
-def _add_unlogged(
-    files: Iterable[Path], trials: list[ResultSummary], damaged: list[Damaged]
-) -> None:
-    """Add the trials in a study's files of rows to `trials`, unless their logs were read.
-
-    A log takes precedence over the row of its trial, unless the end of the log is lost: then the
-    log counts as damaged and the row is used. Logs that were set aside are attempts and do not
-    replace a row.
-    """
-    logs: dict[tuple[Path, int], list[ResultSummary]] = defaultdict(list)
-    for trial in trials:
-        path = Path(trial.path)
-        if not is_set_aside(path.name):
-            logs[path.parent.resolve(), trial.trial].append(trial)
-    for file in {file.resolve(): file for file in files}.values():
-        try:
-            rows = row_results(file)
-        except LogError as error:
-            damaged.append(Damaged(str(file), error.message.removeprefix(f"{file}: ")))
-            continue
-        lost = 0
-        for number, row in rows.items():
-            logged = logs[file.parent.resolve(), number]
-            if row is None:
-                lost += not logged
-            elif all(log.recovered and not log.outcome.complete for log in logged):
-                trials.append(row)
-                for log in logged:
-                    trials.remove(log)
-                    damaged.append(
-                        Damaged(log.path, f"the log's end is lost; result read from {row.path}")
-                    )
-        if lost:
-            problem = f"{lost} trials have neither a readable log nor a readable row"
-            damaged.append(Damaged(str(file), f"{problem}; the study runs them again"))
 
 
 _BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not change a trial

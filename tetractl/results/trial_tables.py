@@ -23,7 +23,7 @@ from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import OF_ESTIMATE, STOP_REASON_MAX
 from tetractl.log.format.tetractl_pb2 import StepTiming
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.reader import result_of, trial_of, written
+from tetractl.log.read.reader import result_of, trial_of, whole, written
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.log.read.validate import check_counts
@@ -181,6 +181,8 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
     contents, found = scan(path), dict[str, Table]()
     if "trials" in names:
         found["trials"] = trials_table(Batch.of([result_of(contents)]))
+    if any(name in names for name in OF_TRIAL):
+        whole(contents)
     log = trial_of(contents, 1)
     for name, table in OF_TRIAL.items():
         if name in names:

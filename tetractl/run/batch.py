@@ -71,7 +71,7 @@ def run_batch(
     observer: RunObserver,
     fail_fast: bool = False,
 ) -> Report:
-    """Run trials and store their logs and records.
+    """Run trials and store their logs.
 
     With `fail_fast` the first trial that is aborted or has no outcome ends the run. Raises
     OtherCodeError if the code on a worker differs from that of this process.
@@ -91,7 +91,7 @@ def run_batch(
                 executor.end()
                 raise found
             if isinstance(found, Finished):
-                store.add(task, found)
+                store.add(*task.key)
                 report.results[task.key] = result = found.result
                 spent_s, timed = spent_s + found.wall_s, timed + 1
                 if result.outcome is Outcome.ABORTED:

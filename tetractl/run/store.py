@@ -1,27 +1,24 @@
-"""The folder of a run: its lock, the logs and rows of its trials, and which trials are missing.
+"""The folder of a run: its lock, the logs of its trials, and which trials are missing.
 
 A batch is a folder with the logs of the trials of one experiment. A study is a folder of batches,
-its arms, in which each trial also has a row, with or without a log.
+its arms.
 """
 
 import itertools
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from tetractl.core.errors import LogError, UsageError, printable
-from tetractl.core.files import save_whole
+from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import arm_hash, resolved_yaml
-from tetractl.log.format.channels import RESOLVED_SPEC, TEXT
-from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, ROWS, SUFFIX, attempt_name
+from tetractl.experiment.load import arm_hash
+from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
+from tetractl.log.read.trial_log import ResultSummary
 from tetractl.run.folder_lock import locked, make_folder
-from tetractl.run.rows import Row, cut_to_lines, read_rows, simulated
-from tetractl.run.task import Finished, Task, log_path
+from tetractl.run.task import code_of, log_path
 
 
 def default_folder(name: str, now: datetime) -> Path:
@@ -30,119 +27,69 @@ def default_folder(name: str, now: datetime) -> Path:
 
 
 class BatchFolder:
-    """The folder of the trials of one experiment; `rows` are its finished trials by number.
+    """The folder of the trials of one experiment; `results` are those of its finished trials by
+    number.
 
-    A trial is finished if it has a row in the file of rows, or a complete log: then its row is made
-    from the log. All others are run, by `run --resume` as by a study. With `code`, the hash of the
-    code that runs the trials, each trial that is added leaves a row; without, its log is its only
-    record.
+    A trial is finished if its log, whole or brief, is complete: if the trial was not interrupted
+    and, unless this very code would abort it again, not aborted. All others are run, by
+    `run --resume` as by a study.
     """
 
-    def __init__(self, folder: Path, experiment: Experiment, code: str = "") -> None:
-        self.folder, self.experiment, self.code = folder, experiment, code
-        self.hash = arm_hash(experiment)
-        self.rows: dict[int, Row] = {}
-        self._spec_written = False
+    def __init__(self, folder: Path, experiment: Experiment) -> None:
+        self.folder, self.experiment = folder, experiment
+        self.code, self.hash = code_of(experiment), arm_hash(experiment)
+        self.results: dict[int, ResultSummary] = {}
 
     @property
     def lacking(self) -> list[int]:
         """The numbers of the trials that are not finished."""
-        return [n for n in range(self.experiment.trials.count) if n not in self.rows]
+        return [n for n in range(self.experiment.trials.count) if n not in self.results]
 
     @property
     def outdated(self) -> list[int]:
         """The numbers of the finished trials that another version of the code has run."""
-        count = self.experiment.trials.count
-        return [n for n, row in self.rows.items() if n < count and row.code != self.code]
+        return [n for n, found in self.results.items() if found.code != self.code]
 
-    def read(self, mend: bool = False) -> None:
-        """Read which trials are finished; damaged rows, and logs that are damaged or incomplete, do
-        not count.
+    def read(self) -> None:
+        """Read which trials are finished; logs that are damaged or incomplete do not count.
 
-        With `mend` the file of rows is cut after its last complete line, which a killed process may
-        have left. Raises UsageError if trials are of another spec or seed (only their number may
-        differ), LogError if the rows cannot be read.
+        Raises UsageError if trials are of another spec or seed (only their number may differ).
         """
-        path = self.folder / ROWS
-        self.rows = {}
-        if path.exists():
-            if mend:
-                cut_to_lines(path)
-            found = read_rows(path, self.experiment)
-            self.rows = {trial: row for trial, row in found.items() if row is not None}
-            for row in self.rows.values():
-                self._check(row.path, row.arm_hash)
-            if mend and self.rows:
-                self.prepare()
-        for trial in self.lacking:
-            if (row := self._of_log(log_path(self.folder, trial))) is not None:
-                self.rows[trial] = row
+        self.results = {}
+        for trial in range(self.experiment.trials.count):
+            self.read_trial(trial)
 
-    def _of_log(self, path: Path) -> Row | None:
-        """Return the row of a complete log; None for any other, and if there is none."""
+    def read_trial(self, trial: int) -> None:
+        """Read whether a trial is finished, with the errors of `read`."""
+        path = log_path(self.folder, trial)
         if not path.exists():
-            return None
+            return
         try:
             found = read_result(path)
         except LogError:
-            return None
+            return
+        self._check(found)
+        if self._finished(found):
+            self.results[trial] = found
+
+    def _finished(self, found: ResultSummary) -> bool:
+        aborts_again = (
+            found.outcome is Outcome.ABORTED
+            and found.code == self.code
+            and not self.experiment.plant.real_time
+        )
+        return not found.recovered and (found.outcome.complete or aborts_again)
+
+    def _check(self, found: ResultSummary) -> None:
         experiment = found.experiment
         if self.experiment.open:  # each trial chose its own robots
             own = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
             experiment = experiment.model_copy(update=own)
-        self._check(str(path), arm_hash(experiment))
-        return Row.of(found, self.hash) if found.outcome.complete and not found.recovered else None
-
-    def _check(self, place: str, known_by: str) -> None:
-        if known_by != self.hash:
+        if arm_hash(experiment) != self.hash:
             raise UsageError(
-                f"{place}: was run with another spec or seed",
+                f"{found.path}: was run with another spec or seed",
                 "name another folder with --out, or give the spec and seed of this trial",
             )
-
-    def prepare(self) -> None:
-        """Create the folder; if its trials leave rows, with the spec, by which rows are read."""
-        if self.code and not self._spec_written:
-            make_folder(self.folder)
-            save_whole(self.folder / RESOLVED_SPEC, resolved_yaml(self.experiment).encode())
-            self._spec_written = True
-
-    def add(self, task: Task, finished: Finished) -> None:
-        """Store the record of a finished trial. A study's trial that was interrupted leaves neither
-        row nor log."""
-        if not self.code:
-            return
-        if finished.result.outcome is Outcome.INTERRUPTED:
-            log_path(self.folder, task.trial).unlink(missing_ok=True)
-            return
-        result = finished.result
-        row = Row(
-            **simulated(self.experiment),
-            path=str(self.folder / ROWS),
-            trial=task.trial,
-            arm_hash=self.hash,
-            code=self.code,
-            processor=finished.processor,
-            digest=finished.digest,
-            count=task.count,
-            logged=finished.logged,
-            wall_s=finished.wall_s,
-            cpu_s=finished.cpu_s,
-            warnings=finished.warnings,
-            result=replace(result, reason=printable(result.reason, TEXT)),
-        )
-        self.add_row(row)
-
-    def add_row(self, row: Row) -> None:
-        """Add a row, in memory and, as one line, on disk."""
-        self.prepare()
-        self.rows[row.trial] = row
-        path = self.folder / ROWS
-        try:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(row.line())
-        except OSError as error:
-            raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 class Store:
@@ -155,7 +102,7 @@ class Store:
 
     @classmethod
     def of_batch(cls, folder: Path, experiment: Experiment) -> "Store":
-        """Return the store of a batch, whose logs are its only record."""
+        """Return the store of a batch."""
         return cls(folder, {"": BatchFolder(folder, experiment)})
 
     @property
@@ -171,23 +118,23 @@ class Store:
         """
         self._check(resume)  # checked first, so that a refused run creates no folder
         with locked(self.folder):
-            self.read(resume, mend=True)
+            self.read(resume)
             yield
 
-    def read(self, resume: bool = True, mend: bool = False) -> None:
+    def read(self, resume: bool = True) -> None:
         """Read which trials are finished, with the errors of `BatchFolder.read`.
 
         Raises UsageError for a folder with trials unless they are to `resume`.
         """
         self._check(resume)
         for batch in self.batches.values():
-            batch.read(mend)
+            batch.read()
 
     def _check(self, resume: bool) -> None:
         if self.folder.exists() and not self.folder.is_dir():
             raise UsageError(f"{self.folder}: not a folder", "name another with --out")
         names = () if resume or not self.folder.exists() else self.folder.iterdir()
-        if any(path.name.endswith((SUFFIX, LOG_PART, ROWS)) for path in names):
+        if any(path.name.endswith((SUFFIX, LOG_PART)) for path in names):
             raise UsageError(
                 f"{self.folder}: holds logs already",
                 "name another folder with --out, or add --resume",
@@ -196,14 +143,14 @@ class Store:
     def place(self, arm: str, trial: int) -> Path:
         """Rename logs of earlier attempts of a trial, as `set_aside` does; return the folder for
         its log."""
-        batch = self.batches[arm]
-        batch.prepare()
-        set_aside(batch.folder, trial)
-        return batch.folder
+        folder = self.batches[arm].folder
+        make_folder(folder)
+        set_aside(folder, trial)
+        return folder
 
-    def add(self, task: Task, finished: Finished) -> None:
-        """Store the record of a finished trial."""
-        self.batches[task.arm].add(task, finished)
+    def add(self, arm: str, trial: int) -> None:
+        """Read the log of a trial that has ended."""
+        self.batches[arm].read_trial(trial)
 
 
 def set_aside(folder: Path, trial: int) -> None:

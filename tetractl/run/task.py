@@ -1,4 +1,4 @@
-"""Runs one trial for an executor, with its log, digest and result. A background thread calls the
+"""Runs one trial for an executor, with its log and result. A background thread calls the
 observers, so that a slow screen never delays the loop.
 """
 
@@ -23,11 +23,11 @@ from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.core.worker import Relay, Worker
 from tetractl.experiment.choosing import chosen_from, settled
+from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
-from tetractl.log.format.digest import LogDigests
-from tetractl.log.provenance import host, processor, trial_code
-from tetractl.log.write.encoder import Encoder
+from tetractl.log.provenance import trial_code
+from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
@@ -52,9 +52,9 @@ class ObserverRelay(Relay):
 class Task:
     """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
-    `spec` is the pickled LoadedSpec. The log is kept if `log` is true, or if `log_if_failed` is
-    true and the trial fails. With `digest`, the trial digest is computed. `code` is the hash, by
-    `code_of`, of the code with which the trial must be run, "" for any code.
+    `spec` is the pickled LoadedSpec. The log is whole if `log` is true, or if `log_if_failed` is
+    true and the trial fails; otherwise it is brief. `code` is the hash, by `code_of`, of the code
+    with which the trial must be run, "" for any code.
     """
 
     trial: int
@@ -63,7 +63,6 @@ class Task:
     arm: str = ""
     log: bool = True
     log_if_failed: bool = True
-    digest: bool = False
     code: str = ""
 
     @property
@@ -74,19 +73,10 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The result of a trial, its wall time `wall_s` and processor time `cpu_s`.
-
-    If the task requests a `digest`, three more fields are set: the `digest`, the number of messages
-    of the trial that are warnings or errors (`warnings`), and the type of the `processor`.
-    """
+    """The result of a trial, and its wall time [s]."""
 
     result: Result
-    logged: bool
     wall_s: float
-    cpu_s: float
-    digest: str = ""
-    warnings: int = 0
-    processor: str = ""
 
 
 class OtherCodeError(UsageError):
@@ -94,14 +84,14 @@ class OtherCodeError(UsageError):
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
-    """Return the tasks of a batch: trials of one spec, all with logs."""
+    """Return the tasks of a batch: trials of one spec, all with whole logs."""
     data, count = pickle.dumps(spec), spec.experiment.trials.count
     return [Task(trial, count, data) for trial in trials]
 
 
-def code_of(spec: LoadedSpec) -> str:
-    """Return the hash of the code that runs the trials of a spec on this machine."""
-    return trial_code(tuple(sorted(packages(spec.experiment).items())))
+def code_of(experiment: Experiment) -> str:
+    """Return the hash of the code that runs the trials of an experiment on this machine."""
+    return trial_code(tuple(sorted(packages(experiment).items())))
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
@@ -127,40 +117,37 @@ def run_task(
     observers: Sequence[Observer] = (),
     supervision: LabSupervision | None = None,
 ) -> Finished:
-    """Run a trial; a log that is kept is written to `folder`.
+    """Run a trial and write its log to `folder`; an interrupted trial has no brief log.
 
     Raises OtherCodeError if the code of this process is not the task's, and any error that leaves
     the trial without an outcome, such as a camera that does not answer. With `log_if_failed`, a
-    failed trial is run a second time, with the same result, to write its log.
+    failed trial is run a second time, with the same result, to write its whole log.
     """
     if task.log_if_failed and not task.log:
         with suppress(Exception):  # the repeated trial raises the same error
             finished = run_task(replace(task, log_if_failed=False), folder, interrupt)
             if finished.result.outcome is not Outcome.ABORTED:
                 return finished
+        log_path(folder, task.trial).unlink(missing_ok=True)  # the brief log
         task = replace(task, log=True)
     spec = _loaded(task.spec, task.code)
-    with ExitStack() as stack:
-        log = stack.enter_context(_log(spec, folder, task.trial)) if task.log else None
-        wall_s, cpu_s = time.perf_counter(), time.process_time()
-        records = LogDigests()
-        observer = log or (Encoder(records) if task.digest else None)
-        writers = [observer] if observer else []
-        result = run_with(writers, spec, task.trial, observers, interrupt, supervision)
-        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-    if not task.digest or observer is None:
-        return Finished(result, task.log, wall_s, cpu_s)
-    if log and log.failure:  # a trial interrupted by the failure has another digest
-        raise log.failure
-    digest = log.digest if log else records.stated().content
-    return Finished(result, task.log, wall_s, cpu_s, digest, observer.warnings, processor(host()))
+    began_s = time.perf_counter()
+    if task.log:
+        with _log(spec, folder, task.trial) as log:
+            result = run_with([log], spec, task.trial, observers, interrupt, supervision)
+    else:
+        brief = BriefLog()
+        result = run_with([brief], spec, task.trial, observers, interrupt)
+        if result.outcome is not Outcome.INTERRUPTED:
+            brief.save(log_path(folder, task.trial))
+    return Finished(result, time.perf_counter() - began_s)
 
 
 @lru_cache(maxsize=64)
 def _loaded(spec: bytes, code: str) -> LoadedSpec:
     """Return a task's spec after compiling its controller; cached by the pickled bytes."""
     loaded: LoadedSpec = pickle.loads(spec)
-    if code and code_of(loaded) != code:
+    if code and code_of(loaded.experiment) != code:
         raise OtherCodeError(
             "the worker's code differs from the code of the machine that runs the study",
             "install the same tetractl, numpy, numba, llvmlite, scipy and plug-ins on the worker",

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND
+from tetractl.core.commands import PlantInfo
 from tetractl.core.table.table import Column, Table
 from tetractl.core.table.table_files import table_files
-from tetractl.log.read.trial_log import Origin
+from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import error_table, processors_note
 from tetractl.results.trial_tables import trials_table
-from tetractl.run.rows import SIMULATED, Row
 from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
 
@@ -26,40 +26,38 @@ HOST_COLUMNS = ("deadline_misses",)
 LISTED = 100  # largest number of arms in the printed table
 
 
-def counted_rows(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Row]]:
-    """Yield every row of the study in the order of arms and trials."""
+def finished_trials(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, ResultSummary]]:
+    """Yield every finished trial of the study in the order of arms and trials."""
     for arm in loaded.arms:
-        rows = store.batches[arm.name].rows
-        for trial in range(loaded.study.trials.count):
-            if trial in rows:
-                yield arm, rows[trial]
+        for _, found in sorted(store.batches[arm.name].results.items()):
+            yield arm, found
 
 
 def origins(loaded: LoadedStudy) -> list[Origin]:
-    """Return the origin of each arm's trials."""
-    return [Origin.of(arm.spec.experiment, SIMULATED) for arm in loaded.arms]
+    """Return the origin of each arm's trials, which are all simulated."""
+    simulated = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
+    return [Origin.of(arm.spec.experiment, simulated) for arm in loaded.arms]
 
 
 def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
-    """Write the tables and return their paths; the same rows give the same `trials.csv`.
+    """Write the tables and return their paths; the same results give the same `trials.csv`.
 
-    The columns of `trials.csv` are `path` (of the log, from the study's folder; empty if no log was
-    kept), `trial`, `arm`, `controller`, the swept fields by their paths, all columns of
-    `tetractl export`, `content_digest` and `code`. `times.csv` has the columns that differ from run
-    to run.
+    The columns of `trials.csv` are `path` (of the log, from the study's folder), `trial`, `arm`,
+    `controller`, the swept fields by their paths, all columns of `tetractl export`,
+    `content_digest` and `code`. `times.csv` has the columns that differ from run to run.
     """
     paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
     trials: list[dict[str, Any]] = []
     times: list[dict[str, Any]] = []
-    for arm, row in counted_rows(loaded, store):
-        found = _exported(arm, row)
-        log = f"{arm.name}/trial-{row.trial:03d}.mcap" if row.logged else ""
-        head = {"path": log, "trial": row.trial, "arm": arm.name}
+    for arm, trial in finished_trials(loaded, store):
+        found = _exported(trial)
+        log = Path(trial.path).relative_to(store.folder)
+        head = {"path": str(log), "trial": trial.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
-        tail = {"content_digest": row.digest, "code": row.code}
+        tail = {"content_digest": trial.digest, "code": trial.code}
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
         trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
-        times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(row))
+        times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(trial))
     with table_files(paths, "csv") as add:
         if trials:
             add("trials", Table.of_records("trials", trials), "")
@@ -67,19 +65,17 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     return list(paths.values())
 
 
-def _exported(arm: Arm, row: Row) -> dict[str, Any]:
+def _exported(trial: ResultSummary) -> dict[str, Any]:
     """Return a trial's values by the columns of `tetractl export`, except `path` and `trial`."""
-    table = trials_table(Batch.of([row]))
+    table = trials_table(Batch.of([trial]))
     return {one.key: one.known[0] for one in table.columns if one.name not in ("path", "trial")}
 
 
-def _times(row: Row) -> dict[str, Any]:
-    solve_ms = [ns / MILLISECOND for ns in row.result.solve_ns]
+def _times(trial: ResultSummary) -> dict[str, Any]:
+    solve_ms = [ns / MILLISECOND for ns in trial.result.solve_ns]
     return {
         "solve_mean_ms": sum(solve_ms) / len(solve_ms) if solve_ms else None,
         "solve_max_ms": max(solve_ms, default=None),
-        "wall_s": row.wall_s,
-        "cpu_s": row.cpu_s,
     }
 
 
@@ -91,9 +87,9 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     """
     errors = [
         {
-            trial: row.result.total_error
-            for trial, row in store.batches[arm.name].rows.items()
-            if trial < loaded.study.trials.count and counts(row)
+            number: trial.result.total_error
+            for number, trial in store.batches[arm.name].results.items()
+            if counts(trial)
         }
         for arm in arms
     ]
@@ -119,10 +115,10 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     """Return the table of arms: total error, aborted trials, and plant."""
     arms, plants = loaded.arms[:LISTED], origins(loaded)[:LISTED]
     named = [(arm.name, group_of(loaded, store, arm.name, [arm]).error) for arm in arms]
-    found = list(counted_rows(loaded, store))
-    aborted = Counter(arm.name for arm, row in found if not row.outcome.complete)
+    found = list(finished_trials(loaded, store))
+    aborted = Counter(arm.name for arm, trial in found if not trial.outcome.complete)
     errors = error_table(f"{loaded.study.name}: total error [{loaded.unit}]", named, loaded.unit)
-    notes = [processors_note(row.processor for _, row in found)]
+    notes = [processors_note(trial.processor for _, trial in found)]
     if Origin.DISTURBED in plants:
         notes.append("disturbances are assumed in the spec, not measured")
     if len(loaded.arms) > LISTED:

@@ -19,8 +19,8 @@ ARMS = "arms"  # in place of a field: the figure by arm
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
-    """Write error-arms.png, and error-FIELD.png for every swept field; the same rows give the same
-    bytes.
+    """Write error-arms.png, and error-FIELD.png for every swept field; the same results
+    give the same bytes.
     """
     paths = []
     for field in (ARMS, *loaded.paths):

@@ -126,10 +126,7 @@ class LoadedStudy:
         """Return the store of the study, with the folder of each arm."""
         return Store(
             folder,
-            {
-                arm.name: BatchFolder(folder / arm.name, arm.spec.experiment, arm.code)
-                for arm in self.arms
-            },
+            {arm.name: BatchFolder(folder / arm.name, arm.spec.experiment) for arm in self.arms},
         )
 
 
@@ -235,7 +232,7 @@ def _arm(
         place = document.place(("base",))
         raise InvalidSpecError([place.problem(("base",), error.message, study.base)]) from None
     name, known_by = arm_name(controller, values), arm_hash(spec.experiment)
-    return Arm(name, controller, values, sets, spec, known_by, code_of(spec))
+    return Arm(name, controller, values, sets, spec, known_by, code_of(spec.experiment))
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
@@ -270,10 +267,3 @@ def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
     for arm in arms:
         several = names[arm.name.lower()] > 1
         yield replace(arm, name=f"{arm.name}-{arm.hash[:8]}") if several else arm
-
-
-def spec_of(arm: Arm, count: int) -> LoadedSpec:
-    """Return an arm's spec with `count` trials: the spec that the log of each trial holds."""
-    trials = arm.spec.experiment.trials.model_copy(update={"count": count})
-    experiment = arm.spec.experiment.model_copy(update={"trials": trials})
-    return replace(arm.spec, experiment=experiment)

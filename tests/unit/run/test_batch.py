@@ -46,7 +46,7 @@ def scripted(monkeypatch, outcomes, action=lambda trial: None):
         outcome = outcomes.get(task.trial, Outcome.ARRIVED)
         if isinstance(outcome, Exception):
             raise outcome
-        return Finished(replace(result, outcome=outcome, reason="why"), True, 2.0, 1.0)
+        return Finished(replace(result, outcome=outcome, reason="why"), 2.0)
 
     monkeypatch.setattr(executors, "run_task", run)
     return ran
@@ -167,7 +167,7 @@ class OneByOne:
     def run(self, tasks, ready):
         result = made.trial(1, steps=2, frames=2).result
         for one in tasks:
-            yield one, Finished(result, True, {"quick": 1.0, "slow": 4.0}[one.arm], 1.0)
+            yield one, Finished(result, {"quick": 1.0, "slow": 4.0}[one.arm])
 
 
 def test_the_time_left_is_drawn_from_every_arm():

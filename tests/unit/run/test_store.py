@@ -6,6 +6,7 @@ from support import random_trials as made
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
+from tetractl.run import store
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.store import Store, set_aside
 from tetractl.run.task import log_path
@@ -18,9 +19,9 @@ def log(folder, index, outcome=Outcome.ARRIVED, **fields):
 
 
 def trials_to_run(experiment, folder, resume):
-    store = Store.of_batch(folder, experiment)
-    store.read(resume)
-    return store.lacking
+    found = Store.of_batch(folder, experiment)
+    found.read(resume)
+    return found.lacking
 
 
 def spec(count=4, seed=None, **fields):
@@ -37,7 +38,7 @@ def test_a_new_folder_lacks_every_trial(tmp_path):
     assert trials_to_run(spec(), tmp_path, False) == [0, 1, 2, 3]
 
 
-def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
+def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path, monkeypatch):
     log(tmp_path, 0, Outcome.SEQUENCE_COMPLETED)
     log(tmp_path, 1, Outcome.INTERRUPTED)
     log(tmp_path, 2, Outcome.STEPS_MAX)
@@ -46,8 +47,10 @@ def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
     part.rename(part.with_name(part.name + ".part"))
     cut = log(tmp_path, 5)
     cut.write_bytes(cut.read_bytes()[:-300])
-    assert trials_to_run(spec(8), tmp_path, True) == [1, 3, 4, 5, 6, 7]
+    assert trials_to_run(spec(8), tmp_path, True) == [1, 4, 5, 6, 7]  # 3 would abort again
     assert trials_to_run(spec(3), tmp_path, True) == [1]
+    monkeypatch.setattr(store, "code_of", lambda experiment: "mended")
+    assert trials_to_run(spec(8), tmp_path, True) == [1, 3, 4, 5, 6, 7]
 
 
 def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):

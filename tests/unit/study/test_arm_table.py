@@ -18,7 +18,7 @@ def ran(tmp_path_factory):
 
 
 def errors(ran, arm):
-    return [ran.rows[arm.name, trial].result.total_error for trial in range(5)]
+    return [ran.finished[arm.name, trial].result.total_error for trial in range(5)]
 
 
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
@@ -46,7 +46,7 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
     paths = write_tables(ran.loaded, ran.store)
     with paths[0].open(newline="") as file:
         found = list(csv.DictReader(file))
-    assert [(row["arm"], int(row["trial"])) for row in found] == list(ran.rows)
+    assert [(row["arm"], int(row["trial"])) for row in found] == list(ran.finished)
     assert list(found[0])[:6] == [
         "path",
         "trial",
@@ -59,7 +59,7 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
     assert "deadline_misses" not in found[0]
     with paths[1].open(newline="") as file:
         times = list(csv.DictReader(file))
-    assert float(times[0]["wall_s"]) > 0
+    assert float(times[0]["solve_max_ms"]) >= float(times[0]["solve_mean_ms"]) > 0
     assert len(times) == 40
 
 
@@ -74,15 +74,15 @@ def test_the_errors_of_arms_are_a_table(ran):
 
 def test_rows_of_several_types_of_processor_are_marked(ran):
     arm = ran.loaded.arms[0].name
-    own = ran.store.batches[arm].rows[0]
-    ran.store.batches[arm].rows[0] = replace(own, processor="other-123456")
+    own = ran.store.batches[arm].results[0]
+    ran.store.batches[arm].results[0] = replace(own, processor="other-123456")
     try:
         assert arms_table(ran.loaded, ran.store).note.startswith(
             "trials of 2 types of processor, on which the same seed may give another trial: "
             f"{own.processor} (39), other-123456 (1); "
         )
     finally:
-        ran.store.batches[arm].rows[0] = own
+        ran.store.batches[arm].results[0] = own
 
 
 def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):

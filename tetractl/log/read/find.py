@@ -1,7 +1,7 @@
 """Finds the logs and the rows of studies in given files, folders and patterns."""
 
 import re
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 from glob import has_magic
 from pathlib import Path
 
@@ -9,7 +9,6 @@ from tetractl.core.errors import UsageError
 
 SUFFIX = ".mcap"
 LOG_PART = ".mcap.part"
-ROWS = "trials.jsonl"
 """Name of a study's file of rows, in the folder of each arm."""
 RECOVERED_SUFFIX = ".recovered.mcap"
 _NO_LOGS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
@@ -28,9 +27,7 @@ def is_set_aside(name: str) -> bool:
     return _SET_ASIDE.search(name) is not None
 
 
-def find_logs(
-    paths: Iterable[Path | str], attempts: bool = False, bare: Container[Path] = ()
-) -> list[Path]:
+def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]:
     """Return the logs of some paths, each once, in the order given.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
@@ -38,11 +35,11 @@ def find_logs(
     counts as a log, since a crashed trial belongs to its batch, unless the finished log exists too.
     A recovered log is left out if its source is among the paths. With `attempts`, folders and
     patterns also give the logs that `--resume` set aside. Raises UsageError for a path that does
-    not exist, and for a folder or a pattern without logs, unless it is in `bare`.
+    not exist, and for a folder or a pattern without logs.
     """
     found: dict[Path, Path] = {}
     for path in without_others(paths):
-        for log in _expand(path, attempts, path in bare):
+        for log in _expand(path, attempts):
             found.setdefault(log.resolve(), log)
     return [log for real, log in found.items() if not _sources(real) & found.keys()]
 
@@ -68,18 +65,6 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     return kept
 
 
-def find_rows(path: Path) -> list[Path]:
-    """Return a study's files of rows in a folder, or in the folders that a pattern matches.
-
-    Sub-folders are searched too; files are sorted by name, with numbers in numerical order. What is
-    no file is returned too, since an arm whose rows are lost must not be left out.
-    """
-    folders = [path] if path.is_dir() or not has_magic(str(path)) else _matches(path)
-    # rglob(ROWS) would leave out a broken link
-    files = (file for folder in folders if folder.is_dir() for file in folder.rglob("*"))
-    return sorted({file for file in files if file.name == ROWS}, key=_natural)
-
-
 def find_log(path: Path | str) -> Path:
     """Return the only log that `find_logs` finds in a path; UsageError if there are several."""
     logs = find_logs([path])
@@ -96,9 +81,9 @@ def _sources(log: Path) -> set[Path]:
     return {log.with_name(stem + suffix) for suffix in (SUFFIX, LOG_PART)}
 
 
-def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
+def _expand(path: Path, attempts: bool) -> list[Path]:
     if path.is_dir():
-        if (logs := _in_folder(path, attempts)) or bare:
+        if logs := _in_folder(path, attempts):
             return logs
         raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
     if path.is_file():
@@ -112,7 +97,7 @@ def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
         for match in _matches(path)
         for log in (_in_folder(match, attempts) or _logs([match], attempts))
     ]
-    if not logs and not bare:
+    if not logs:
         raise UsageError(f"{path}: matches no log")
     return logs
 

@@ -35,10 +35,10 @@ class ChannelCount:
 class Overview:
     """The contents of a log.
 
-    `digest` is the content digest computed from the file, as in a study's row, `stated_digest` that
-    in the log. `run`, `host` and `provenance` are the records of the run, `attachments` the sizes
-    of attachments [bytes]. `estimate` is the controller's last estimate of the robots, at control
-    step `estimate_step`; None without an estimate.
+    `digest` is the content digest computed from the file, `stated_digest` that in the log; of a
+    `brief` log, both are that of the whole log. `run`, `host` and `provenance` are the records of
+    the run, `attachments` the sizes of attachments [bytes]. `estimate` is the controller's last
+    estimate of the robots, at control step `estimate_step`; None without an estimate.
     """
 
     path: str
@@ -55,6 +55,7 @@ class Overview:
     provenance: dict[str, str]
     digest: str
     stated_digest: str | None
+    brief: bool
     damage: Damage | None
 
     def as_json(self) -> str:
@@ -88,8 +89,9 @@ def overview(path: Path) -> Overview:
         attachments={name: len(item.data) for name, item in contents.attachments.items()},
         host={key: value for key, value in trial.facts.items() if not is_version(key)},
         provenance={key: value for key, value in trial.facts.items() if is_version(key)},
-        digest=contents.digests.content,
+        digest=contents.content_digest,
         stated_digest=trial.digest,
+        brief=contents.brief,
         damage=Damage(problems, lost) if problems else None,
     )
 

@@ -165,9 +165,21 @@ class RawLog:
         return self._stated(channels.DIGESTS).content or None
 
     @property
+    def brief(self) -> bool:
+        """Whether this is a brief log, which states the content digest of the whole log."""
+        return bool(self._stated(channels.DIGESTS).brief)
+
+    @property
+    def content_digest(self) -> str:
+        """The content digest, computed from the records; of a brief log, the one that it states."""
+        return self.stated_digest or "" if self.brief else self.digests.content
+
+    @property
     def altered(self) -> bool:
-        """Whether the content differs from the digest that the log states."""
-        return self.stated_digest not in (None, self.digests.content) and not self.reordered
+        """Whether the content differs from the digest that the log states of it."""
+        stated = self._stated(channels.DIGESTS)
+        own = stated.brief or stated.content
+        return own not in ("", self.digests.content) and not self.reordered
 
     @property
     def host_altered(self) -> bool:

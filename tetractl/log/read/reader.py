@@ -37,9 +37,19 @@ def read_trial(path: Path) -> TrialLog:
 
     Of a damaged or unfinished log, including a .part file, the intact records are read, and
     `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
-    newer format, or has lost its spec.
+    newer format, has lost its spec, or is brief.
     """
-    return trial_of(scan(Path(path)))
+    return trial_of(whole(scan(Path(path))))
+
+
+def whole(contents: RawLog) -> RawLog:
+    """Return a scanned file; LogError for a brief log, which has neither frames nor steps."""
+    if contents.brief:
+        raise LogError(
+            f"{contents.path}: a brief log, which holds only the result of its trial",
+            f"write the whole log with: tetractl rerun {contents.path}",
+        )
+    return contents
 
 
 def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
@@ -126,10 +136,8 @@ def result_of(contents: RawLog) -> ResultSummary:
     experiment, start = _start(contents)
     result = contents.result
     recovered = bool(contents.problems or contents.recovered or result is None)
-    if recovered:
-        trial = trial_of(contents)
-        result = trial.result or _result_of_poses(trial)
-    assert result is not None
+    if result is None:
+        result = _result_of_poses(trial_of(contents))
     return ResultSummary(
         path=str(contents.path),
         experiment=experiment,
@@ -142,6 +150,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         warnings=contents.warnings,
         processor=provenance.processor(contents.facts),
         code=contents.facts.get(provenance.CODE, ""),
+        brief=contents.brief,
     )
 
 
@@ -182,9 +191,9 @@ def content_digest(path: Path) -> str:
     """Return the SHA-256 over all records of a log except its host records.
 
     A simulated trial that is run again has the same digest. A complete log states this digest in
-    its last message.
+    its last message, and a brief one that of the whole log.
     """
-    return scan(Path(path)).digests.content
+    return scan(Path(path)).content_digest
 
 
 def _start(contents: RawLog) -> tuple[Experiment, Start]:

@@ -148,6 +148,7 @@ class ResultSummary:
     warnings: int = 0  # number of warnings and errors among the operator messages
     processor: str = ""  # type of processor, as by `provenance.processor`; "" if not stated
     code: str = ""  # hash of the code that ran the trial, `provenance.trial_code`; "" if not stated
+    brief: bool = False  # whether the log holds the result only
 
     @property
     def simulated(self) -> bool:

@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from functools import cache, wraps
 from pathlib import Path
@@ -62,10 +62,12 @@ class Sink:
     second error.
 
     If `part` is not ".part", the file is a copy of a log: an unfinished earlier copy is replaced,
-    unless a process is still writing it.
+    unless a process is still writing it. The file has the channels of `topics` only.
     """
 
-    def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
+    def __init__(
+        self, path: Path, part: str = TRIAL_PART, topics: Collection[str] = CHANNELS
+    ) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
         self.digests = LogDigests()
@@ -80,7 +82,7 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap, self._channels = new_writer(self._file)
+            self._mcap, self._channels = new_writer(self._file, topics)
         except OSError as error:
             self.fail(error)
 
@@ -201,19 +203,22 @@ class Sink:
             file.close()
 
 
-def new_writer(stream: BinaryIO) -> tuple[Writer, dict[str, int]]:
+def new_writer(
+    stream: BinaryIO, topics: Collection[str] = CHANNELS
+) -> tuple[Writer, dict[str, int]]:
     """Begin the file of a log; return its writer, and the number of each channel by topic."""
+    messages = {topic: message for topic, message in CHANNELS.items() if topic in topics}
     writer = Writer(stream, use_summary_offsets=False, enable_data_crcs=True)
     writer.start(library=f"{WRITER} {__version__}")
     # for other readers: some report a file without metadata as damaged
     writer.add_metadata(*METADATA)
     schemas = {
         message: writer.register_schema(*protobuf_schema(message))
-        for message in dict.fromkeys(CHANNELS.values())
+        for message in dict.fromkeys(messages.values())
     }
     return writer, {
         topic: writer.register_channel(topic, MessageEncoding.Protobuf, schemas[message])
-        for topic, message in CHANNELS.items()
+        for topic, message in messages.items()
     }
 
 

@@ -10,6 +10,7 @@ from support.synthetic_film import FilmScript, SyntheticFilm
 from tetractl_emulator.pictures.dish.picture import PictureLook
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.picture_times import PictureTimes
 
 REACH_UM = 25.0  # a cell is found by what is shown within half a body of it
 TOGETHER_UM = 40.0  # bodies nearer to each other than this are one blob
@@ -21,15 +22,23 @@ cv2.setNumThreads(1)
 class Reel:
     """A film in memory, as `follow` takes one."""
 
-    def __init__(self, made, pictures=None):
-        self.path, self.rate_hz, self.damaged = "reel", made.script.rate, 0
+    def __init__(self, made, pictures=None, timing=None):
+        self.path, self.damaged = "reel", 0
+        self.timing = PictureTimes(made.script.rate) if timing is None else timing
         self.pictures = list(made.pictures()) if pictures is None else pictures
 
     def __iter__(self):
         return iter(enumerate(self.pictures))
 
+    @property
+    def rate_hz(self):
+        return self.timing.rate_hz
+
     def seconds(self, number):
-        return number / self.rate_hz
+        return self.timing.seconds(number)
+
+    def time_line(self):
+        return self.timing.uneven_line()
 
 
 def film(seed=1, side=384, look=None, **script):

@@ -3,7 +3,8 @@ neither fill the computer's memory nor hang the command:
 `python -m tetractl_microscope.film.decode FILM`.
 
 Writes what the film states and an error, one of which is None, and then its pictures: grey levels
-(height, width), or None for one that is damaged, or not as large as the first; all by `pickle`.
+(height, width), or None for one that is damaged, or not as large as most; each with the time from
+the first [s] that its container's clock states, or None; all by `pickle`.
 """
 
 import faulthandler
@@ -14,6 +15,7 @@ import sys
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from statistics import mode
 from typing import BinaryIO
 
 from tetractl.core.errors import AbortError, TetractlError, UsageError, printable
@@ -23,6 +25,8 @@ MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B
 PATIENCE_S = 20.0  # longest time to read the tags, or to decode a picture [s]
 HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, CZI and ND2
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
+NO_SIZE = (0, 0)  # of a picture that cannot be read
+FUNCTIONS = ("read", "clock")  # of a film, which cannot be written
 MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
 
 
@@ -31,30 +35,36 @@ def main(path: Path, out: BinaryIO) -> None:
     faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
     try:
         source = _opened(path)
-        pictures = source.pictures()
-        first = next(pictures, None)
-        if source.count is first is None:
+        shots = source.pictures()
+        first = next(shots, None)
+        if first is None:
             hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
             raise UsageError(f"{path}: OpenCV cannot read this film", hint)
-        if first is not None and math.prod(first.shape[:2]) > films.PIXELS_MAX:
-            said = f"{path.name}: a picture of {first.shape[1]} x {first.shape[0]} px"
+        looked = [films.thinned(pixels) for pixels in chain([first.pixels], source.sample())]
+        sizes = [size for size, _ in looked[1:] or looked if size != NO_SIZE]  # the first is twice
+        size = mode(sizes) if sizes else NO_SIZE  # an odd picture may come first
+        if math.prod(size) > films.PIXELS_MAX:
+            said = f"{path.name}: a picture of {size[1]} x {size[0]} px"
             hint = "crop the film, or bin its pixels"
             raise UsageError(f"{said}; at most 4096 x 4096 px are read", hint)
-        low, step = films.grey_scale(chain([first], source.sample()))
+        low, step = films.grey_scale(pixels for its_size, pixels in looked if its_size == size)
     except TetractlError as error:
         pickle.dump((None, error), out)
         return
-    stated = {name: getattr(source, name) for name in source.__slots__ if name != "read"}
-    pickle.dump((stated, None), out)
-    size = None
-    for picture in chain([first], pictures):
+    stated = {name: getattr(source, name) for name in source.__slots__ if name not in FUNCTIONS}
+    pickle.dump((stated | {"has_clock": first.seconds is not None}, None), out)
+    for shot in chain([first], shots):
         faulthandler.cancel_dump_traceback_later()  # the command may read slowly
-        shape = () if picture is None else picture.shape[:2]
-        if picture is None or shape != (size or shape) or math.prod(shape) > films.PIXELS_MAX:
-            pickle.dump(None, out)
+        shape = NO_SIZE if shot.pixels is None else shot.pixels.shape[:2]
+        size = shape if size == NO_SIZE else size
+        if shot.pixels is None or shape != size or math.prod(shape) > films.PIXELS_MAX:
+            grey = None
         else:
-            size = shape
-            pickle.dump(films.grey_levels(picture, low, step), out)
+            grey = films.grey_levels(shot.pixels, low, step)
+        passed = None
+        if shot.seconds is not None and first.seconds is not None:
+            passed = shot.seconds - first.seconds
+        pickle.dump((grey, passed), out)
         faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
 
 
@@ -78,7 +88,8 @@ def _opened(path: Path) -> films.FilmSource:
     except (TetractlError, MemoryError):
         raise
     except ModuleNotFoundError as error:
-        said, hint = f"{error.name} is not installed", "pip install 'tetractl[vision,films]'"
+        said = f"{error.name} is not installed"
+        hint = "pip install './packages/tetractl-microscope[films]'"
         raise AbortError(f"{path}: cannot be read, since {said}", hint) from error
     except Exception as error:  # the libraries do not document what they raise for damaged files
         said = printable(f"{type(error).__name__}: {error}", 100)

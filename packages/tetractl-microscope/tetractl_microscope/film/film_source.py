@@ -10,35 +10,55 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 
 from tetractl.core.poses import Grey
+from tetractl_microscope.film.czi_times import czi_times
+from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
-SAMPLED = 25  # number of pictures that give a film's range of grey levels
+SAMPLED = 25  # number of pictures that give a film's range of grey levels, and its size
+THIN = 4  # step between the pixels of these that are examined
 SPREAD_LEAST = 32  # least span of a film's grey levels after conversion, of 256
 SPREAD = 200  # span of the grey levels of a film that is stretched
 SHARE = 0.1  # percentage of the darkest and of the brightest pixels that stretching may cut off
 JPEG = b"\xff\xd8\xff"  # first bytes; a bare sequence of JPEG pictures states no rate
 AXES = {"C": "channels", "Z": "slices", "P": "positions", "R": "positions"}
 MICRONS = ("um", "µm", "μm", "\\u00b5m", "micron", "microns")
-UNITS = {"nm": 1e-3, "mm": 1e3, "m": 1e6, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0}
-"""Units of lengths in um, of times in s."""
+LENGTHS_UM = {"nm": 1e-3, "mm": 1e3, "cm": 1e4, "m": 1e6} | dict.fromkeys(MICRONS, 1.0)
+TIMES_S = {
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hour", "hours"), 3600.0),
+    **dict.fromkeys(("d", "day", "days"), 86400.0),
+}
+DIFFERENT = 0.01  # relative difference of two statements of a value that is said
 Raw = np.ndarray | None
 """A picture (height, width) of any type, or (height, width, 3) in colour; None if it is damaged."""
+
+
+class Shot(NamedTuple):
+    """A picture of a film, and the time [s] that its container's clock gives it, if it has one."""
+
+    pixels: Raw
+    seconds: float | None = None
 
 
 @dataclass(slots=True)
 class FilmSource:
     """An open film, and what it states: scale [um/px], rate [Hz], times of its pictures [s] from
-    the first one, their number; None for what it does not state. `remarks` are lines to print.
+    the first one, their number; None for what it does not state. `places` are the pictures' places
+    in a series some of which are missing. `remarks` are lines to print.
 
     `read` returns a picture by its index. A film without `count` has 8 bits, and ends where `read`
-    gives None.
+    gives None; its `clock` is the time of the picture that was read last [s].
     """
 
     read: Callable[[int], Raw]
@@ -46,15 +66,17 @@ class FilmSource:
     um_px: float | None = None
     rate_hz: float | None = None
     times: list[float] | None = None
+    places: list[int] | None = None
     remarks: list[str] = field(default_factory=list)
+    clock: Callable[[], float] | None = None
 
-    def pictures(self) -> Iterator[Raw]:
+    def pictures(self) -> Iterator[Shot]:
         """Yield the pictures in order."""
         for index in itertools.count() if self.count is None else range(self.count):
             picture = self._picture(index)
             if picture is self.count is None:
                 return
-            yield picture
+            yield Shot(picture, None if self.clock is None else self.clock())
 
     def sample(self) -> Iterator[Raw]:
         """Yield SAMPLED pictures that are spread over the film; none of a film of 8 bits."""
@@ -82,31 +104,66 @@ class FilmSource:
         return [math.prod(shape[along + 1 :]) * i for i in range(self.count)]
 
     def add_times(self, times: Sequence[float | None]) -> None:
-        """Add the times of the pictures [s], if all are known and increase."""
-        known = [t for t in times if t is not None]
-        if 1 < len(known) == len(times) and all(a < b for a, b in itertools.pairwise(known)):
-            self.times = [t - known[0] for t in known]
+        """Add the times of the pictures [s], which replace the rate, as far as they are stated."""
+        self.times, lines = increasing(times)
+        self.remarks += lines
+        planned_hz = self.rate_hz
+        if self.times is None:
+            if lines and planned_hz:
+                self.remarks.append(f"the planned rate, {planned_hz:.4g} Hz, is used")
+            return
+        self.rate_hz = mean_rate_hz(self.times)
+        if planned_hz and abs(planned_hz / self.rate_hz - 1) > DIFFERENT:
+            self.remarks.append(
+                f"the film was planned at {planned_hz:.4g} Hz, but its pictures were taken at "
+                f"{self.rate_hz:.4g} Hz, by their times, which are used"
+            )
+
+    def seconds(self, value: Any, unit: Any) -> float | None:
+        """Return the value of a tag in s; None if it is missing, or its unit unknown, which
+        `remarks` then say.
+        """
+        if value is None:
+            return None
+        factor = TIMES_S.get(str(unit).strip().lower())
+        if factor is None:
+            said = f"warning: its unit of time {str(unit)[:20]!r} is unknown, and not used"
+            if said not in self.remarks:
+                self.remarks.append(said)
+            return None
+        return _number(value, factor)
 
 
-def scaled(value: Any, unit: Any) -> float | None:
-    """Return the value of a tag in um or s; None if it is missing, or its unit unknown."""
-    unit = str(unit).lower()
+def micrometres(value: Any, unit: Any) -> float | None:
+    """Return the value of a tag in um; None if it is missing, or its unit unknown."""
+    return _number(value, LENGTHS_UM.get(str(unit).strip().lower()))
+
+
+def _number(value: Any, factor: float | None) -> float | None:
+    """Return the value of a tag times the factor of its unit; None if it is no number."""
     try:
-        return float(value) * (1.0 if unit in MICRONS else UNITS[unit])
-    except (TypeError, ValueError, KeyError):
+        return None if factor is None else float(value) * factor
+    except (TypeError, ValueError):
         return None
 
 
+def thinned(picture: Raw) -> tuple[tuple[int, int], Raw]:
+    """Return height and width of a picture, and every THIN-th of its pixels in both directions."""
+    if picture is None:
+        return (0, 0), None
+    return picture.shape[:2], picture[::THIN, ::THIN].copy()
+
+
 def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
-    """Return the grey levels (low, step) of a film, from pictures spread over it: a value becomes
-    (value - low) / step.
+    """Return the grey levels (low, step) of a film, from pictures spread over it, which may be
+    thinned: a value becomes (value - low) / step.
 
     The 8 bits are the uppermost of those in use, as of a camera: 12 bits in a file of 16 are
     divided by 16, and floats up to 1 multiplied by 255. If the film then had too few grey levels to
     tell cells from noise, its own range, without the outermost pixels, is stretched instead.
     """
     deep = (each for each in sample if each is not None and each.dtype != np.uint8)
-    values = np.concatenate([[], *(each[::4, ::4].astype(np.float32).ravel() for each in deep)])
+    values = np.concatenate([[], *(each.astype(np.float32).ravel() for each in deep)])
     values = values[np.isfinite(values)]
     if not values.size:
         return 0.0, 1.0
@@ -142,7 +199,10 @@ def video_film(path: Path) -> FilmSource:
             return None
         return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
 
-    return FilmSource(read, rate_hz=own)
+    def clock() -> float:
+        return capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+
+    return FilmSource(read, rate_hz=own, clock=None if own is None else clock)
 
 
 def nd2_film(path: Path) -> FilmSource:
@@ -167,7 +227,7 @@ def nd2_film(path: Path) -> FilmSource:
 
 
 def czi_film(path: Path) -> FilmSource:
-    """Open a CZI file, of whose times `pylibCZIrw` knows only the interval."""
+    """Open a CZI file; `pylibCZIrw` knows the planned interval, the file the times themselves."""
     from pylibCZIrw.czi import CziReader
 
     file: Any = CziReader(str(path))
@@ -182,7 +242,15 @@ def czi_film(path: Path) -> FilmSource:
 
     xml = ElementTree.fromstring(file.raw_metadata)
     metres = xml.findtext(".//Scaling/Items/Distance[@Id='X']/Value")
-    step_s = scaled(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s")
-    source = FilmSource(read, um_px=scaled(metres, "m"), rate_hz=1 / (step_s or math.inf))
+    source = FilmSource(read, um_px=micrometres(metres, "m"))
+    step_s = source.seconds(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s")
+    source.rate_hz = 1 / (step_s or math.inf)
     chosen = source.over_time("".join(begins), lengths)
+    times = czi_times(path)
+    if times is not None and len(times) == source.count:
+        source.add_times(times)
+    elif times is not None:
+        source.remarks.append(
+            f"its {len(times)} times are not those of its {source.count} pictures, and not used"
+        )
     return source

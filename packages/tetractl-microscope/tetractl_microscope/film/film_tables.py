@@ -32,7 +32,9 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         *followed.remarks,
     ]
     if followed.damaged:
-        found.append(f"warning: {followed.damaged} pictures could not be read")
+        found.append(
+            f"warning: {followed.damaged} pictures could not be read, or are not as large as most"
+        )
     for names in followed.doubtful[:LISTED]:
         who = f"cells {', '.join(map(str, names))} met"
         if len(names) == 1:

@@ -40,6 +40,7 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 from tetractl_microscope.cells.readings import MERGED
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.follow import Followed
+from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 
 START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
@@ -53,9 +54,9 @@ RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
 # usual noise over that of a live cell: walk of the heading; noise of blobs; walks of the speed, and
 # of position and helix
 USUAL = np.array([1.0, 1.0, 4.0, 0.5])
-# blobs whose axis is further from the way over so many pictures before and after, in the median
+# blobs whose axis is further from the way over this time before and after [s], in the median
 # [rad], are too round, or too far out of focus, to show the cell's axis
-AROUND, ASTRAY = 3, 0.6
+AROUND_S, ASTRAY = 0.1, 0.6
 NO_AXIS = 1e3  # deviation of such an axis [rad]
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
@@ -71,13 +72,13 @@ MISFIT_MOST = 5.0  # misfit of a part above which a cell says nothing of the fil
 class CellSummary:
     """The results for one cell.
 
-    `seconds` is the number of picture periods from its first to its last picture. `speed` [um/s] is
-    the mean over this time of the speed along the helix's axis in the medium, with the interval of
-    this mean; `spread` is the standard deviation of the speed over time. `path_um` is the length of
-    the way along the helix's axis, `sway_rad` the amplitude of the body's swing about it;
-    `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and `bias` are None without
-    a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS standard deviations.
-    `sure` is whether all its pictures surely show the same cell.
+    `seconds` is the time from its first to its last picture, with the period of the last one.
+    `speed` [um/s] is the mean over this time of the speed along the helix's axis in the medium,
+    with the interval of this mean; `spread` is the standard deviation of the speed over time.
+    `path_um` is the length of the way along the helix's axis, `sway_rad` the amplitude of the
+    body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and
+    `bias` are None without a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS
+    standard deviations. `sure` is whether all its pictures surely show the same cell.
     """
 
     cell: int
@@ -115,7 +116,7 @@ def fit_cells(
     ]
     among = float(np.std([fit.states[:, SPEED].mean() for fit in found])) if found else 0.0
     cells = [
-        _summary(path, fit, field is not None, usual, among, followed.rate_hz)
+        _summary(path, fit, field is not None, usual, among, followed.timing)
         for path, fit in zip(paths, fits, strict=True)
     ]
     return replace(followed, paths=tuple(paths)), tuple(cells)
@@ -158,9 +159,10 @@ class _Measured:
         own = measured[:, 3] < shared
         cut = edge < np.where(own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
         measured[cut], own = np.nan, own & ~cut
-        way = measured[2 * AROUND :, :2] - measured[: -2 * AROUND, :2]
-        off = measured[AROUND:-AROUND, 2] - np.arctan2(way[:, 1], way[:, 0])
-        off = np.abs(np.arcsin(np.sin(off)))[own[AROUND:-AROUND] & np.isfinite(off)]
+        before, after = _around(path.times, AROUND_S)
+        way = measured[after, :2] - measured[before, :2]
+        off = measured[:, 2] - np.arctan2(way[:, 1], way[:, 0])
+        off = np.abs(np.arcsin(np.sin(off)))[own & (before < after) & np.isfinite(off)]
         if len(off) and np.median(off) > ASTRAY:
             measured[:, 5] = NO_AXIS
         some = np.flatnonzero(own)
@@ -211,6 +213,20 @@ class _Measured:
         given = self.models(noise[None])[0], values, self.deviations[start:end], self.pieces, first
         covariance = smooth(last, self.covariance, *given, states, bodies)
         return last, covariance, states, bodies
+
+
+def _around(times: Floats, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return, for each of a path's times (K,), the indices of pictures as many before as after,
+    which are this time away, at least one; the own index twice where there are none.
+    """
+    index = np.arange(len(times))
+    step = float(np.median(np.diff(times))) if len(times) > 1 else seconds
+    reach = max(seconds, step) + step / 2
+    count = np.minimum(
+        index - np.searchsorted(times, times - reach),
+        np.searchsorted(times, times + reach, side="right") - 1 - index,
+    )
+    return index - count, index + count
 
 
 def _exact(measured: Sequence[_Measured]) -> Floats:
@@ -300,16 +316,14 @@ def _interval(value: float, sd: float, error: float) -> SampleInterval:
 
 
 def _summary(
-    path: CellPath, fit: _Fit | None, known: bool, usual: float, among: float, rate_hz: float
+    path: CellPath, fit: _Fit | None, known: bool, usual: float, among: float, timing: PictureTimes
 ) -> CellSummary:
-    between, count = (
-        float(path.times[-1] - path.times[0]),
-        int(path.frames[-1] - path.frames[0]) + 1,
-    )
+    between = float(path.times[-1] - path.times[0])
+    seconds = timing.duration(int(path.frames[0]), int(path.frames[-1]))
     way = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum())
     speed = a = bias = magnetised = None
     spread = sway = hz = radius = math.nan
-    if fit is not None and count >= round(SHORTEST_S * rate_hz):
+    if fit is not None and seconds >= SHORTEST_S - 0.5 / timing.rate_hz:
         states, way = fit.states, float(fit.mean[WAY])
         wider = math.sqrt(
             max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
@@ -329,7 +343,7 @@ def _summary(
     return CellSummary(
         cell=path.identity,
         since_s=float(path.times[0]),
-        seconds=count / rate_hz,
+        seconds=seconds,
         pictures=len(path.seen),
         path_um=way,
         speed=speed,

@@ -16,6 +16,7 @@ from tetractl_microscope.film.disturbances import Disturbances
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.organism_of import recognised
 from tetractl_microscope.film.pairs import fill_pairs
+from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.who import CellPath, Whereabouts
 from tetractl_microscope.organisms import Organism
@@ -30,7 +31,8 @@ FADED = 0.05  # share of cells' pictures without a blob above which a warning is
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """The cells of a film; `damaged` of its `pictures` could not be read.
+    """The cells of a film; `damaged` of its `pictures` could not be read, or are not as large as
+    most.
 
     `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
     that could not be distinguished after they met. `divisions` lists mother and daughter of each
@@ -41,7 +43,7 @@ class Followed:
     pictures: int
     damaged: int
     size: tuple[int, int]
-    rate_hz: float
+    timing: PictureTimes
     um_px: float
     guessed_scale: bool
     organism: Organism
@@ -56,7 +58,12 @@ class Followed:
     @property
     def seconds(self) -> float:
         """Length of the film [s]."""
-        return self.pictures / self.rate_hz
+        return self.timing.duration(0, self.pictures - 1)
+
+    @property
+    def rate_hz(self) -> float:
+        """The mean rate of the pictures [Hz]."""
+        return self.timing.rate_hz
 
 
 def follow(
@@ -93,6 +100,8 @@ def follow(
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
     lines = [faint_line(contrast, limit), _faded_line(where), *_pace_lines(where)]
     lines += disturbances.lines()
+    time_line = film.time_line()
+    timed = () if time_line is None else (time_line,)
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
@@ -101,11 +110,11 @@ def follow(
         pictures=len(where.frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
-        rate_hz=film.rate_hz,
+        timing=film.timing,
         um_px=seen_as.um_px,
         guessed_scale=seen_as.guessed,
         organism=seen_as.organism,
-        remarks=(*seen_as.remarks, *(f"warning: {line}" for line in lines if line)),
+        remarks=(*timed, *seen_as.remarks, *(f"warning: {line}" for line in lines if line)),
         bright=tracker.finder.bright,
         contrast=contrast or 0.0,
         noise=noise,

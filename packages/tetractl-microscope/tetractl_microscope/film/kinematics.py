@@ -7,6 +7,7 @@ here it is one turn of the cell's helix, whatever the film's rate.
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,13 +28,10 @@ def velocities(times: Floats, places: Floats, helix_hz: float) -> dict[str, floa
     """
     if len(times) < 2:
         return dict.fromkeys(("vcl_um_s", "vap_um_s", "vsl_um_s", "lin"))
-    step = float(np.median(np.diff(times)))
     turn = 1 / helix_hz if math.isfinite(helix_hz) and helix_hz > 1 else TURN_S
-    average = _smoothed(places, max(1, round(turn / step)))
-    count = min(round(WINDOW_S / step), len(times) - 1)
+    average = _smoothed(times, places, turn)
     parts = []
-    for first in range(0, len(times) - count, count):
-        last = first + count
+    for first, last in pairwise(_ends(times)):
         lengths = (
             _length(places[first : last + 1]),
             _length(average[first : last + 1]),
@@ -49,12 +47,31 @@ def velocities(times: Floats, places: Floats, helix_hz: float) -> dict[str, floa
     }
 
 
-def _smoothed(places: Floats, width: int) -> Floats:
-    """Return the running mean over `width` places; towards the ends over fewer of them."""
-    half = min(width // 2, (len(places) - 1) // 2)
+def _ends(times: Floats) -> list[int]:
+    """Return the indices of the pictures at which successive parts of a track end, from the first:
+    those nearest to each WINDOW_S. What remains after the last of them is no part; a track that is
+    shorter is one.
+    """
+    step = float(np.median(np.diff(times)))
+    found = [0]
+    while (due := times[found[-1]] + WINDOW_S) < times[-1] + step / 2:
+        after = min(int(np.searchsorted(times, due)), len(times) - 1)
+        nearest = after - 1 if due - times[after - 1] < times[after] - due else after
+        found.append(max(nearest, found[-1] + 1))
+    return found if len(found) > 1 else [0, len(times) - 1]
+
+
+def _smoothed(times: Floats, places: Floats, span_s: float) -> Floats:
+    """Return the running mean over places within a span of time [s]; of as many before a place as
+    after it, so of fewer towards the ends.
+    """
+    step = float(np.median(np.diff(times)))
+    half_s = span_s / 2 + step / 4  # rounds to whole pictures
+    index = np.arange(len(times))
+    before = index - np.searchsorted(times, times - half_s)
+    after = np.searchsorted(times, times + half_s, side="right") - 1 - index
+    reach = np.minimum(before, after)
     sums = np.vstack([np.zeros((1, 2)), np.cumsum(places, axis=0)])
-    index = np.arange(len(places))
-    reach = np.minimum(half, np.minimum(index, index[::-1]))
     return (sums[index + reach + 1] - sums[index - reach]) / (2 * reach + 1)[:, None]
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tetractl.core.errors import TetractlError
+from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.poses import Bools, Floats, Grey
 from tetractl_microscope.cells.cells_health import SMALL_PX
 from tetractl_microscope.cells.detect_cells import BlobFinder
 from tetractl_microscope.cells.specks import straight
-from tetractl_microscope.film.pictures import FilmPictures
+from tetractl_microscope.film.pictures import ONE_PICTURE, ONE_PICTURE_HINT, FilmPictures
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
 
@@ -27,6 +27,7 @@ MOVED = 0.3  # way over all its pictures, in lengths of the object, above which 
 STRAIGHT = 0.2  # root mean square distance from even straight motion, as a share of that way
 BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 50_000_000  # most pixels of these pictures together, which memory limits
+ROUNDING_S = 1e-9  # error of a time by rounding [s]
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 FAST = 1.5  # factor by which an object may be faster than an organism is
 FAR = 2.0  # way of the fastest cells between pictures, in lengths, above which links are uncertain
@@ -89,6 +90,8 @@ def _learned(film: FilmPictures) -> BlobFinder:
     sample = _sample(film)
     if not sample:
         raise TetractlError(f"{film.path}: no picture of the film can be read")
+    if len(sample) == 1:
+        raise UsageError(f"{film.path}: {ONE_PICTURE}", ONE_PICTURE_HINT)
     finder = BlobFinder(LEAST_PX, MOST_SHARE * sample[0].size)
     finder.learn(sample)
     return finder
@@ -99,9 +102,10 @@ def _sample(film: FilmPictures) -> list[Grey]:
     most twice as many; all pictures if there are fewer. Of large pictures there are fewer.
     """
     count, pixels = 0, 1
-    for count, (_, picture) in enumerate(film, 1):
+    for number, picture in film:
+        count += 1
         pixels = picture.size
-        if count >= BACKGROUND_S * film.rate_hz:
+        if film.timing.duration(0, number) >= BACKGROUND_S - ROUNDING_S:
             break
     step = max(1, count // BACKGROUND, math.ceil(count * pixels / SAMPLE_PX))
     return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]

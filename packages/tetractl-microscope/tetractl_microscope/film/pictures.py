@@ -6,7 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,30 +19,32 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
+from tetractl_microscope.film.film_source import DIFFERENT
+from tetractl_microscope.film.picture_times import PictureTimes, mean_rate_hz, stated_times
 from tetractl_microscope.number_columns import read_numbers
 
 RATES_HZ = (0.1, 2000.0)
 SCALES_UM = (0.05, 100.0)
-DIFFERENT = 0.01  # relative difference of a given value from the film's own that is said
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
-EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
+ONE_PICTURE = "is one picture, and no film"
+ONE_PICTURE_HINT = "give the film, or the folder of its pictures"
 TIMES_FILE, TIME = "times.csv", "time_s"
 
 
 @dataclass(slots=True, weakref_slot=True)
 class FilmPictures:
-    """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
-    or the film's own; so is the scale `um_px`, None if it is unknown.
+    """The pictures at a path, which can be iterated over repeatedly, and their scale `um_px`: the
+    one given, or the film's own, None if it is unknown.
 
-    `times` are the pictures' times [s], None if they follow from the rate. `remarks` are lines on
-    the film's tags. `damaged` is the number of pictures so far that could not be read, or differed
-    in size from the first one read.
+    `timing` gives the times of the pictures; `own_timing` are those that the film states, which a
+    given rate replaces. `remarks` are lines on the film's tags. `damaged` is the number of pictures
+    so far that could not be read, or differed in size from most.
     """
 
     path: Path
-    rate_hz: float
+    timing: PictureTimes
+    own_timing: PictureTimes | None
     um_px: float | None
-    times: Sequence[float] | None
     remarks: list[str]
     _stream: Iterator[Any]  # pictures that are not decoded yet
     damaged: int = 0
@@ -66,8 +68,10 @@ class FilmPictures:
         if self._next > len(self._kept):  # those beyond KEPT_MAX are decoded again
             self._next, self.damaged = len(self._kept), self._kept.count(-1)
             self._stream = itertools.islice(_decoded(self.path), self._next + 1, None)
-        for number, picture in enumerate(self._stream, self._next):
+        for number, (picture, clock_s) in enumerate(self._stream, self._next):
             self._next = number + 1
+            if self.own_timing is not None and clock_s is not None:
+                self.own_timing.note(number, clock_s)
             if number == len(self._kept):
                 self._keep(picture)
             if picture is None:
@@ -84,34 +88,65 @@ class FilmPictures:
                 if picture is None or self._file.write(picture.data) == picture.size:
                     self._kept.append(place)
 
+    @property
+    def rate_hz(self) -> float:
+        """The mean rate of the pictures that were read so far [Hz]."""
+        return self.timing.rate_hz
+
+    @property
+    def times(self) -> list[float] | None:
+        """The times of the pictures that were read so far [s]; None if they are at `rate_hz`."""
+        return None if self.timing.even else self.timing.stated
+
     def seconds(self, number: int) -> float:
         """Return the time of a picture [s]."""
-        return number / self.rate_hz if self.times is None else self.times[number]
+        return self.timing.seconds(number)
+
+    def time_line(self) -> str | None:
+        """Return a line on the times of the pictures that were read, if they are uneven."""
+        own = self.own_timing
+        uneven = None if own is None else own.uneven_line()
+        if own is None or uneven is None:
+            return None
+        if own is self.timing:
+            return f"times are those of {own.source}: {uneven}"
+        return f"warning: --rate replaces the times of {own.source}: {uneven}"
 
 
 def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = None) -> FilmPictures:
     """Return the pictures of a film or a folder, with the rate and the scale given or else its own.
 
-    UsageError if there are no pictures, or no rate.
+    UsageError if there are no pictures, one only, or no rate.
     """
     if not path.is_dir() and not path.is_file():
         said = "is not a regular file" if path.exists() else "no such file or folder"
         raise UsageError(f"{path}: {said}")
     stream = _decoded(path)
     own = next(stream)
-    times, remarks = own["times"], own["remarks"]
+    if own["count"] == 1:
+        raise UsageError(f"{path}: {ONE_PICTURE}", ONE_PICTURE_HINT)
+    remarks = own["remarks"]
+    stated = own["times"]
+    source = "the film"
     if (path / TIMES_FILE).exists():
-        times = _times(path / TIMES_FILE, own["count"])
-    rate = own["rate_hz"] if times is None else (len(times) - 1) / (times[-1] - times[0])
-    rate = _preferred("--rate", rate_hz, rate, RATES_HZ, remarks)
+        stated = _times(path / TIMES_FILE, own["count"])
+        source = TIMES_FILE
+    own_hz = own["rate_hz"] if stated is None else mean_rate_hz(stated)
+    rate = _preferred("--rate", rate_hz, own_hz, RATES_HZ, remarks)
     scale = _preferred("--scale", um_px, own["um_px"], SCALES_UM, remarks)
     if rate is None:
         hint = "give --rate HZ" + f", or {TIMES_FILE} in the folder" * path.is_dir()
-        raise UsageError(f"{path}: states no rate", hint)
-    uneven = times is not None and any(abs(t * rate - k) >= EVEN for k, t in enumerate(times))
-    return FilmPictures(
-        path, rate, scale, times if uneven and not rate_hz else None, remarks, stream
-    )
+        raise UsageError("; ".join([f"{path}: states no rate", *remarks]), hint)
+    own_timing = None
+    if stated is not None:
+        own_timing = stated_times(stated, rate if rate_hz is None else own_hz, source)
+    elif own["has_clock"] and own_hz is not None and _possible(own_hz, RATES_HZ):
+        own_timing = PictureTimes(own_hz if rate_hz else rate, [], source)
+    timing = PictureTimes(rate) if rate_hz or own_timing is None else own_timing
+    if stated is None and own["places"] is not None:
+        by_number_s = [place / rate for place in own["places"]]
+        timing = own_timing = PictureTimes(rate, by_number_s, "the numbers in their names")
+    return FilmPictures(path, timing, own_timing, scale, remarks, stream)
 
 
 def _decoded(path: Path) -> Iterator[Any]:
@@ -149,11 +184,15 @@ def _preferred(
     option: str, given: float | None, own: float | None, span: tuple[float, float], said: list[str]
 ) -> float | None:
     """Return the value given, or else the film's own if it is possible; say if they differ."""
-    if own is None or not span[0] <= own <= span[1]:
+    if own is None or not _possible(own, span):
         return given
     if given is not None and abs(given / own - 1) > DIFFERENT:
         said.append(f"{option} {given:g} is used; the film states {own:.4g}")
     return float(f"{own:.9g}") if given is None else given  # 30, not 29.999999999999996
+
+
+def _possible(value: float, span: tuple[float, float]) -> bool:
+    return span[0] <= value <= span[1]
 
 
 def _times(path: Path, count: int) -> list[float]:

@@ -14,12 +14,14 @@ import numpy as np
 from tifffile import TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
-from tetractl_microscope.film.film_source import FilmSource, Raw, scaled
+from tetractl_microscope.film.film_source import FilmSource, Raw, micrometres
+from tetractl_microscope.film.picture_names import picture_names
 
-TIFF = frozenset({".tif", ".tiff"})
-PICTURES = TIFF | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
+TIFFS = frozenset({".tif", ".tiff"})
+PICTURES = TIFFS | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
 ANY_GREY = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE
 MICRO_MANAGER = 51123  # tag of a page's metadata, JSON
+IMAGECODECS = "imagecodecs"  # package by which tifffile decodes most compressions
 
 
 def tiff_film(path: Path) -> FilmSource:
@@ -40,6 +42,7 @@ def tiff_film(path: Path) -> FilmSource:
     while not series.is_truncated and chosen and _absent(series[chosen[-1]]):
         chosen.pop()  # the microscope was stopped before the planned end
     source.count = len(chosen)
+    _require_codec(source)
     _add_tags(tif, series, source)
     return source
 
@@ -49,23 +52,31 @@ def folder_film(folder: Path) -> FilmSource:
     its pages, the first one also scale and rate, or all files that its tags name.
     """
     found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    names = [folder / name for name in natural_sorted(p.name for p in found if p.is_file())]
-    if not names:
+    chosen = picture_names(natural_sorted(path.name for path in found if path.is_file()))
+    if not chosen.names:
         hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
         raise UsageError(f"{folder}: contains no pictures", hint)
     pages: list[tuple[Path, int]] = []
-    source = FilmSource(lambda index: _page(*pages[index]))
-    for path in names:
+    times: list[float | None] = []
+    source = FilmSource(lambda index: _picture(*pages[index]), remarks=chosen.remarks)
+    for name in chosen.names:
+        path = folder / name
         count = 1
-        if path.suffix.lower() in TIFF:
+        if path.suffix.lower() in TIFFS:
             with suppress(Exception), TiffFile(path) as tif:  # what it raises is not documented
-                if path == names[0] and tif.series[0].is_multifile:
-                    return tiff_film(path)
-                count = len(tif.pages)
-                if path == names[0]:
+                if name == chosen.names[0]:
+                    if tif.series[0].is_multifile:
+                        return tiff_film(path)
                     _add_tags(tif, tif.series[0], source)
+                count = len(tif.pages)
+                times += [_elapsed_s(page, source) for page in tif.pages]
         pages += [(path, page) for page in range(count)]
     source.count = len(pages)
+    _require_codec(source)
+    if len(pages) == len(chosen.names):
+        source.places = chosen.places
+    if any(time is not None for time in times) and len(times) == len(pages):
+        source.add_times(times)
     return source
 
 
@@ -74,15 +85,54 @@ def _page(path: Path | str, index: int) -> Raw:
     return cv2.imreadmulti(str(path), index, 1, flags=ANY_GREY)[1][0]
 
 
+def _picture(path: Path, index: int) -> Raw:
+    """Return the pixels of a page of a file in a folder."""
+    try:
+        return _page(path, index)
+    except IndexError:
+        if path.suffix.lower() not in TIFFS:
+            raise
+    with TiffFile(path) as tif:
+        return _pixels(tif.pages[index])
+
+
+def _require_codec(source: FilmSource) -> None:
+    """Raise UsageError if the pictures need a package that is not installed."""
+    try:
+        source.read(0)
+    except UsageError:
+        raise
+    except Exception:  # the picture is damaged; the libraries do not document what they raise
+        return
+
+
 def _pixels(page: Any) -> Raw:
-    """Return the pixels of a page (height, width), or (height, width, samples) in colour."""
+    """Return the pixels of a page (height, width), or (height, width, samples) in colour.
+
+    UsageError if its compression needs a package that is not installed.
+    """
     if _absent(page):
         return None
     try:
         pixels = page.asarray()
-    except ValueError:  # LZW and JPEG need another package, but OpenCV reads them
-        return _page(page.parent.filehandle.path, page.index)
+    except (ValueError, ImportError) as error:
+        try:  # LZW and JPEG need another package, but OpenCV reads them
+            return _page(page.parent.filehandle.path, page.index)
+        except IndexError:  # OpenCV reads no page
+            if isinstance(error, ImportError) or IMAGECODECS in str(error):
+                raise _codec_missing(page) from error
+            raise
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
+
+
+def _codec_missing(page: Any) -> UsageError:
+    names = [page.compression] + [page.predictor] * (page.predictor > 1)
+    coded = " with ".join(str(getattr(code, "name", code)) for code in names)
+    return UsageError(
+        f"{page.parent.filehandle.path}: its pictures are compressed by {coded}, which needs "
+        f"{IMAGECODECS}",
+        f"pip install {IMAGECODECS}, or save the film without compression",
+    )
 
 
 def _absent(page: Any) -> bool:
@@ -98,27 +148,35 @@ def _add_tags(tif: TiffFile, series: Any, source: FilmSource) -> None:
     pages = list(_page_metadata(series)) if tif.is_micromanager else []
     per_unit, of = series.keyframe.tags["XResolution"].value if "unit" in imagej else (0, 1)
     source.um_px = (
-        scaled(ome.get("PhysicalSizeX"), ome.get("PhysicalSizeXUnit", "um"))
-        or scaled((pages or [{}])[0].get("PixelSizeUm"), "um")
-        or scaled(summary.get("PixelSize_um"), "um")
-        or scaled(of / per_unit if per_unit else None, imagej.get("unit"))
+        micrometres(ome.get("PhysicalSizeX"), ome.get("PhysicalSizeXUnit", "um"))
+        or micrometres((pages or [{}])[0].get("PixelSizeUm"), "um")
+        or micrometres(summary.get("PixelSize_um"), "um")
+        or micrometres(of / per_unit if per_unit else None, imagej.get("unit"))
     )
     interval_s = (
-        scaled(ome.get("TimeIncrement"), ome.get("TimeIncrementUnit", "s"))
-        or scaled(summary.get("Interval_ms"), "ms")
-        or scaled(imagej.get("finterval"), imagej.get("tunit", "s"))
+        source.seconds(ome.get("TimeIncrement"), ome.get("TimeIncrementUnit", "s"))
+        or source.seconds(summary.get("Interval_ms"), "ms")
+        or source.seconds(imagej.get("finterval"), imagej.get("tunit", "s"))
     )
     source.rate_hz = 1 / (interval_s or math.inf)
     times: dict[int, float | None] = {}
     for page in pages:
-        at = scaled(page.get("ElapsedTime-ms"), "ms")
+        at = source.seconds(page.get("ElapsedTime-ms"), "ms")
         times.setdefault(int(page.get("FrameIndex", len(times))), at)
     along = "T" if ome.get("SizeT") != "1" else max("ZC", key=lambda a: int(ome.get(f"Size{a}", 0)))
     for plane in () if xml is None else xml.iterfind("{*}Plane"):
         if all(plane.get(f"The{axis}", "0") == "0" for axis in "TZC" if axis != along):
-            at = scaled(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"))
+            at = source.seconds(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"))
             times[int(plane.get(f"The{along}", 0))] = at
-    source.add_times([times.get(i) for i in range(source.count or 0)])
+    if times:
+        source.add_times([times.get(i) for i in range(source.count or 0)])
+
+
+def _elapsed_s(page: Any, source: FilmSource) -> float | None:
+    """Return the time that Micro-Manager states of a page [s], None if it does not."""
+    if MICRO_MANAGER not in page.tags:
+        return None
+    return source.seconds(page.tags[MICRO_MANAGER].value.get("ElapsedTime-ms"), "ms")
 
 
 def _page_metadata(series: Any) -> Iterator[dict[str, Any]]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.needs_opencv import cv2
 from tetractl_microscope.film.organism_of import recognised
+from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.organisms import (
     EUGLENA,
     HELICAL_MICROROBOT,
@@ -33,6 +34,10 @@ class Ellipses:
     speed_px_s: float
     path: Path = Path("ellipses.avi")
     rate_hz: float = RATE_HZ
+
+    @property
+    def timing(self):
+        return PictureTimes(self.rate_hz)
 
     def __iter__(self):
         for number in range(120):

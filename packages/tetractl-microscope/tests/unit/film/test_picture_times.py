@@ -1,0 +1,278 @@
+"""The times of a film's pictures are those that its source states, and what is dropped is said."""
+
+import struct
+
+import numpy as np
+import pytest
+import tifffile
+from support.dish_films import Reel, film, record
+from support.film_containers import czi, folder, ome
+from support.matroska import matroska
+from support.needs_opencv import cv2
+from tetractl_microscope.film.fit_cell import fit_cells
+from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.kinematics import velocities
+from tetractl_microscope.film.picture_names import picture_names
+from tetractl_microscope.film.picture_times import PictureTimes, increasing
+from tetractl_microscope.film.pictures import open_film
+from tetractl_microscope.organisms import TETRAHYMENA
+
+from tetractl.core.errors import UsageError
+
+pytestmark = pytest.mark.slow
+
+
+def made(count, side=48):
+    """Pictures that all differ."""
+    return np.random.default_rng(count).integers(0, 256, (count, side, side + 16), np.uint8)
+
+
+def seconds_of(film):
+    """The times of the pictures that can be read."""
+    return [film.seconds(number) for number, _ in film]
+
+
+@pytest.mark.parametrize(
+    ("stated", "times", "said"),
+    [
+        ([5.0, 5.1, 5.2, 5.3], [0.0, 0.1, 0.2, 0.3], []),
+        ([0.0, 0.1, 0.2, 0.2, 0.4], [0.0, 0.1, 0.2, 0.3, 0.4], ["1 picture states the time of"]),
+        ([0.0, None, 0.2, 0.3], [0.0, 0.1, 0.2, 0.3], ["1 picture states no time"]),
+        ([None, 0.1, 0.2, None], [0.0, 0.1, 0.2, 0.3], ["2 pictures state no time"]),
+        ([*range(10), 0.0, 11.0], list(range(12)), ["1 picture states a time that is not in"]),
+        ([0.0, 0.0, 1.0, 1.0, 2.0, 2.0], [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], ["3 pictures state the"]),
+        ([0.4, 0.3, 0.2, 0.1], None, ["3 of 4 times of its pictures are not in order"]),
+        ([0.0, 0.0, 0.0], None, ["all state the same time"]),
+        ([0.0, None, None], None, ["state no time but the first"]),
+        ([None, None], None, []),
+    ],
+)
+def test_a_time_that_cannot_be_right_leaves_the_others(stated, times, said):
+    found, lines = increasing(stated)
+    assert found == (times if times is None else pytest.approx(times))
+    assert len(lines) == len(said)
+    assert all(text in line for line, text in zip(lines, said, strict=True))
+
+
+def test_a_containers_clock_is_rounded_to_an_even_rate_but_not_an_uneven_one():
+    even = PictureTimes(30.0, [])
+    for number in range(60):
+        even.note(number, round(number / 30, 3))  # Matroska's clock has steps of 1 ms
+    assert even.even and even.rate_hz == 30.0 and even.uneven_line() is None
+    assert even.seconds(59) == 59 / 30 and even.duration(0, 59) == 2.0
+    slower = PictureTimes(27.0, [])
+    for number in range(31):
+        slower.note(number, number / 30 if number <= 15 else 0.5 + (number - 15) / 15)
+    assert slower.seconds(30) == pytest.approx(1.5) and slower.rate_hz == pytest.approx(20.0)
+    assert "0.0333 to 0.0667 s apart" in (slower.uneven_line() or "")
+
+
+def test_a_clock_that_stands_still_or_pauses_is_said():
+    clock = PictureTimes(10.0, [])
+    for number, seconds in enumerate([0.0, 0.1, 0.2, 0.2, 5.4, 5.5]):
+        clock.note(number, seconds)
+    assert clock.stated == pytest.approx([0.0, 0.1, 0.2, 0.3, 5.4, 5.5])
+    line = clock.uneven_line() or ""
+    assert "a pause at 0.3 s" in line and "1 have no later time" in line
+
+
+@pytest.mark.parametrize("planned", [{}, {"TimeIncrement": 1.0, "TimeIncrementUnit": "s"}])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("s", 1.0), ("ms", 1e3), ("µs", 1e6), ("min", 1 / 60)]
+)
+def test_measured_times_are_used_though_one_is_repeated(tmp_path, planned, unit, factor):
+    times = np.arange(20) * 0.1 + 3.0
+    times[7] = times[6]
+    delta = {"DeltaT": (times * factor).tolist(), "DeltaTUnit": [unit] * 20}
+    path = tmp_path / "film.ome.tif"
+    tifffile.imwrite(path, made(20), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
+    film = open_film(path)
+    assert seconds_of(film) == pytest.approx(np.arange(20) / 10)
+    assert any("1 picture states the time of the picture before" in r for r in film.remarks)
+    assert any("planned at 1 Hz" in remark for remark in film.remarks) == bool(planned)
+
+
+def test_a_planned_interval_is_said_where_no_measured_times_can_be_used(tmp_path):
+    delta = {"DeltaT": [0.0] * 6, "DeltaTUnit": ["s"] * 6}
+    planned = {"TimeIncrement": 0.5, "TimeIncrementUnit": "s"}
+    path = tmp_path / "film.ome.tif"
+    tifffile.imwrite(path, made(6), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
+    film = open_film(path)
+    assert film.rate_hz == 2.0
+    assert film.remarks == [
+        "its pictures all state the same time, which is not used",
+        "the planned rate, 2 Hz, is used",
+    ]
+
+
+def test_a_unit_of_time_that_is_unknown_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr("support.film_containers.times_ms", lambda count: list(range(count)))
+    path = ome(tmp_path / "film.ome.tif", made(4))
+    path.write_bytes(path.read_bytes().replace(b'DeltaTUnit="ms"', b'DeltaTUnit="yr"'))
+    with pytest.raises(UsageError, match="unit of time 'yr' is unknown"):
+        open_film(path)
+
+
+def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
+    path = czi(tmp_path / "film.czi", made(4))
+    times = [0.0, 0.5, 0.6, 1.5]
+    data = bytearray(path.read_bytes())
+    content = struct.pack("<ii4d", 8 + 32, 4, *times)
+    directory = len(data)
+    attachment = directory + 32 + 256 + 128
+
+    def entry(place):
+        return struct.pack("<2s10xqi16s8s80s", b"A1", place, 0, bytes(16), b"CZTIMS", b"TimeStamps")
+
+    def segment(name, body):
+        return struct.pack("<16sqq", name, len(body), len(body)) + body
+
+    data += segment(b"ZISRAWATTDIR", struct.pack("<i252x", 1) + entry(attachment))
+    head = struct.pack("<i12x", len(content)) + entry(attachment) + bytes(112)
+    data += segment(b"ZISRAWATTACH", head + content)
+    data[32 + 72 : 32 + 80] = struct.pack("<q", directory)
+    path.write_bytes(data)
+    assert seconds_of(open_film(path)) == pytest.approx(times)
+    place = attachment + 32 + 256 + 4
+    path.write_bytes(data[:place] + struct.pack("<i", 3) + data[place + 4 :])
+    with pytest.raises(UsageError, match="its 3 times are not those of its 4 pictures"):
+        open_film(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "kept", "places"),
+    [
+        (["p1.png", "p2.png", "p4.png"], "p1.png p2.png p4.png", [0, 1, 3]),
+        (["t0005_c1.png", "t0010_c1.png", "t0015_c1.png"], "all", None),
+        (["t0.png", "t5.png", "t10.png", "t20.png"], "all", [0, 1, 2, 4]),
+        (["1700000000033.png", "1700000000067.png", "1700000000100.png"], "all", None),
+        (["._a1.png", "a1.png", "a2.png", ".a3.png"], "a1.png a2.png", None),
+        (["0_dark.png", *(f"a{k}.png" for k in range(9))], "a0.png", None),
+        (["a0.jpg", *(f"a{k}.png" for k in range(1, 9))], "a1.png", None),
+        (["left.png", "right.png"], "all", None),
+        (["a1.tif", "a2.tiff", "a3.tif", "a4.TIF"], "all", None),
+    ],
+)
+def test_only_what_is_like_most_files_is_a_picture(names, kept, places):
+    found = picture_names(names)
+    if kept == "all":
+        assert found.names == names
+    else:
+        assert found.names[: len(kept.split())] == kept.split()
+    assert found.places == places
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.concatenate([np.arange(10) / 15, 2 / 3 + np.arange(10) / 30]),  # the rate doubles
+        np.concatenate([np.arange(10) / 25, 3 + np.arange(10) / 25]),  # a pause
+        np.cumsum(np.random.default_rng(3).uniform(0.02, 0.2, 20)),
+    ],
+)
+@pytest.mark.parametrize("begins", [0.0, 7.0])
+def test_times_of_a_video_are_those_of_its_pictures(tmp_path, times, begins):
+    path = matroska(tmp_path / "film.mkv", made(len(times)), times + begins)
+    film = open_film(path)
+    assert seconds_of(film) == pytest.approx(times - times[0], abs=2e-3)
+    assert film.rate_hz == pytest.approx((len(times) - 1) / np.ptp(times), rel=1e-2)
+    assert (film.time_line() or "").startswith("times are those of the film")
+    assert seconds_of(film) == pytest.approx(times - times[0], abs=2e-3)  # read again
+    given = open_film(path, 20.0)
+    assert seconds_of(given) == pytest.approx(np.arange(20) / 20)
+    assert (given.time_line() or "").startswith("warning: --rate replaces the times of the film")
+
+
+@pytest.mark.parametrize("rate", [30.0, 29.97, 12.5])
+def test_a_video_of_an_even_rate_has_exactly_even_times(tmp_path, rate):
+    film = open_film(matroska(tmp_path / "film.mkv", made(40), np.arange(40) / rate + 3.0))
+    assert seconds_of(film) == [number / film.rate_hz for number in range(40)]
+    assert film.rate_hz == pytest.approx(rate, rel=1e-3) and film.time_line() is None
+
+
+@pytest.mark.long
+def test_the_turning_rate_does_not_depend_on_an_uneven_rate():
+    """At 30 pictures a second, and with every second picture left out from 4 s on."""
+    even = film(seed=41, side=512, cells=4, crossings=False, seconds=8.0)
+    pictures = list(even.pictures())
+    kept = [k for k in range(len(pictures)) if k < 120 or k % 2 == 0]
+    timing = PictureTimes(len(kept) / 8.0, [k / 30 for k in kept])
+    reel = Reel(even, [pictures[k] for k in kept], timing)
+    found, cells = fit_cells(follow(reel, 2.3, record(even), TETRAHYMENA), record(even))
+    assert any("0.0333 to 0.0667 s apart" in remark for remark in found.remarks)
+    intervals = [cell.a for cell in cells if cell.a is not None and cell.seconds > 3]
+    truth = even.cells.a
+    assert len(intervals) >= 2
+    assert all(any(one.low <= a <= one.high for a in truth) for one in intervals)
+
+
+def test_hidden_and_odd_files_neither_count_nor_spoil_the_others(tmp_path):
+    pictures = made(8)
+    path = folder(tmp_path / "film", pictures)
+    for name in ("._picture-0.png", ".DS_Store", "Thumbs.db", "README.txt"):
+        (path / name).write_bytes(b"\0\5\x16\7 no picture")
+    cv2.imwrite(str(path / "preview.jpg"), np.zeros((9, 9), np.uint8))
+    cv2.imwrite(str(path / "background.png"), np.zeros((480, 640), np.uint8))
+    film = open_film(path, 20.0)
+    assert np.array_equal([picture for _, picture in film], pictures)
+    assert seconds_of(film) == pytest.approx(np.arange(8) / 20) and film.damaged == 0
+    assert film.remarks == [
+        "1 file is of another format than the others, and left out: preview.jpg",
+        "1 file is not named like the others, and left out: background.png",
+    ]
+
+
+def test_a_first_picture_of_another_size_is_the_only_one_lost(tmp_path):
+    pictures = made(6)
+    path = folder(tmp_path / "film", pictures)
+    cv2.imwrite(str(path / "picture-0.png"), np.zeros((9, 9), np.uint8))
+    film = open_film(path, 20.0)
+    assert np.array_equal([picture for _, picture in film], pictures[1:])
+    assert film.damaged == 1 and seconds_of(film) == pytest.approx(np.arange(1, 6) / 20)
+
+
+def test_times_follow_the_numbers_of_names_some_of_which_are_missing(tmp_path):
+    path = folder(tmp_path / "film", made(10))
+    for number in (4, 5, 6):
+        (path / f"picture-{number}.png").unlink()
+    film = open_film(path, 10.0)
+    assert seconds_of(film) == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.7, 0.8, 0.9])
+    assert film.remarks == [
+        "by the numbers in the names, 3 pictures are missing, the first after picture-3.png: times "
+        "follow the numbers"
+    ]
+
+
+def test_one_picture_is_no_film(tmp_path):
+    path = folder(tmp_path / "film", made(1))
+    with pytest.raises(UsageError, match="is one picture, and no film"):
+        open_film(path, 30.0)
+
+
+def test_velocities_do_not_depend_on_the_rate_of_the_pictures():
+    """A circle at a constant speed of 100 pi um/s, filmed at 30, then at 15 pictures a second."""
+    times = np.concatenate([np.arange(60) / 30, 2 + np.arange(31) / 15])
+    angle = np.pi * times
+    circle = velocities(times, 100 * np.column_stack([np.cos(angle), np.sin(angle)]), np.nan)
+    assert circle["vsl_um_s"] == pytest.approx(200, rel=0.01)  # half a turn a second
+    assert circle["vcl_um_s"] == pytest.approx(100 * np.pi, rel=0.01)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many):
+    path = tmp_path / "film.tif"
+    tifffile.imwrite(path, made(2))
+    data = path.read_bytes()
+    with tifffile.TiffFile(path) as tif:
+        places = [page.tags["Compression"].valueoffset for page in tif.pages]
+    for place in places:
+        data = data[:place] + struct.pack("<H", 50000) + data[place + 2 :]
+    path.write_bytes(data)
+    if many:
+        (tmp_path / "many").mkdir()
+        for k in range(2):
+            (tmp_path / "many" / f"{k}.tif").write_bytes(data)
+        path = tmp_path / "many"
+    with pytest.raises(UsageError, match="compressed by ZSTD, which needs imagecodecs") as error:
+        open_film(path, 10.0)
+    assert "pip install imagecodecs" in error.value.hint

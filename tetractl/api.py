@@ -191,7 +191,6 @@ class TrialArrays:
     distance: Floats = field(repr=False)  # (M, N) from the measured position to the target
     step_time_s: Floats = field(repr=False)  # (K,) when each command was sent
     direction: Floats = field(repr=False)  # (K,) the common direction u, NaN while the field is off
-    intensity: Floats = field(repr=False)  # (K,) of the signal, NaN if only u is chosen
     cost: Floats = field(repr=False)  # (K,) J of the chosen sequence, (7)
     length: NDArray[np.int64] = field(repr=False)  # (K,) number of signals in the chosen sequence
     evaluations: NDArray[np.int64] = field(repr=False)  # (K,) number of costs evaluated
@@ -215,7 +214,6 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
             [trial.elapsed_s(step.command.sent_ns) for step in steps], dtype=float
         ),
         direction=np.array([step.plan.direction for step in steps], dtype=float),
-        intensity=np.array([step.plan.intensity for step in steps], dtype=float),
         cost=np.array([step.plan.cost for step in steps], dtype=float),
         length=np.array([len(step.plan.signals) for step in steps], dtype=np.int64),
         evaluations=np.array([step.plan.evaluations for step in steps], dtype=np.int64),

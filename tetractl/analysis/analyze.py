@@ -10,7 +10,6 @@ import numpy as np
 from tetractl.analysis.closed_loop import Noise, left_out
 from tetractl.analysis.reach import Reach, reach
 from tetractl.analysis.steering import Steering, planner, steering, tolerance
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
@@ -72,16 +71,8 @@ def analyze(
     experiment: Experiment, plans: int, on_done: Callable[[int, int], object] = lambda *_: None
 ) -> Analysis:
     """Analyse an experiment's robots, and variants of them, each along a number of plans; `on_done`
-    is called with the number of analyses done and the number of all.
-
-    UsageError for a spec whose controller chooses an intensity.
-    """
-    setup, noise, reached = experiment.setup, Noise.of(experiment.plant), reach(experiment)
-    if setup.intensity is not None:
-        raise UsageError(
-            f"plans by directions only, not by a {setup.intensity.name}; reach {reached}",
-            "take 'intensity' out of the spec, or run trials",
-        )
+    is called with the number of analyses done and the number of all."""
+    setup, noise = experiment.setup, Noise.of(experiment.plant)
     section, seed = planner(experiment), experiment.trials.seed
     gap, alike = smallest_gap(setup)
     candidates = list(_candidates(setup, alike)) if alike and gap < TOO_ALIKE else []
@@ -111,7 +102,7 @@ def analyze(
     ]
     return Analysis(
         setup=setup,
-        reach=reached,
+        reach=reach(experiment),
         noise=noise,
         left_out=left_out(experiment.plant),
         tolerance=tolerance(section),

@@ -1,14 +1,14 @@
 """Which combinations of the robots' ends the common signal can move: can they be steered apart?
 
-SEQUENCES sequences of LENGTH directions, drawn uniformly, and of intensities if the controller may
-choose them, move all N robots from their starts. Each direction is held for the time in which a
-robot turns by some 60 degrees, 1/a by the geometric mean of the rates a. Their ends, as
-displacements over the speed, are 2N numbers; the square roots of the eigenvalues of their
-covariance, over the greatest, say how far each combination of ends can be moved. A sequence that
-moves a combination by over CHANCE times its usual spread counts as that much: nearly equal robots
-are parted so by a direction that happens to be opposite to their heading, too rarely to be counted
-on. The rank is the number of spreads of at least TOLERANCE. Two robots move alike if a combination
-of them alone is below it. Nothing of this depends on the controller or on the targets.
+SEQUENCES sequences of LENGTH directions, drawn uniformly, move all N robots from their starts. Each
+direction is held for the time in which a robot turns by some 60 degrees, 1/a by the geometric mean
+of the rates a. Their ends, as displacements over the speed, are 2N numbers; the square roots of the
+eigenvalues of their covariance, over the greatest, say how far each combination of ends can be
+moved. A sequence that moves a combination by over CHANCE times its usual spread counts as that
+much: nearly equal robots are parted so by a direction that happens to be opposite to their heading,
+too rarely to be counted on. The rank is the number of spreads of at least TOLERANCE. Two robots
+move alike if a combination of them alone is below it. Nothing of this depends on the controller or
+on the targets.
 """
 
 from collections.abc import Iterator
@@ -113,18 +113,15 @@ def reach_of(setup: Setup, motion: str) -> Reach:
 
 def _ends(setup: Setup, motion: str) -> Floats:
     """Return the ends (SEQUENCES, 2N) of random sequences, about their means [s]."""
-    of, a, speed = MOTIONS.load(motion), setup.a, (setup.speed > 0) * 1.0
+    step, speed = MOTIONS.load(motion).step, (setup.speed > 0) * 1.0
     held = min(float(np.exp(-np.log(setup.a).mean())), setup.time_limit_s / LENGTH)
     shape = SEQUENCES, len(speed)
     x, y = np.zeros(shape), np.zeros(shape)
     heading = np.broadcast_to(setup.starts.heading, shape)
     random = np.random.default_rng(0)
     for _ in range(LENGTH):
-        u, own = random.uniform(-np.pi, np.pi, (SEQUENCES, 1)), (a, speed)
-        if (may := setup.intensity) is not None:
-            chosen = random.uniform(may.low, may.high, (SEQUENCES, 1)) / may.reference
-            own = of.under(chosen, a, speed)
-        x, y, heading = of.step(x, y, heading, u, *own, held)
+        u = random.uniform(-np.pi, np.pi, (SEQUENCES, 1))
+        x, y, heading = step(x, y, heading, u, setup.a, speed, held)
     ends = np.stack([x, y], axis=-1).reshape(SEQUENCES, -1)
     return ends - ends.mean(axis=0)
 

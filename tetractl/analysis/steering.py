@@ -4,7 +4,7 @@ The plans are those that the controllers of the first trials would find in their
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,9 +68,7 @@ def tolerance(section: RecommendedMpc) -> float:
 
 
 def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
-    """Yield the plans with which the first `count` trials of a batch with this seed would begin, by
-    directions only."""
-    setup = replace(setup, intensity=None)
+    """Yield the plans with which the first `count` trials of a batch with this seed would begin."""
     every = np.ones(len(setup.names), dtype=np.bool_)
     observation = Observation(0, 0, 0, setup.starts, every)
     problem = section.problem(setup)

@@ -39,7 +39,7 @@ def plot(
     arms: the final errors of each of several folders, their mean and its 95 % interval.
     ecdf: fraction of each folder's trials that ended with an error up to a value.
     scatter: where the robots of several trials ended, by folder.
-    signal: the direction sent over time, and the strength or frequency of the field.
+    signal: the direction sent over time.
     estimate: the controller's estimates of turning rate a, speed and so on over time.
     timing: solve time of each control step.
     video: the trial as a video.

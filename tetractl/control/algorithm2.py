@@ -75,5 +75,4 @@ class Algorithm2:
         if count > 1:
             yield count - 1, self.warm[1:]  # 18-20: its last H - 1 signals
         yield count, self.warm
-        one_more = self.estimator.problem.zeros(1)
-        yield count + 1, np.concatenate([self.warm, one_more])  # 16-17: and a 0
+        yield count + 1, np.append(self.warm, 0.0)  # 16-17: and a 0

@@ -61,13 +61,8 @@ def foresee(problem: Problem, signals: Floats) -> Foreseen:
 
 
 def predict(problem: Problem, signals: Floats) -> Floats:
-    """Return the poses (L + 1, ..., N, 3), the start first, predicted for sequences (..., L), or
-    (..., L, 2) with an intensity."""
+    """Return the poses (L + 1, ..., N, 3), the start first, predicted for sequences (..., L)."""
     motion: Motion = MOTIONS.load(problem.motion)
-    a, speed, under = problem.a, problem.speed, None
-    if problem.intensity is not None:
-        signals, chosen = signals[..., 0], signals[..., 1] / problem.intensity.reference
-        under = motion.under(np.moveaxis(chosen, -1, 0)[..., None], a, speed)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
     path[0] = problem.poses.array()
@@ -79,10 +74,8 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     for j, u in enumerate(every):
         held = problem.first_period if j == 0 else problem.period
         start = x[j], y[j], path[j, ..., 2]
-        if under is not None:
-            a, speed = (of[j] for of in under)
-        rate = _rates(start[2], u, own, held) if turns else a
-        path[j + 1] = np.stack(motion.step(*start, u, rate, speed, held), axis=-1)
+        rate = _rates(start[2], u, own, held) if turns else problem.a
+        path[j + 1] = np.stack(motion.step(*start, u, rate, problem.speed, held), axis=-1)
     if problem.flow is not None:
         periods = np.arange(len(every)).reshape(-1, *(1 for _ in shape))
         times = problem.first_period + problem.period * periods

@@ -2,8 +2,7 @@
 
 The estimate is the poses that the robots will have when the direction decided now begins to act.
 The prediction starts at the newest frame and uses the spec's values of the motion, or the values
-that a bank of filters identifies from all frames and commands while the robots drive. Under signals
-with an intensity nothing is identified, and robots are predicted by the problem's motion.
+that a bank of filters identifies from all frames and commands while the robots drive.
 """
 
 from collections.abc import Sequence
@@ -11,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.acting import Acting
 from tetractl.control.filter import FilterBank
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
@@ -43,7 +41,6 @@ class StateEstimator:
         self.losses = Losses(loss, problem.speed)
         self.period = round(period_s * SECOND)
         self.filter = FilterBank(prior, drive_first)
-        self._acting = Acting(problem, prior.dead_time) if problem.intensity else None
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent: int | None = None
         self._newest_ns = 0
@@ -76,8 +73,6 @@ class StateEstimator:
         others = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
         if self.left is not left and not self.left.any():
             raise ControlError("every robot is lost")
-        if self._acting is not None:
-            return replace(self.problem, poses=self._acting.ahead(observation)).only(self.left)
         self.filter.seen(observation, earlier)
         self.filter.restart(others)
         poses, bias, flow, self._held, known = self.filter.ahead(self.sends(observation))
@@ -93,9 +88,6 @@ class StateEstimator:
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""
-        if self._acting is not None:
-            self._acting.sent(command, self._newest_ns)
-            return
         if not isinstance(command.action, FieldOff):
             self._last_sent = None if command.direction is None else command.sent_ns
         if self.estimate is None:

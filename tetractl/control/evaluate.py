@@ -2,20 +2,16 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from tetractl.control.coordinates import intensities
-from tetractl.control.cost import Foreseen, foresee, require_finite
+from tetractl.control.cost import Foreseen, require_finite
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.registries import MOTIONS
 
 
 def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
-    """Return a function that maps the coordinates of `count` sequences, (L, count), or (2 L, count)
-    with an intensity, to their costs J, (count,).
+    """Return a function that maps `count` sequences, (L, count), to their costs J, (count,).
 
     It agrees with `tetractl.control.cost.evaluate` to 1e-9, and raises ControlError if a cost is
     not finite.
@@ -29,23 +25,6 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
         costs(rollout, np.ascontiguousarray(signals), found)
         require_finite(found)
         return found
-
-    return evaluate if problem.intensity is None else _with_intensities(problem, rollout)
-
-
-def _with_intensities(problem: Problem, rollout: Any) -> Callable[[Floats], Floats]:
-    from tetractl.control.kernels.intensities import costs
-
-    motion, of = MOTIONS.load(problem.motion), problem.intensity
-    assert of is not None
-
-    def evaluate(found: Floats) -> Floats:
-        directions, total = found[: len(found) // 2], np.empty(found.shape[1])
-        chosen = intensities(problem, found)[..., None] / of.reference
-        a, speed = map(np.ascontiguousarray, motion.under(chosen, problem.a, problem.speed))
-        costs(rollout, np.ascontiguousarray(directions), a, speed, total)
-        require_finite(total)
-        return total
 
     return evaluate
 
@@ -72,19 +51,16 @@ def compiled_branches(
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return the prediction for a sequence (L,), as `cost.foresee` but compiled; with an intensity
-    by `cost.foresee` itself."""
-    if problem.intensity is not None:
-        return foresee(problem, signals)
-    from tetractl.control.kernels import prediction
+    """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
     from tetractl.control.kernels.motion import flat
+    from tetractl.control.kernels.prediction import foresee
 
     of, path = flat(problem), np.empty((signals.size + 1, problem.a.size, 3))
     path[0] = of.start
     motion = of.parameters, of.drift, problem.first_period, problem.period, of.rest
     around = problem.obstacles.rows, problem.obstacles.walls, problem.swept
     asked = path, np.ascontiguousarray(problem.targets), *around, float(problem.separation)
-    target, obstacle = prediction.foresee(np.ascontiguousarray(signals), *motion, *asked)
+    target, obstacle = foresee(np.ascontiguousarray(signals), *motion, *asked)
     if not math.isfinite(target):
         require_finite(np.array([target]))
     return Foreseen(path, target, obstacle)

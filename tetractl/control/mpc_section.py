@@ -145,7 +145,7 @@ class SearchFields(PlainSection):
         from tetractl.control.evaluate import compiled_foresee
 
         problem = self.problem(setup)
-        found = self.optimizer.search(problem, 1, problem.zeros(1), 0, Limits())
+        found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)
         super().warm_up(setup)
 
@@ -163,11 +163,6 @@ class PsoMpc(SearchFields):
     """Largest number of control steps k_max."""
 
     controller: ClassVar[str] = "tetractl.control.algorithm2:Algorithm2"
-
-    @property
-    def intensities(self) -> bool:
-        """Whether the optimiser searches intensities too."""
-        return self.optimizer.intensities
 
     def fitted(self, stands: bool, speed: float) -> Self:
         """Return the section with a time limit that no trial of `steps_max` steps exceeds."""

@@ -36,7 +36,6 @@ class PlainSection(ControllerSection):
             obstacles=Obstacles.of(setup.obstacles),
             obstacle_weight=0.0,
             swept=False,
-            intensity=setup.intensity,
         )
 
     def known(self, setup: Setup) -> Prior:

@@ -17,11 +17,9 @@ HALTS = "halts"
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """All robots drive and turn towards the common direction u [rad], under a signal of an
-    `intensity` in the unit of the setup's; None if the controller does not choose it."""
+    """All robots drive and turn towards the common direction u [rad]."""
 
     direction: float
-    intensity: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +54,6 @@ class Sent:
     def direction(self) -> float | None:
         """The common direction u [rad], None if the action gives none."""
         return self.action.direction if isinstance(self.action, Steer) else None
-
-    @property
-    def intensity(self) -> float | None:
-        """The intensity of the signal, None if the action gives none."""
-        return self.action.intensity if isinstance(self.action, Steer) else None
 
     @property
     def stops(self) -> bool:

@@ -11,7 +11,6 @@ from typing import Protocol
 import numpy as np
 
 from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
-from tetractl.core.intensity import Intensity
 from tetractl.core.poses import Bools, Floats, Poses
 
 
@@ -140,7 +139,7 @@ class Search:
     """
 
     length: int
-    signals: Floats = field(repr=False)  # (length,) rad; (length, 2) with an intensity
+    signals: Floats = field(repr=False)  # (length,) rad
     cost: float  # J, (7)
     history: Floats = field(repr=False)  # (iterations + 1,)
     evaluations: int
@@ -248,7 +247,7 @@ class Plan:
     @property
     def action(self) -> Action:
         """What is to be sent in this step."""
-        return self.instead or Steer(*np.ravel(self.signals[0]).tolist())
+        return self.instead or Steer(float(self.signals[0]))
 
     @property
     def pauses(self) -> bool:
@@ -270,12 +269,7 @@ class Plan:
     @property
     def direction(self) -> float | None:
         """The direction to be sent in this step [rad], None if none is sent."""
-        return float(np.ravel(self.signals[0])[0]) if self.instead is None else None
-
-    @property
-    def intensity(self) -> float | None:
-        """The intensity to be sent in this step, None if none is chosen."""
-        return float(self.signals[0][1]) if not self.instead and self.signals.ndim > 1 else None
+        return float(self.signals[0]) if self.instead is None else None
 
     @property
     def search(self) -> Search:
@@ -327,10 +321,9 @@ class Problem:
     to the direction that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift
     that carries it; None for no bias or flow. If `within` [length unit] is given, the robots are to
     stay within that distance of their targets. `side` and `saturation` (N,) are how robots turn
-    (`tetractl.model.motion.turn_rate`), None for robots that turn by (3). With an `intensity`, a
-    sequence (L, 2) has one for each direction; bias, flow, side and saturation are None then.
-    `depth_weight` is that of a depth in an obstacle relative to a miss, in a polish. Problems are
-    compared by identity, so that a problem can be the key of a cache.
+    (`tetractl.model.motion.turn_rate`), None for robots that turn by (3). `depth_weight` is
+    that of a depth in an obstacle relative to a miss, in a polish. Problems are compared by
+    identity, so that a problem can be the key of a cache.
     """
 
     poses: Poses
@@ -349,7 +342,6 @@ class Problem:
     within: float | None = None
     side: Floats | None = None
     saturation: Floats | None = None
-    intensity: Intensity | None = None
     depth_weight: float = 3.0
 
     def only(self, some: Bools) -> "Problem":
@@ -368,10 +360,6 @@ class Problem:
         bias = none if self.bias is None else self.bias
         flow = (none, none) if self.flow is None else self.flow.T
         return np.array([np.cos(bias), np.sin(bias), *flow])
-
-    def zeros(self, length: int) -> Floats:
-        """Return a sequence of `length` signals 0."""
-        return np.zeros(length if self.intensity is None else (length, 2))
 
     def seconds(self, length: int) -> float:
         """Return the duration of a sequence of `length` signals [s]."""

@@ -35,7 +35,6 @@ MOTIONS = Registry(
         "euler": "tetractl.model.motion.euler:EULER",
         "arc": "tetractl.model.motion.arc:ARC",
         "exact": "tetractl.model.motion.exact:EXACT",
-        "rollers": "tetractl.model.motion.rollers:ROLLERS",
     },
 )
 SHAPES = Registry(
@@ -156,7 +155,6 @@ PAPERS = Registry(
     {
         "ou": "tetractl.reproduce.ou:PAPER",
         "khalil-2013": "tetractl.reproduce.khalil_2013:PAPER",
-        "amoudruz-2021": "tetractl.reproduce.amoudruz_2021:PAPER",
     },
 )
 OTHERS = (SWEEPS, STATISTICS, FIGURES, PAPERS)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tetractl.core.intensity import Intensity
 from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
 from tetractl.core.shape import Shape
 from tetractl.core.tour import HoldTask, LossRule
@@ -64,8 +63,7 @@ class Setup:
     there. `sight` is what the plant's camera can see. `loss` is the rule by which a robot counts as
     lost and the trial goes on without it, or ends; None if robots that are not tracked end the
     trial, by the plant, and others never do. `strength` is that of the field, at which robots turn
-    at the rates `a`, in `strength_unit`; None if it is not stated. `intensity` is that of the
-    signal that a controller may choose, None if it chooses the direction only.
+    at the rates `a`, in `strength_unit`; None if it is not stated.
     """
 
     name: str
@@ -92,12 +90,6 @@ class Setup:
     sight: Sight = UNSTATED
     strength: float | None = None
     strength_unit: str = "mT"
-    intensity: Intensity | None = None
-
-    @property
-    def a_most(self) -> Floats:
-        """The greatest turning rates that a controller can give the robots [rad/s], (N,)."""
-        return self.a if self.intensity is None else self.intensity.gain * self.a
 
     @property
     def legs(self) -> Floats:

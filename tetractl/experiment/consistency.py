@@ -1,18 +1,14 @@
 """Checks that the sections of a spec do not contradict each other."""
 
-import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
-from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
-from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.section_abilities import Modelled
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
@@ -88,45 +84,9 @@ def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
         )
 
 
-def intensity_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each contradiction between the signal's intensity and what is to
-    choose it, to make it and to move by it."""
-    control, plant = experiment.controller, experiment.plant
-    moved = {"controller": control, "plant": plant}
-    effects = {
-        (name, "motion"): MOTIONS.load(section.motion).effect
-        for name, section in moved.items()
-        if isinstance(section, Modelled)
-    }
-    if (of := experiment.setup.intensity) is None:
-        for loc, effect in effects.items():
-            if effect.needed:
-                text = f"needs the {effect.name} of the field: add intensity: {{max: ...}}"
-                yield loc, f"{text} [{effect.unit}]"
-        return
-    if not control.intensities:
-        text = f"of type {control.type} chooses a direction only, no {of.name}"
-        hint = "pso-mpc with the optimiser pso, cem or mppi chooses both"
-        yield ("controller",), f"{text}; {hint}"
-    for loc, effect in effects.items():
-        if effect.name != of.name:
-            yield loc, f"moves by a {effect.name} of the field, that of the controller by {of.name}"
-    if isinstance(control.first_plan, Square):
-        yield ("controller", "first_plan"), f"drives a square at no {of.name}; let robots stand"
-    if experiment.strength is None and math.isfinite(of.gain):
-        yield ("strength",), f"is missing: at which strength [{of.unit}] do robots turn at their a?"
-    if experiment.wheels is not None:
-        yield ("intensity",), "is that of a field; robots on wheels have none"
-    for name, lab in (("plant", plant), ("lab", experiment.lab)):
-        if isinstance(lab, LabSection) and lab.actuator.intensity != of.name:
-            text = f"of type {lab.actuator.type} cannot send a {of.name}; field can send a strength"
-            yield (name, "actuator"), text
-
-
 def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     """Yield location and text of each contradiction in the sections of controller and plant."""
     control = experiment.controller
-    yield from intensity_contradictions(experiment)
     if control.switches_field and not experiment.plant.switches_field:
         message = f"cannot switch the field off, as controller {control.type} does"
         yield ("plant",), f"{message}; simulations can"

@@ -45,8 +45,6 @@ class OptimizerSection(Model):
     """
 
     type: Any  # the section's name, a Literal in each subclass
-    intensities: ClassVar[bool] = False
-    """Whether sequences (L, 2) of directions and intensities can be searched."""
 
     @property
     @abstractmethod
@@ -124,11 +122,6 @@ class ControllerSection(Model):
     """Whether the controller supports way-points and a hold at the targets."""
 
     @property
-    def intensities(self) -> bool:
-        """Whether the controller can choose an intensity besides the direction."""
-        return False
-
-    @property
     def iterations_max(self) -> int:
         """Largest number of iterations of one search, 0 if the controller does not search."""
         return 0
@@ -184,6 +177,8 @@ def earlier_limit(controller: Any) -> float | None:
 
 def retired_hint(key: str, section: Any) -> str | None:
     """Return what to write for a retired key of a section, None for any other key."""
+    if key == "intensity":
+        return "a controller chooses a direction only; write strength: [mT], and a: {per_mT: ...}"
     limit = earlier_limit(section) if key == "steps_max" else None
     return None if limit is None else f"a trial's limit is a time now; write time_limit: {limit:g}"
 

@@ -16,9 +16,8 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
-from tetractl.core.intensity import Intensity
 from tetractl.core.poses import Poses
-from tetractl.core.registries import CONTROLLERS, MOTIONS, PLANTS, SHAPES
+from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask, LossRule
 from tetractl.experiment.base import (
@@ -114,21 +113,6 @@ class HoldSection(Model):
     """Duration of the hold [s]; it counts towards `controller.time_limit`."""
 
 
-class IntensitySection(Model):
-    """Bounds of the signal's intensity."""
-
-    min: NonNegative = 0.0
-    """Least intensity; 0 is off."""
-    max: Positive
-    """Greatest intensity."""
-
-    @model_validator(mode="after")
-    def _is_a_range(self) -> Self:
-        if self.min >= self.max:
-            raise inconsistent("min", f"must be less than max, {self.max:g}")
-        return self
-
-
 class Trials(Model):
     """Number of trials, and the seed of all random numbers."""
 
@@ -189,11 +173,6 @@ class Experiment(Model):
     strength: Positive | None = None
     """Strength B of the field, which coils are sent: in V/cm if robots have `a: {per_V_cm: ...}`,
     otherwise in mT. Turning rates a in rad/s are those at this strength.
-    """
-    intensity: IntensitySection | None = None
-    """Bounds of the signal's intensity, which the controller then chooses besides the direction: of
-    the field's strength, in the unit of `strength`, or, for the motion `rollers`, of the frequency
-    with which the field rotates [rad/s]. By default robots turn at the spec's `strength`.
     """
     chosen: Choice | None = None
     """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
@@ -296,10 +275,9 @@ class Experiment(Model):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_stated(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a strength and an intensity that are not stated: specs without them are dumped
-        as ever."""
-        new = "strength", "intensity"
-        return {k: v for k, v in inner(self).items() if k not in new or v is not None}
+        """Leave out a strength that is not stated: specs without one are dumped as ever."""
+        found = inner(self)
+        return {k: v for k, v in found.items() if k != "strength" or v is not None}
 
     @property
     def open(self) -> bool:
@@ -336,7 +314,6 @@ class Experiment(Model):
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
             strength=self.strength,
             strength_unit=unit_of(tuple(robot.a for robot in self.robots)),
-            intensity=self._intensity,
             arena=self.arena.bounds,
             obstacles=tuple(obstacle.shape() for obstacle in self.obstacles),
             period_s=control.period,
@@ -353,19 +330,6 @@ class Experiment(Model):
             hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
             loss=self._loss,
         )
-
-    @property
-    def _intensity(self) -> Intensity | None:
-        if (of := self.intensity) is None:
-            return None
-        from tetractl.experiment.section_abilities import Modelled
-
-        motion = self.controller.motion if isinstance(self.controller, Modelled) else "exact"
-        effect = MOTIONS.load(motion).effect
-        if effect.unit:
-            return Intensity(effect.name, effect.unit, of.min, of.max)
-        unit, at = unit_of(tuple(robot.a for robot in self.robots)), self.strength or 1.0
-        return Intensity(effect.name, unit, of.min, of.max, at, gain=of.max / at)
 
     @property
     def _loss(self) -> LossRule | None:

@@ -103,8 +103,6 @@ class CameraSection(DeviceSection):
 class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
-    intensity: ClassVar[str] = ""
-    """The name of the intensity that the device can send, such as "strength"; "" if none."""
     calibration: ClassVar[str] = ""
     """The function that implements `calibrate`, as "module:function"; "" if there is none."""
 

@@ -24,8 +24,7 @@ hence |w_1 - w_2| <= G(t), the integral of min(D, 2). With p_i = g_i / v_i,
     e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
 Robots of equal turning rate a and start heading have D = 0: their paths have the same shape, and
-for two such robots the bound is exact if t is long enough. Under a signal whose intensity changes
-the a, the bounds are those of the greatest. The bounds also hold for the Euler model
+for two such robots the bound is exact if t is long enough. The bounds also hold for the Euler model
 (4)-(6) and held wheel speeds (24)-(25): the right-hand side of D' grows with D, so a step of length
 T along the tangent stays below D, and a left Riemann sum of a growing function stays below its
 integral.
@@ -66,7 +65,7 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     until = np.clip(np.log(growth) / rate, 0.0, seconds)
     grown = (turned * np.sinh(rate * until) + both * (np.cosh(rate * until) - 1)) / rate
     found = np.minimum(grown, 2 * until) + 2 * (seconds - until)
-    return np.where(turned + both == 0, 0.0, found)
+    return np.where(turned + both > 0, found, 0.0)
 
 
 @np.errstate(all="ignore")
@@ -80,8 +79,7 @@ def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> floa
     moving = (setup.speed[one] > 0) & (setup.speed[other] > 0)
     one, other = one[moving], other[moving]
     turned = np.abs(wrap(setup.starts.heading[one] - setup.starts.heading[other]))
-    most = setup.a_most  # |delta|' grows with both a
-    apart = np.zeros(len(one)) if alike else drift(most[one], most[other], turned, seconds)
+    apart = np.zeros(len(one)) if alike else drift(setup.a[one], setup.a[other], turned, seconds)
     way = (setup.targets - setup.starts.xy) / np.where(setup.speed > 0, setup.speed, 1)[:, None]
     gaps = np.linalg.norm(way[one] - way[other], axis=1) - apart
     both = np.minimum(setup.speed[one], setup.speed[other]) * gaps

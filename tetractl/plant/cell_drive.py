@@ -60,7 +60,6 @@ class CellDrive:
         drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
         rim_um = float(cells.helix_um.max())
         cells.resting[:] = True
-        self._reference = 1.0 if setup.intensity is None else setup.intensity.reference
         walls = walls_of(setup, rim_um) if section.walls else None
         self._body = cells.laid_out(drift=drift, walls=walls)
         self.vary(a, speed)
@@ -115,6 +114,5 @@ class CellDrive:
         body[GOING, got] = not isinstance(action, Stop)
         field = 0.0, 0.0
         if isinstance(action, Steer):
-            share = 1.0 if action.intensity is None else action.intensity / self._reference
-            field = share * math.cos(action.direction), share * math.sin(action.direction)
+            field = math.cos(action.direction), math.sin(action.direction)
         body[FIELD, got], body[FIELD + 1, got] = field

@@ -22,8 +22,7 @@ def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
 
 
 class DirectDrive:
-    """Moves N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,), under a
-    signal of an intensity over its `reference`.
+    """Moves N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
 
     Between two commands the motion is known in closed form, so the path is sampled, not integrated.
     """
@@ -33,12 +32,9 @@ class DirectDrive:
     repeats_ns = NEVER  # a direction is held until the next one: it is not sent repeatedly
     rest_s = 0.0  # time from a stop until the robots stand [s]
 
-    def __init__(
-        self, motion: Motion, a: Floats, speed: Floats, starts: Poses, reference: float = 1.0
-    ) -> None:
+    def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
         self.poses = starts
-        self._motion, self._reference = motion, reference
-        self._intensity: Floats | None = None  # (N,) over the reference, None if none was sent
+        self._motion = motion
         self._held = Held(*(np.zeros(a.size) for _ in range(4)))
         self._free = np.zeros(a.size, dtype=np.bool_)  # robots on which no field acts
         self._sine = np.zeros(a.size)  # sin(u - heading) when the command was received
@@ -57,9 +53,7 @@ class DirectDrive:
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
-        self._able, self._given = (a > 0) | (speed > 0), (a, speed)
-        if self._intensity is not None:
-            a, speed = self._motion.under(self._intensity, a, speed)
+        self._able = (a > 0) | (speed > 0)
         self._a, self._speed = np.maximum(a, LEAST_A), speed
         self._held.turning = a * self._sine
 
@@ -95,8 +89,4 @@ class DirectDrive:
                 answered = command.headings
             self._sine[got] = np.sin(u - answered)[got]
             held.direction[got] = u[got]
-        if isinstance(action, Steer) and action.intensity is not None:
-            before = np.ones(got.size) if self._intensity is None else self._intensity
-            self._intensity = np.where(got, action.intensity / self._reference, before)
-            self.vary(*self._given)
         held.turning = self._a * self._sine

@@ -111,8 +111,6 @@ class SimSection(PlantSection):
             yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed; lower the rate"
         if self.drive is not None and self.cells is not None:
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
-        if self.cells is not None and (effect := MOTIONS.load(self.motion).effect).needed:
-            yield ("cells",), f"do not move by the field's {effect.name}; leave out 'motion'"
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs the experiment's field 'wheels: {radius: ..}'"
         rate = 1 / setup.period_s if self.drive is None else self.drive.rate or 1 / setup.period_s
@@ -228,8 +226,6 @@ class SimPlant:
         from tetractl.plant.standing import StandingCheck  # not needed to read a spec
 
         self._standing = StandingCheck(setup, section.dead_time)
-        needed = section.cells is None and MOTIONS.load(section.motion).effect.needed
-        self._drives = () if needed else (Steer, FieldOff)  # at a speed that is known
         self._stop: Command | None = None
         self._held: Steer | Turn | FieldOff = FieldOff()  # sent last, and repeated
         self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
@@ -265,7 +261,7 @@ class SimPlant:
         robot has received it."""
         seen = self.observe()
         now = self._plan()
-        self._standing.sent(now, isinstance(action, self._drives))
+        self._standing.sent(now, isinstance(action, Steer | FieldOff))
         if isinstance(action, Stop):
             return self._halt(now, seen)
         self._held = action
@@ -332,8 +328,7 @@ class SimPlant:
     def _without_wheels(self, starts: Poses, key: np.random.SeedSequence) -> Drive:
         section = self.section
         if section.cells is None:
-            of, motion = self.setup.intensity, MOTIONS.load(section.motion)
-            return DirectDrive(motion, self.a, self.speed, starts, of.reference if of else 1.0)
+            return DirectDrive(MOTIONS.load(section.motion), self.a, self.speed, starts)
         random, walk = np.random.default_rng(key), section.heading_noise
         return CellDrive(section.cells, self.setup, self.a, self.speed, starts, walk, random)
 

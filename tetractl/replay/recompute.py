@@ -110,7 +110,7 @@ class Rerun:
         optimizer, problem, length = asked.optimizer, asked.problem, asked.length
         if self._until == np.inf:  # compile
             least = Limits(optimizer.evaluations_min)
-            optimizer.search(problem, 1, problem.zeros(1), asked.key, least)
+            optimizer.search(problem, 1, np.zeros(1), asked.key, least)
             self._until = self._cpu() + limits.seconds_limit()
         most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
         limited = replace(asked.limits, expired=lambda spent: self.expired() or spent >= most)

@@ -61,9 +61,9 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
 
     Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
     paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
-    not reach it. `strength_UNIT` or `frequency_UNIT` is there if the controller chooses it.
+    not reach it.
     """
-    setup, rows, of = log.start.setup, list[tuple[Any, ...]](), log.start.setup.intensity
+    setup, rows = log.start.setup, list[tuple[Any, ...]]()
     wheels = [f"{side}_{name}_{setup.unit}_s" for name in setup.names for side in ("left", "right")]
     wheels = wheels if setup.wheel_radius is not None else []
     timings = {one.k: one for one in contents.messages(HOST_TIMING)}
@@ -88,10 +88,8 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
         )
         speeds = [one for pair in zip(sent.left, sent.right, strict=True) for one in pair]
         speeds = speeds or [None] * len(wheels)
-        chosen = [sent.intensity if sent.HasField("intensity") else None] if of else []
-        rows.append((*row, *chosen, *sent.delivered, *(speeds if wheels else ())))
-    intensity = [f"{of.name}_{of.unit}"] if of else []
-    names = (*OF_STEP, *intensity, *(f"delivered_{name}" for name in setup.names), *wheels)
+        rows.append((*row, *sent.delivered, *(speeds if wheels else ())))
+    names = (*OF_STEP, *(f"delivered_{name}" for name in setup.names), *wheels)
     values = [*zip(*rows, strict=True)] or [()] * len(names)
     columns = dict[str, Any](zip(names, values, strict=True))
     for name in ("time_s", "observed_s"):

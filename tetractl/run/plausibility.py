@@ -129,8 +129,6 @@ def plan_outlasts_trial(spec: CheckContext) -> Found:
 
 def coarse_period(spec: CheckContext) -> Found:
     """Warn if signals are held so long that robots finish turning, or overshoot."""
-    if spec.setup.intensity is not None:
-        return  # robots turn as slowly as the controller likes, or at once
     turned = spec.setup.a * spec.signal_s
     quick, i = turned[turned > COARSE], int(turned.argmax())
     overshoots = spec.motion in OVERSHOOTING
@@ -317,7 +315,7 @@ def hold_too_tight(spec: CheckContext) -> Found:
     setup = spec.setup
     if setup.hold is None or setup.wheel_radius is not None:
         return
-    for name, least in zip(setup.names, (setup.speed / setup.a_most).tolist(), strict=True):
+    for name, least in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
         if setup.hold.radius < least:
             text = f"is less than v / a of {name}, {least:.4g} {spec.unit}, its least mean distance"
             yield ("hold", "radius"), text, "ask for more, or for a stronger field"

@@ -30,3 +30,13 @@ def test_steps_in_the_spec_of_an_earlier_log_are_a_time():
 def test_the_published_controller_counts_steps():
     found = parse_spec(SPEC % "pso-mpc", "spec.yaml").experiment.controller
     assert (found.steps_max, found.time_limit) == (300, pytest.approx(60.2))
+
+
+def test_an_intensity_of_an_earlier_spec_is_told_in_one_line():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(f"{SPEC % 'pso-mpc'}intensity: {{max: 2}}\n", "earlier.yaml")
+    (line,) = caught.value.lines()
+    assert line == (
+        "earlier.yaml:6:1: intensity: unknown key; a controller chooses a direction only; "
+        "write strength: [mT], and a: {per_mT: ...}"
+    )

@@ -1,13 +1,11 @@
 """Simulated robots that are cells of the one model."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tetractl.core.commands import FieldOff, Steer, Stop
-from tetractl.core.intensity import Intensity
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.experiment.disturbance import DelayedCommand
@@ -148,18 +146,3 @@ def test_cells_have_no_wheels():
         parse_spec(
             SPEC + "wheels: {radius: 0.1}\nplant: {type: sim, cells: {}, drive: {}}\n", "both.yaml"
         )
-
-
-def test_half_the_strength_turns_cells_half_as_fast():
-    chosen = replace(setup(), strength=2.0, intensity=Intensity("strength", "mT", 0, 4, 2.0, 2.0))
-    ends, every = {}, np.ones(2, np.bool_)
-    for strength, seconds in ((2.0, 0.2), (1.0, 0.4), (0.0, 0.4)):
-        section = CultureSection.model_validate({"dipole": 0.0, "drift": 0.0, "walls": False})
-        random = np.random.default_rng(1)
-        one = CellDrive(section, chosen, chosen.a, chosen.speed * 0, chosen.starts, 0.0, random)
-        one.apply(DelayedCommand(0, 0, Steer(2.0, strength), every))
-        one.advance(0, np.array([round(seconds * 1e9)]), np.ones(1, np.bool_))
-        ends[strength] = one.poses.heading
-    assert ends[1.0] == pytest.approx(ends[2.0], abs=0.02)
-    assert ends[0.0] == pytest.approx(chosen.starts.heading, abs=1e-9)
-    assert (ends[2.0] > 0.4).all()

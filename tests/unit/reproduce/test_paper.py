@@ -11,7 +11,6 @@ from tetractl import api
 from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
-from tetractl.reproduce.amoudruz_2021 import STEP_OUT, along_axes, drive
 from tetractl.reproduce.ou_measures import _spinning
 from tetractl.reproduce.paper import (
     Fate,
@@ -136,33 +135,13 @@ def test_what_was_computed_before_ctrl_c_is_kept(tmp_path):
     assert asked == [0, 1, 1, 2]
 
 
-@pytest.mark.slow
-def test_work_is_the_same_in_several_processes(tmp_path):
-    work = PAPERS.load("amoudruz-2021").work["goals"]
-    assert work.results(tmp_path / "a", 1, 2, 2) == work.results(tmp_path / "b", 1, 2, 1)
-
-
-def test_helices_reach_their_goals_in_about_the_least_time():
-    goals = np.array([[120.0, -40.0], [30.0, 90.0]])
-    rng = np.random.default_rng(1)
-    assert drive(goals, rng, False) == pytest.approx(1, abs=1e-4)
-    assert 0.9 < drive(goals, rng, True, 0.98) < 1.15
-    assert 1 <= along_axes(goals) < np.sqrt(2)
-    assert STEP_OUT[0] > STEP_OUT[1]
-
-
 def test_the_page_shows_what_the_command_printed():
     text = make_reproduce.PAGE.read_text(encoding="utf-8")
     assert make_reproduce.page(text) == text, "run: python docs/make_reproduce.py"
 
 
-@pytest.mark.slow
-def test_the_command_prints_what_the_page_shows(tmp_path, capsys):
-    """The quickest paper; the others take minutes: `tetractl reproduce --all`."""
-    assert command.reproduce(["amoudruz-2021"], out=tmp_path, as_json=True) is Exit.DONE
+def test_the_page_shows_every_paper():
     stored = json.loads(make_reproduce.FOUND.read_text(encoding="utf-8"))["papers"]
-    printed = json.loads(capsys.readouterr().out)["papers"]
-    assert printed["amoudruz-2021"] == stored["amoudruz-2021"]
     assert stored.keys() >= PAPERS.builtin.keys()
 
 

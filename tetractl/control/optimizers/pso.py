@@ -6,7 +6,7 @@ arrays.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,7 +26,6 @@ SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 class Pso(OptimizerSection):
     """Particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
 
-    intensities: ClassVar[bool] = True
     type: Literal["pso"] = "pso"
     particles: int = Field(default=100, ge=1, le=1_000_000)
     """Number of particles np."""
@@ -76,8 +75,6 @@ class Pso(OptimizerSection):
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
         """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or NULL."""
-        from tetractl.control.coordinates import decoded
-
         progress, n = Progress(length, limits), self.particles
         for swarm in swarms(self, problem, length, warm, key):
             progress.keep(swarm.u_gb, swarm.cost)
@@ -85,15 +82,15 @@ class Pso(OptimizerSection):
             if swarm.z:  # line 9
                 progress.ended = stopped(np.array(progress.history), self.stop)
             if swarm.z == self.iterations or not progress.affords(n):
-                return decoded(problem, progress.search())
+                return progress.search()
         raise AssertionError("the swarm moves without end")
 
 
 @dataclass(slots=True)
 class Swarm:
-    """np particles in L dimensions, 2 L with an intensity: `ask` for coordinates, `tell` costs.
+    """np particles in L dimensions: `ask` for sequences, then `tell` their costs.
 
-    u, v, best (L, np): coordinates u_n, velocities v_n and local bests u_lb,n; best_cost (np,):
+    u, v, best (L, np): sequences u_n, velocities v_n and local bests u_lb,n; best_cost (np,):
     J(u_lb,n); u_gb (L,) with cost J(u_gb), None before it is known.
     """
 
@@ -109,8 +106,7 @@ class Swarm:
 
     @classmethod
     def scatter(cls, section: Pso, length: int, key: int) -> "Swarm":
-        """Algorithm 1, line 1: draw u_n, v_n and u_lb,n uniformly in their search spaces of
-        `length` dimensions."""
+        """Algorithm 1, line 1: draw u_n, v_n and u_lb,n uniformly in their search spaces."""
         n = section.particles
         u, v, best = uniform(mix(key, 0), 0, 3 * length * n).reshape(3, length, n)
         return cls(
@@ -118,7 +114,7 @@ class Swarm:
         )
 
     def ask(self) -> Floats:
-        """Move the swarm by equations (14)-(17) and return the new coordinates (L, np)."""
+        """Move the swarm by equations (14)-(17) and return the new sequences (L, np)."""
         from tetractl.control.kernels.update import move
 
         w, c1, c2 = self.section.inertia, self.section.cognitive, self.section.social
@@ -127,7 +123,7 @@ class Swarm:
         return self.u
 
     def tell(self, costs: Floats) -> None:
-        """Update the bests by equations (18)-(19) with the costs (np,) of `ask`'s coordinates."""
+        """Update the bests by equations (18)-(19) with the costs (np,) of `ask`'s sequences."""
         better = costs < self.best_cost
         self.best = np.where(better, self.u, self.best)  # (18)
         self.best_cost = np.minimum(costs, self.best_cost)
@@ -140,18 +136,16 @@ def swarms(
     section: Pso, problem: Problem, length: int, warm: Floats | None, key: int
 ) -> Iterator[Swarm]:
     """Yield Algorithm 1's swarm before the first and after each iteration, without end."""
-    from tetractl.control.coordinates import coordinates, encoded
     from tetractl.control.evaluate import compiled_costs  # late: reading a spec searches nothing
 
     costs = compiled_costs(problem, section.particles)
-    swarm = Swarm.scatter(section, coordinates(problem, length), key)  # line 1
+    swarm = Swarm.scatter(section, length, key)  # line 1
     swarm.best_cost = costs(swarm.best)
     if warm is None:  # lines 2-3
         leader = int(np.argmin(swarm.best_cost))
         swarm.u_gb, swarm.cost = swarm.best[:, leader].copy(), float(swarm.best_cost[leader])
     else:  # lines 4-5: (19) compares it with the swarm later
-        swarm.u_gb = encoded(problem, warm).copy()
-        swarm.cost = float(compiled_costs(problem, 1)(swarm.u_gb[:, None])[0])
+        swarm.u_gb, swarm.cost = warm.copy(), float(compiled_costs(problem, 1)(warm[:, None])[0])
     while True:  # line 7
         yield swarm
         swarm.tell(costs(swarm.ask()))  # line 8

@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.coordinates import coordinates, decoded, encoded
 from tetractl.control.curves import bearing, interpolate
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.rng import normal
@@ -38,7 +37,6 @@ class SamplingOptimizer(OptimizerSection):
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
-    intensities: ClassVar[bool] = True
     spread_warm: ClassVar[float] = 0.3
     """Initial standard deviation s of the knots around a warm start [rad]."""
 
@@ -74,13 +72,8 @@ class SamplingOptimizer(OptimizerSection):
     ) -> Search:
         """Search sequences of `length` signals around the warm start or the targets' bearing."""
         progress, costs = Progress(length, limits), compiled_costs(problem, self.particles)
-        wide = coordinates(problem, length) // length
-        if warm is None:
-            base = np.zeros(wide * length)
-            base[:length] = bearing(problem)
-        else:
-            base = encoded(problem, warm)
-        shape = wide * min(self.knots, length), self.particles
+        base = np.full(length, bearing(problem)) if warm is None else warm
+        shape = min(self.knots, length), self.particles
         count, mean = shape[0] * shape[1], np.zeros((shape[0], 1))
         std = np.full_like(mean, self.spread if warm is None else self.spread_warm)
         for z in range(self.iterations):
@@ -89,12 +82,11 @@ class SamplingOptimizer(OptimizerSection):
             noise = normal(key, z * count, count).reshape(shape)
             noise[:, 0] = 0.0
             knots = mean + std * noise
-            paths = [interpolate(of_one, length) for of_one in np.split(knots, wide)]
-            signals = wrap(base[:, None] + np.concatenate(paths))
+            signals = wrap(base[:, None] + interpolate(knots, length))
             found = costs(signals)
             progress.add(signals, found)
             if progress.cost <= self.tolerance:
                 progress.ended = StopReason.TARGET
                 break
             mean, std = self.updated(mean, std, knots, found)
-        return decoded(problem, progress.search())
+        return progress.search()

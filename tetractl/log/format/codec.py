@@ -188,7 +188,7 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
 def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
     facing = command.action.facing if isinstance(command.action, Turn) else None
-    fields = named(command, "direction", "intensity", "sent_ns", "delivered", "left", "right")
+    fields = named(command, "direction", "sent_ns", "delivered", "left", "right")
     return pb.WheelCommand(stop=command.stops, facing=facing, **fields)
 
 
@@ -196,8 +196,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
     """Decode a command."""
     action: Action = Stop() if message.stop else FieldOff()
     if message.HasField("direction"):
-        chosen = message.intensity if message.HasField("intensity") else None
-        action = Steer(message.direction, chosen)
+        action = Steer(message.direction)
     elif message.HasField("facing"):
         action = Turn(message.facing)
     return Command(
@@ -221,8 +220,7 @@ def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
         path_x=x,
         path_y=y,
         estimate=pb.Estimate(**named(plan.estimate, *OF_ESTIMATE)) if plan.estimate else None,
-        **_encode_signals(plan.signals),
-        **named(plan, "state", *OF_PLAN),
+        **named(plan, "signals", "state", *OF_PLAN),
     )
 
 
@@ -238,7 +236,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     x, y = _floats(message.path_x), _floats(message.path_y)
     command = decode_command(message.command)
     plan = Plan(
-        signals=_decode_signals(message),
+        signals=_floats(message.signals),
         path=np.stack([x, y, np.full_like(x, np.nan)], axis=-1).reshape(-1, robots, 3),
         searches=tuple(_decode_search(search) for search in message.searches),
         estimate=_decode_estimate(message, robots),
@@ -278,34 +276,19 @@ def _decode_estimate(step: pb.ControllerStep, robots: int) -> Estimate | None:
 
 
 def _encode_search(search: Search) -> pb.Search:
-    fields = named(search, "length", "cost", "history", "evaluations")
-    fields |= _encode_signals(search.signals)
+    fields = named(search, "length", "signals", "cost", "history", "evaluations")
     return pb.Search(stopped=printable(search.stopped, STOP_REASON_MAX), **fields)
 
 
 def _decode_search(message: pb.Search) -> Search:
     return Search(
         length=message.length,
-        signals=_decode_signals(message),
+        signals=_floats(message.signals),
         cost=message.cost,
         history=_floats(message.history),
         evaluations=message.evaluations,
         stopped=StopReason.read(printable(message.stopped, STOP_REASON_MAX)),
     )
-
-
-def _encode_signals(signals: Floats) -> dict[str, Any]:
-    if signals.ndim == 1:
-        return {"signals": signals.tolist()}
-    return {"signals": signals[:, 0].tolist(), "intensities": signals[:, 1].tolist()}
-
-
-def _decode_signals(message: pb.Search | pb.ControllerStep) -> Floats:
-    """Return signals (L,), or (L, 2) with intensities; ValueError for another number of these."""
-    signals = _floats(message.signals)
-    if not message.intensities:
-        return signals
-    return np.stack([signals, _floats(message.intensities)], axis=-1)
 
 
 def _floats(values: Sequence[float]) -> Floats:

@@ -42,7 +42,7 @@ class MocapSample(_message.Message):
     def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., received_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ..., exposed_ns: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class WheelCommand(_message.Message):
-    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "facing", "intensity")
+    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "facing")
     DIRECTION_FIELD_NUMBER: _ClassVar[int]
     STOP_FIELD_NUMBER: _ClassVar[int]
     SENT_NS_FIELD_NUMBER: _ClassVar[int]
@@ -50,7 +50,6 @@ class WheelCommand(_message.Message):
     LEFT_FIELD_NUMBER: _ClassVar[int]
     RIGHT_FIELD_NUMBER: _ClassVar[int]
     FACING_FIELD_NUMBER: _ClassVar[int]
-    INTENSITY_FIELD_NUMBER: _ClassVar[int]
     direction: float
     stop: bool
     sent_ns: int
@@ -58,26 +57,23 @@ class WheelCommand(_message.Message):
     left: _containers.RepeatedScalarFieldContainer[float]
     right: _containers.RepeatedScalarFieldContainer[float]
     facing: float
-    intensity: float
-    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ..., intensity: _Optional[float] = ...) -> None: ...
+    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
 
 class Search(_message.Message):
-    __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped", "intensities")
+    __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")
     LENGTH_FIELD_NUMBER: _ClassVar[int]
     SIGNALS_FIELD_NUMBER: _ClassVar[int]
     COST_FIELD_NUMBER: _ClassVar[int]
     HISTORY_FIELD_NUMBER: _ClassVar[int]
     EVALUATIONS_FIELD_NUMBER: _ClassVar[int]
     STOPPED_FIELD_NUMBER: _ClassVar[int]
-    INTENSITIES_FIELD_NUMBER: _ClassVar[int]
     length: int
     signals: _containers.RepeatedScalarFieldContainer[float]
     cost: float
     history: _containers.RepeatedScalarFieldContainer[float]
     evaluations: int
     stopped: str
-    intensities: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ..., intensities: _Optional[_Iterable[float]] = ...) -> None: ...
+    def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
 
 class Estimate(_message.Message):
     __slots__ = ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit", "side", "side_std", "saturation", "stands")
@@ -110,7 +106,7 @@ class Estimate(_message.Message):
     def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ..., side: _Optional[_Iterable[float]] = ..., side_std: _Optional[_Iterable[float]] = ..., saturation: _Optional[_Iterable[float]] = ..., stands: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class ControllerStep(_message.Message):
-    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "leg", "delay_ns", "state", "estimate", "intensities")
+    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "leg", "delay_ns", "state", "estimate")
     K_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     COMMAND_FIELD_NUMBER: _ClassVar[int]
@@ -127,7 +123,6 @@ class ControllerStep(_message.Message):
     DELAY_NS_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ESTIMATE_FIELD_NUMBER: _ClassVar[int]
-    INTENSITIES_FIELD_NUMBER: _ClassVar[int]
     k: int
     observation: MocapSample
     command: WheelCommand
@@ -144,8 +139,7 @@ class ControllerStep(_message.Message):
     delay_ns: int
     state: str
     estimate: Estimate
-    intensities: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ..., intensities: _Optional[_Iterable[float]] = ...) -> None: ...
+    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ...) -> None: ...
 
 class Unused(_message.Message):
     __slots__ = ()

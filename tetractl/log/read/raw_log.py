@@ -104,10 +104,8 @@ class RawLog:
 
     def _of_format(self, version: str, facts: Mapping[str, str]) -> LogError:
         """Return the error for a log of another format, which names the version that reads it."""
-        theirs, commit = (printable(facts.get(key, "")[:12]) for key in ("tetractl", "git_commit"))
-        wrote = ", git commit ".join(filter(None, (theirs or "of an unknown version", commit)))
         text = f"is in format {printable(version, 12)}, not {channels.FORMAT_VERSION}"
-        return LogError(f"{self.path}: {text}; read it by what wrote it, tetractl {wrote}")
+        return LogError(f"{self.path}: {text}; read it by what wrote it, {writer(facts)}")
 
     @property
     def result(self) -> Result | None:
@@ -233,3 +231,10 @@ def read_file(path: Path) -> bytes:
     if not data:
         raise LogError(f"{path}: the file is empty")
     return data
+
+
+def writer(facts: Mapping[str, str]) -> str:
+    """Return the version of tetractl that wrote a log, by the facts of its host."""
+    version = printable(facts.get("tetractl", "")[:12]) or "of an unknown version"
+    commit = printable(facts.get("git_commit", "")[:12])
+    return f"tetractl {version}, git commit {commit}" if commit else f"tetractl {version}"

@@ -25,7 +25,7 @@ from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import decode_plant
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import validate
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.raw_log import RawLog, writer
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
@@ -207,14 +207,15 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         experiment, hashed = _resolved(resolved)
         validate.check_run(run, len(experiment.robots))
     except (SpecError, RecursionError, ValueError) as error:
+        facts = contents.facts
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"
-            for key, version in contents.facts.items()
+            for key, version in facts.items()
             if key.startswith(provenance.PLUGIN)
         ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
-            f"the log was written with {', '.join(used)}: install this version" if used else None,
+            f"the log was written with {', '.join(used) or writer(facts)}: install this version",
         ) from None
     return experiment, Start(
         setup=experiment.setup,

@@ -66,12 +66,10 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
 
 
 def check_actions(actions: Iterable[Action]) -> None:
-    """Check the directions and intensities of actions."""
+    """Check the directions of actions."""
     directed = [one for one in actions if isinstance(one, Steer | Turn)]
     found = [one.direction if isinstance(one, Steer) else one.facing for one in directed]
     _within("a direction", found, VALUE_MAX)
-    chosen = [one.intensity for one in directed if isinstance(one, Steer)]
-    _within("an intensity", [one for one in chosen if one is not None], VALUE_MAX, 0)
 
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:
@@ -86,17 +84,12 @@ def check_steps(steps: Sequence[Step], robots: int) -> None:
 
 def check_plan(plan: Plan, robots: int) -> None:
     """Check a plan for N robots, as it is logged or before: headings of its path may be NaN."""
-    searches, known, count = plan.searches, plan.estimate, len(np.atleast_1d(plan.signals))
-    if plan.signals.shape not in ((count,), (count, 2)) or plan.path.shape != (
-        count + 1,
-        robots,
-        3,
-    ):
+    searches, known, count = plan.searches, plan.estimate, plan.signals.size
+    if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
         shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
         raise ValueError(f"a path has shape {shapes} and {robots} robots")
     for search in searches:
-        length = search.length
-        if not (search.signals.shape in ((length,), (length, 2)) and length):
+        if not (search.signals.shape == (search.length,) and search.length):
             raise ValueError(
                 f"a search of length {_shown(search.length)} has a different number of signals"
             )
@@ -108,7 +101,7 @@ def check_plan(plan: Plan, robots: int) -> None:
     costs = [plan.cost, plan.target_cost, plan.obstacle_cost, *(one.cost for one in searches)]
     found = {
         "a predicted position": plan.path[..., :2].ravel(),
-        "a signal": np.concatenate([one.signals.ravel() for one in (plan, *searches)]),
+        "a signal": np.concatenate([plan.signals, *(one.signals for one in searches)]),
         "a cost": np.concatenate([costs, *(one.history for one in searches)]),
     }
     if 8 * sum(each.size for each in found.values()) > STEP_MAX:

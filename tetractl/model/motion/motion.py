@@ -5,7 +5,6 @@ it. See docs/how-to/extend.md.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -148,42 +147,11 @@ class PlainLanes(NamedTuple):
         return cls(np.column_stack([parameters, np.full(len(parameters), t)]))
 
 
-class Effect(NamedTuple):
-    """What the intensity of the signal is to a motion: its `name`, its `unit`, "" for that of the
-    spec's `strength`, and the a and v `under` an intensity, over its reference, of robots with
-    PARAMETERS a and v. If it is `needed`, robots do not move without one."""
-
-    name: str
-    unit: str
-    under: Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
-    needed: bool = False
-
-
-LEAST_A = 1e-6
-"""Turning rate of a robot in a field of strength 0 [rad/s]; not 0, as closed forms divide by it."""
-
-
-def in_proportion(strength: Floats, a: Floats, v: Floats) -> tuple[Floats, Floats]:
-    """Return a in proportion to the field's strength, and v, which does not depend on it."""
-    return np.maximum(strength * a, LEAST_A), v
-
-
-STRENGTH = Effect("strength", "", in_proportion)
-
-
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A motion, defined by its NumPy step, the plant's step and the compiled step, each under a
-    signal of constant intensity, and by the `effect` of the intensity."""
+    """A motion, defined by its NumPy step, the plant's step and the compiled step."""
 
     name: str
     step: StepFunction
     hold: Hold
     lanes: type[Lanes]
-    effect: Effect = STRENGTH
-
-    def under(self, intensity: Floats, a: Floats, v: Floats) -> tuple[Floats, Floats]:
-        """Return a and v, of one shape, with which robots move under an intensity over its
-        reference; arguments broadcast against each other."""
-        found = np.broadcast_arrays(*self.effect.under(intensity, a, v), intensity)
-        return found[0], found[1]

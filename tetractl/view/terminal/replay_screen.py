@@ -163,8 +163,6 @@ def step_line(recording: Recording, index: int) -> str:
     plan, direction, state = step.plan, step.plan.doing, ""
     if (u := step.command.direction) is not None:
         direction = f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
-        if (of := recording.log.start.setup.intensity) and plan.intensity is not None:
-            direction += f", {plan.intensity:.3g} {of.unit}"
         state = "" if plan.state is State.DRIVING else f"  {plan.state}"
     if plan.estimate and (who := plan.estimate.standing(recording.log.start.setup.names)):
         state += f"  {', '.join(who)}: standing"

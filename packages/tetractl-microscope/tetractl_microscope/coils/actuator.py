@@ -2,8 +2,7 @@
 
 A cell turns towards the field's direction u by equation (3) of the paper, at a rate proportional to
 the field's strength B. The spec's turning rate a holds at the spec's `strength` B0, or the
-actuator's `strength_mt`, so the heading changes at the rate a (B / B0) sin(u - heading). B is B0,
-or the intensity of a command.
+actuator's `strength_mt`, so the heading changes at the rate a (B / B0) sin(u - heading).
 """
 
 import threading
@@ -53,7 +52,6 @@ class FieldActuator:
         self.driver = Driver(section.port, section.baud, clock, ports)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._reference_mt = section.reference_mt(setup)
-        self._strongest_mt = setup.intensity.high if setup.intensity else self._reference_mt
         self._lock = threading.Lock()
         self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]
         self._sent_ns = clock.now() - self.period_ns
@@ -93,8 +91,7 @@ class FieldActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Turn the field to a direction and its intensity [mT], as far as the slew limit allows in
-        one period.
+        """Turn the field to a direction, as far as the slew limit allows in one period.
 
         The currents (x, y) change along a straight line, so a field that turns by half a circle
         becomes weak on the way. The transmission's `turning` [rad/s] is computed for the requested
@@ -108,8 +105,9 @@ class FieldActuator:
         with self._lock:
             now_ns = self._clock.now()
             section = self.section
-            strength = self._reference_mt if action.intensity is None else action.intensity
-            wished = self.coils.currents(action.direction, strength, section.current_max_a)
+            wished = self.coils.currents(
+                action.direction, self._reference_mt, section.current_max_a
+            )
             passed_ns = min(now_ns - self._sent_ns, self.period_ns)
             self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
             x_ma, y_ma = (round(1000 * current) for current in self._currents)
@@ -143,7 +141,7 @@ class FieldActuator:
             reply = self.driver.ask()
         except AbortError as error:
             return Health(problems=(error.message,))
-        return inspect(reply, self.section, self._strongest_mt)
+        return inspect(reply, self.section, self._reference_mt)
 
     def _room(self, passed_ns: int) -> float:
         """Return the greatest change of a current [A] within a time [ns]."""

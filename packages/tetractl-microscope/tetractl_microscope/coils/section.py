@@ -105,7 +105,6 @@ class FieldSection(ActuatorSection):
 
     device: ClassVar[str] = "tetractl_microscope.coils.actuator:FieldActuator"
     settles: ClassVar[bool] = True
-    intensity: ClassVar[str] = "strength"
     type: Literal["field"]
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyACM0."""

@@ -23,7 +23,7 @@ from tetractl.lab.cobs import Flag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
-SETUP = SimpleNamespace(a=A, speed=SPEED, strength=None, strength_unit="mT", intensity=None)
+SETUP = SimpleNamespace(a=A, speed=SPEED, strength=None, strength_unit="mT")
 POSES = (Pose(0, 0, 0.2), Pose(1, 1, -2.0))
 BOTH = (True, True)
 
@@ -76,18 +76,6 @@ def test_the_spec_may_state_the_strength_instead():
     assert "already" in twice
     assert "strength is unknown" in unknown
     assert "not in V/cm" in electric
-
-
-@pytest.mark.parametrize("strength", [0.0, 0.5, 2.5])
-def test_a_command_may_have_a_strength_of_its_own(strength):
-    actuator, _ = virtual(slew_max_a_s=10_000)
-    sent = actuator.send(Steer(0.4, strength), POSES, BOTH, 0)
-    assert sent.outputs["field_mt"] == pytest.approx(strength, abs=0.005)
-    expected = strength / 2 * A * np.sin(0.4 - np.array([0.2, -2.0]))
-    assert sent.turning == pytest.approx(expected, abs=0.02)
-    assert sent.action == Steer(0.4, strength)
-    actuator.stop(False)
-    assert asked(actuator) == (0, 0)
 
 
 def test_no_cell_can_be_held_and_one_out_of_sight_has_no_known_turning():

@@ -49,8 +49,17 @@ Hear = Callable[[float], Iterable[Reply]]
 """Waits for replies to a poll for at most a time [s], and returns those that have come."""
 
 
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """A poll that was sent: with which `sequence`, when [ns], and what hears its replies."""
+
+    sequence: int
+    sent_ns: int
+    hear: Hear
+
+
 def polled(
-    ask: Callable[[], tuple[int, Hear]],
+    ask: Callable[[], Poll],
     failed: Callable[[], bool],
     indices: Sequence[int],
     clock: Clock,
@@ -60,21 +69,27 @@ def polled(
     """Poll robots with the numbers `indices` until each has replied, at most TRIES times; a robot
     without a reply gives None. Ends at once if the link has `failed`.
 
-    `ask` sends a poll, to which robot i replies i slots later, and returns the time of sending [ns]
-    and what hears the replies. A time in which the computer slept counts as one try.
+    `ask` sends a poll, to which robot i replies i slots later. A reply counts if its sequence is
+    that of one of these polls: what answers an earlier command, or was made up without hearing
+    this one, says nothing of the robot now. A time in which the computer slept counts as one try.
     """
-    found, wanted = dict[int, Reply](), set(indices)
+    replies = dict[int, Reply]()
+    wanted = set(indices)
+    sequences = set[int]()
     wait_ns = (max(indices) + 2) * slot_ms * MILLISECOND + SECOND // 10
     for _ in range(max(1, min(TRIES, round(timeout_s * SECOND) // wait_ns))):
-        sent_ns, hear = ask()
-        until = sent_ns + wait_ns
-        while not wanted <= found.keys() and (left := until - clock.now()) > 0:
-            found |= {reply.id: reply for reply in hear(left / SECOND)}
+        poll = ask()
+        sequences.add(poll.sequence)
+        until = poll.sent_ns + wait_ns
+        while not wanted <= replies.keys() and (left := until - clock.now()) > 0:
+            for reply in poll.hear(left / SECOND):
+                if reply.sequence in sequences:
+                    replies[reply.id] = reply
             if failed():
                 break
-        if failed() or wanted <= found.keys():
+        if failed() or wanted <= replies.keys():
             break
-    return [found.get(index) for index in indices]
+    return [replies.get(index) for index in indices]
 
 
 class WheelCommands:

@@ -15,7 +15,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Hear, Reply, Status, polled
+from tetractl.lab.actuators.wheel_commands import Poll, Reply, Status, polled
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
@@ -104,8 +104,8 @@ class Broadcaster:
     def _failed(self) -> bool:
         return self._link.failure is not None
 
-    def _ask(self) -> tuple[int, Hear]:
-        """Send a poll; return the time of sending [ns], and what hears the replies."""
+    def _ask(self) -> Poll:
+        """Send a poll; what has come before is dropped."""
         splitter = cobs.Splitter()
         self._link.fetch()
 
@@ -115,7 +115,8 @@ class Broadcaster:
                 with suppress(WireError):
                     yield decode_reply(frame)
 
-        return self.send(cobs.Flag.POLL), hear
+        sent_ns = self.send(cobs.Flag.POLL)
+        return Poll(self._sequence, sent_ns, hear)
 
 
 def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:

@@ -15,7 +15,7 @@ from tetractl.lab.actuators.twist.lines import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.wheel_commands import Hear, Reply, polled
+from tetractl.lab.actuators.wheel_commands import Poll, Reply, polled
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports
 from tetractl.lab.udp_port import open_port
@@ -80,14 +80,16 @@ class TwistLink:
         indices = self._indices
         return polled(self._ask, self._failed, indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
-    def _ask(self) -> tuple[int, Hear]:
-        """Send a poll; return the time of the last sending [ns], and what hears the replies."""
+    def _ask(self) -> Poll:
+        """Send a poll; what has come before is dropped."""
 
         def hear(timeout_s: float) -> list[Reply]:
             wait_for(self._clock, lambda: bool(self._replies) or self._failed(), timeout_s)
             return drained(self._replies)
 
-        return self._send(Flag.POLL, []), hear
+        self._replies.clear()
+        sent_ns = self._send(Flag.POLL, [])
+        return Poll(self._sequence, sent_ns, hear)
 
     def _failed(self) -> bool:
         return self.failure is not None
@@ -109,11 +111,17 @@ class TwistLink:
         return sent_ns
 
     def _taker(self, port: str) -> Heard:
+        """Return what takes the replies at a port, of the robots that are there."""
+        places = zip(self._indices, self._port_of, strict=True)
+        here = {index for index, place in places if place == port}
+
         def take(data: bytes, now: int) -> None:
             *lines, rest = (self._rest.get(port, b"") + data).split(b"\n")
             self._rest[port] = rest[-PENDING_MAX:]
             for line in lines:
                 with suppress(WireError):
-                    self._replies.append(decode_reply(line))
+                    reply = decode_reply(line)
+                    if reply.id in here:
+                        self._replies.append(reply)
 
         return take

@@ -1,11 +1,13 @@
 """The link to an XBee module played by the test, on the emulated lab's wires in memory."""
 
 import pytest
+from support.device_replies import packed_reply
 from tetractl_emulator.virtual_wires import LabClock, memory_wires
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command
+from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee.frames import (
     AT_COMMAND,
     BROADCAST,
@@ -158,3 +160,19 @@ def test_a_poll_ends_once_the_port_is_gone():
     link = radio.opened()
     assert Broadcaster(link, radio.clock, (0, 1)).poll(1.0) == [None, None]
     assert link.failure is not None
+
+
+def test_a_reply_to_another_command_is_not_believed():
+    """Regression: any reply that came counted, such as that of a robot switched off since."""
+
+    def forge(content):
+        sequence = decode_command(content[len(BROADCAST) : -1]).sequence
+        stale = Reply(0, (sequence + 7) % 256, Status.RUNNING, 9999, 1, 0)
+        own = Reply(1, sequence, Status.RUNNING, 4800, 1, 0)
+        return [b"\x81\x12\x34\x28\0" + packed_reply(reply) for reply in (stale, own)]
+
+    radio = Module(respond=forge)
+    first, second = Broadcaster(radio.opened(), radio.clock, (0, 1)).poll(1.0)
+    assert first is None
+    assert second is not None
+    assert second.battery_mv == 4800

@@ -1,11 +1,17 @@
 """A port to devices that take UDP datagrams, used as a serial port: `udp://host:port`.
 
 A datagram to a broadcast address reaches all devices of a network. Nothing tells whether a datagram
-arrives. `udp://:port` hears what anybody sends to this port of this computer, and sends nothing.
+arrives. Only the address written to is heard; at a broadcast address anybody is, since each device
+replies from its own. `udp://:port` hears what anybody sends to this port of this computer, and
+sends nothing.
 """
 
-import fcntl
+import errno
+import hashlib
+import ipaddress
+import os
 import socket
+import stat
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -17,13 +23,22 @@ from tetractl.lab.serial_port import Heard, PortHeldError, SerialPort
 
 SCHEME = "udp://"
 DATAGRAM_MAX = 1500
+PORT_DIGITS = 5
+REFUSALS_MAX = 3
+"""Tries to send a datagram: each may report the refusal of one sent before."""
 
 
 def address_of(name: str) -> tuple[str, int] | None:
     """Return host and port of `udp://host:port`; None if the name is not of this form."""
     host, colon, port = name.removeprefix(SCHEME).rpartition(":")
     right = name.startswith(SCHEME) and host and colon and port.isascii() and port.isdecimal()
-    return (host, int(port)) if right and 0 < int(port) < 65536 else None
+    if not right or len(port) > PORT_DIGITS or not 0 < int(port) < 65536:
+        return None
+    try:
+        host.encode("idna")  # as the system's resolver is asked
+    except UnicodeError:  # an empty or too long label, as in a..b
+        return None
+    return host, int(port)
 
 
 def heard_at(name: str) -> int | None:
@@ -34,8 +49,26 @@ def heard_at(name: str) -> int | None:
 
 def lock_file(name: str) -> Path:
     """Return the file that a program locks while it uses the port of this name."""
-    safe = "".join(c if c.isalnum() or c in ".-" else "_" for c in name.removeprefix(SCHEME))
-    return Path(tempfile.gettempdir()) / f"tetractl-udp-{safe}.lock"
+    tag = hashlib.sha256(name.encode()).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / f"tetractl-udp-{tag}.lock"
+
+
+def _open_lock(path: Path) -> int:
+    """Open a lock's file in a folder where others can write, and return its descriptor.
+
+    A link, which would lead to a file of somebody's choice, and what is no file are refused. It is
+    opened for reading, which is enough for a lock: it may be another user's, whose robots these
+    are too. OSError if it cannot be opened.
+    """
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        file = os.open(path, flags | os.O_CREAT, 0o644)
+    except PermissionError:  # Linux forbids to create, in a shared folder, what is another user's
+        file = os.open(path, flags)
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise OSError(errno.EINVAL, "is not a regular file")
+    return file
 
 
 class UdpPort(SerialPort):
@@ -46,9 +79,9 @@ class UdpPort(SerialPort):
     ) -> None:
         super().__init__(name, baud, device, clock, heard, hint)
         self._socket: socket.socket | None = None
-        self._address: Any = None
+        self._to: Any = None  # host and port
         self._lock = lock_file(name)
-        self._locked = None
+        self._locked: int | None = None
 
     def open(self, alone: bool = True) -> None:
         """Open a socket and start to read; PortHeldError if `alone` and another program uses the
@@ -60,29 +93,48 @@ class UdpPort(SerialPort):
         if address is None:
             raise AbortError(f"{self._name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
         if alone:
-            self._locked = self._lock.open("a")
-            try:
-                fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                self._locked.close()
-                raise PortHeldError(str(self._lock), self._name) from None
+            self._hold()
         try:
-            self._address = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+            self._to = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
             raise AbortError(why, "is the address right, and is this computer online?") from None
         self._listen(0)
 
+    def _hold(self) -> None:
+        """Lock the devices' address; PortHeldError if another program has."""
+        try:
+            import fcntl
+        except ImportError:  # Windows: nothing keeps two programs from one address
+            return
+        try:
+            self._locked = _open_lock(self._lock)
+            fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise PortHeldError(str(self._lock), self._name) from None
+        except OSError as error:
+            why = "is a link" if error.errno == errno.ELOOP else error.strerror
+            raise AbortError(
+                f"{self._lock}, the lock of {self._name}: {why}", "remove it: it is not tetractl's"
+            ) from None
+
     def _listen(self, own: int) -> None:
         """Read from a port of this computer, 0 for any; AbortError if another program does."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._socket.settimeout(0.05)
         try:
             self._socket.bind(("", own))
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
             raise AbortError(why, "does another program listen at this port?") from None
+        if self._to is not None and not ipaddress.ip_address(self._to[0]).is_multicast:
+            try:
+                self._socket.connect(self._to)  # what others send is not heard
+            except PermissionError:  # a broadcast address, which the option below allows
+                pass
+            except OSError as error:
+                raise AbortError(f"{self._name}: {error.strerror}", self._hint) from None
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._thread.start()
 
     def write(self, data: bytes) -> int:
@@ -90,13 +142,21 @@ class UdpPort(SerialPort):
         with self._sending:
             if self.failure or self._socket is None:
                 raise AbortError(self.failure or f"{self._name} is not open", self._hint)
-            if self._address is None:
+            if self._to is None:
                 return self._clock.now()
             try:
-                self._socket.sendto(data, self._address)
+                self._send(self._socket, data)
             except OSError as error:
                 raise self._fail(f"cannot be reached: {error.strerror or error}") from None
             return self._clock.now()
+
+    def _send(self, own: socket.socket, data: bytes) -> None:
+        """Send a datagram: again, if what is reported is that nobody took an earlier one, as while
+        a robot starts."""
+        for _ in range(REFUSALS_MAX):
+            with suppress(ConnectionRefusedError):
+                own.sendto(data, self._to)
+                return
 
     def set_baud(self, baud: int) -> None:
         """Do nothing: a network has no baud rate."""
@@ -108,7 +168,8 @@ class UdpPort(SerialPort):
             self._socket.close()
             self._socket = None
         if self._locked is not None:
-            self._locked.close()
+            os.close(self._locked)
+            self._locked = None
 
     def _read(self) -> None:
         assert self._socket is not None

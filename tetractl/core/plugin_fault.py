@@ -1,5 +1,6 @@
 """Says which plug-in raised an unexpected error, for the code that calls the kinds of a spec."""
 
+import errno
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -12,6 +13,8 @@ from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
 
 HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
+COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
+"""Errors of the computer, such as a full disk, whoever's code meets them."""
 # reason, file and line in an error of numba's compiler
 COMPILED = re.compile(r'(\S[^\n]*)\n\s*File "([^"]+)", line (\d+)')
 
@@ -42,7 +45,8 @@ def plugin_fault(
     error: BaseException, packages: Mapping[str, str] | None = None
 ) -> FaultyPluginError | None:
     """Return an error that names the plug-in whose code raised `error`, called what raised it, or
-    returned a wrong value; None if there is no such plug-in, or for another TetractlError.
+    returned a wrong value; None if there is no such plug-in, for another TetractlError, and for an
+    error of the computer, such as a full disk.
 
     If none is found, but `packages`, name and version, provide kinds, these are named: one may have
     returned a value with which tetractl's code fails.
@@ -52,7 +56,9 @@ def plugin_fault(
             who = error.who if error.who in owner[0] else owner[0]  # the one of many that is named
             text = f"plug-in {who} ({owner[1]}) returned {error.what}"
             return FaultyPluginError(text, CHECK)
-    elif isinstance(error, TetractlError):
+    elif isinstance(error, TetractlError) or (
+        isinstance(error, OSError) and error.errno in COMPUTERS
+    ):
         return None
     calls, why = extract_tb(error.__traceback__), text_of(error).removeprefix("WrongValueError: ")
     places: list[tuple[str, str, object]]

@@ -262,3 +262,15 @@ def test_on_a_terminal_compiling_is_said_even_to_who_asked_for_quiet(capsys, mon
         monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal)
         announce_compiling(quiet, "compiling")
         assert capsys.readouterr().err == ("compiling\n" if said else "")
+
+
+def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatch):
+    """Regression: typer takes every EOFError for Ctrl-D, such as that of a killed process's pipe."""
+
+    def cut(*_):
+        raise EOFError("the pipe has ended")
+
+    monkeypatch.setattr("tetractl.experiment.load.load_spec", cut)
+    done = tetractl(tmp_path, "lab", "check", "first.yaml")
+    assert done.returncode == 1
+    assert done.stderr.endswith("error: EOFError: the pipe has ended\n")

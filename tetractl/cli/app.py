@@ -18,7 +18,7 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import ui
-from tetractl.core.errors import Exit, TetractlError, UsageError
+from tetractl.core.errors import Exit, TetractlError, UsageError, text_of
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
@@ -175,7 +175,9 @@ def run_app() -> int:
         if not error.format_message():  # help was printed because no command was given
             return Exit.USAGE
         return complain(Exit.USAGE, _plainly(error.format_message()), _usage_hint(error))
-    except (typer.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt) as error:
+        if isinstance(error.__cause__, EOFError):  # typer takes it for Ctrl-D, whatever it is of
+            return complain(Exit.FAILED, text_of(error.__cause__))
         return complain(Exit.INTERRUPTED, "interrupted")
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]

@@ -13,7 +13,6 @@ import multiprocessing
 import random
 import resource
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -36,7 +35,7 @@ from support.film_containers import CONTAINERS, folder, imagej, ome, stack  # no
 from support.hostile import bytes_like  # noqa: E402
 from support.hostile_films import BOMBS, SECONDS_MAX, outcome, small  # noqa: E402
 from support.needs_opencv import cv2, video  # noqa: E402
-from tetractl_microscope.film import decode  # noqa: E402
+from tetractl_microscope.film import decode, pictures  # noqa: E402
 from tetractl_microscope.track import track  # noqa: E402
 
 from tetractl.core.errors import TetractlError  # noqa: E402
@@ -188,7 +187,7 @@ def follow_many(first: int, count: int, seed: int, where: Path, out: Connection)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     data = int(Path("/proc/self/status").read_text().partition("VmData:")[2].split()[0]) * 1024
     resource.setrlimit(resource.RLIMIT_DATA, (data + MEGABYTES_MAX * 10**6,) * 2)
-    with mock.patch.object(subprocess, "Popen", InProcess):
+    with mock.patch.object(pictures, "Child", InProcess):
         for k in range(first, count):
             signal.alarm(int(SECONDS_MAX))
             here = where / f"film-{k}"

@@ -265,7 +265,7 @@ def test_on_a_terminal_compiling_is_said_even_to_who_asked_for_quiet(capsys, mon
 
 
 def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatch):
-    """Regression: typer takes every EOFError for Ctrl-D, such as that of a killed process's pipe."""
+    """Regression: typer takes every EOFError for Ctrl-D, as that of a killed process."""
 
     def cut(*_):
         raise EOFError("the pipe has ended")

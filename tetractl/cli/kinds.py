@@ -108,7 +108,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     from tetractl.experiment.yaml.document import frozen, parse_value
     from tetractl.testing import check_kind
 
-    sys.path.insert(0, "")  # modules in this folder, as for `python -m`
+    sys.path.append("")  # modules in this folder, but in place of no other
     fields: dict[str, Any] = {}
     for setting in sets:
         name, equals, text = setting.partition("=")

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, out_option
+from tetractl.core.children import open_in_browser
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
 from tetractl.core.table.table_files import FORMATS, check_format, table_files
@@ -124,10 +125,8 @@ def open_(
 
     Example: tetractl open trial-000.mcap
     """
-    import webbrowser
-
     code = report(logs, out)
-    if not webbrowser.open(out.resolve().as_uri()):
+    if not open_in_browser(out.resolve().as_uri()):
         ui.tell("notice: no browser was found here; open the file in one")
     return code
 

@@ -14,7 +14,7 @@ from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
 HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
-"""Errors of the computer, such as a full disk, whoever's code meets them."""
+"""Errors of the computer, such as a full disk, in which code they occur does not matter."""
 # reason, file and line in an error of numba's compiler
 COMPILED = re.compile(r'(\S[^\n]*)\n\s*File "([^"]+)", line (\d+)')
 

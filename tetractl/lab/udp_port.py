@@ -151,8 +151,8 @@ class UdpPort(SerialPort):
             return self._clock.now()
 
     def _send(self, own: socket.socket, data: bytes) -> None:
-        """Send a datagram: again, if what is reported is that nobody took an earlier one, as while
-        a robot starts."""
+        """Send a datagram; again, if the system reports that an earlier one found no listener, as
+        while a robot starts."""
         for _ in range(REFUSALS_MAX):
             with suppress(ConnectionRefusedError):
                 own.sendto(data, self._to)

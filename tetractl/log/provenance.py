@@ -5,7 +5,6 @@ import json
 import os
 import platform
 import socket
-import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
+from tetractl.core.children import run_tool
 from tetractl.core.errors import printable
 from tetractl.core.registry import package_files
 from tetractl.core.version import __version__
@@ -175,17 +175,10 @@ def _git_state() -> dict[str, str]:
 def _git(*arguments: str) -> str | None:
     """Return the output of git in tetractl's own folder, None if it fails."""
     try:
-        done = subprocess.run(
-            ["git", "-C", str(HERE), *arguments],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=5.0,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
+        done = run_tool(["git", "-C", str(HERE), *arguments], patience_s=5.0)
+    except OSError:
         return None
-    return done.stdout
+    return done.printed if done.code == 0 else None
 
 
 def _cpu() -> str:

@@ -8,17 +8,19 @@ of reach only by a bound that no controller can break.
 
 import json
 import signal
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
+from tetractl.core.children import WorkerPool, fresh_context
 from tetractl.core.files import save_whole
 from tetractl.core.table.table import Table, lengths
 from tetractl.results.estimate import Interval, distributions, proportion_interval
@@ -103,14 +105,19 @@ class Work:
             for number in lacking:
                 once(number)
         else:
-            with get_context("spawn").Pool(jobs, _leave_to_parent) as pool:
-                for _ in pool.imap_unordered(once, lacking):
-                    pass
+            pool = WorkerPool(fresh_context(), jobs, "printed in a worker", _tell, _leave_to_parent)
+            with pool:
+                for ended in as_completed([pool.submit(once, number) for number in lacking]):
+                    ended.result()
         return [json.loads(file.read_text()) for file in files]
 
 
 def _keep(once: Callable[[int, int], dict[str, Any]], folder: Path, seed: int, number: int) -> None:
     save_whole(folder / f"{seed}-{number:03d}.json", json.dumps(once(seed, number)).encode())
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr)
 
 
 def _leave_to_parent() -> None:

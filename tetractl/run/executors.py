@@ -8,19 +8,21 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
 
+from tetractl.core.children import WorkerPool, fresh_context, isolated, living_workers
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
+SAID = "printed in a trial's process"
 
 Ended = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
@@ -97,15 +99,14 @@ class Processes:
 
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
         self.workers, self._interrupt = workers, interrupt
-        # not a fork of this process, which would copy locks held by other threads
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["tetractl.run.preloaded"])
+        self._context = fresh_context(["tetractl.run.preloaded"])
         self._ending: Event | None = None
         self._again = 0.0  # earliest time of the next SIGTERM [s]
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield each task with its result or error, in the order in which the tasks end."""
-        with _signals_held_back():  # Python starts its semaphore tracker in the block
+        # Python starts its semaphore tracker in the block
+        with _signals_held_back(), isolated():
             self._ending = self._context.Event()
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
@@ -132,13 +133,15 @@ class Processes:
         assert self._ending is not None
         running, broken = dict[Future[Finished], Task](), False
         start = _start_worker, (self._ending, dict(os.environ))
-        with ProcessPoolExecutor(workers, self._context, *start) as pool:
+        with WorkerPool(self._context, workers, SAID, _tell, *start) as pool:
             while True:
                 if self._interrupt.requested:
                     self._ending.set()
                 while waiting and len(running) < workers and not (broken or self._ending.is_set()):
                     task = waiting.popleft()
-                    running[_submitted(pool, task, ready(task))] = task
+                    folder = ready(task)
+                    with _signals_held_back():  # `submit` starts workers
+                        running[pool.submit(_work, task, folder)] = task
                 if not running:
                     return
                 done, _ = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
@@ -153,21 +156,16 @@ class Processes:
     def _stop_at_once(self) -> None:
         """Send SIGTERM to the workers after a second request to stop."""
         if self._interrupt.count > 1 and time.monotonic() >= self._again:
-            for process in multiprocessing.active_children():
-                if process.pid:
-                    os.kill(process.pid, signal.SIGTERM)
+            for process in living_workers():
+                with suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGTERM)
             # sent repeatedly, because an exception raised in a finaliser is lost
             self._again = time.monotonic() + 1.0
 
 
-def _submitted(pool: ProcessPoolExecutor, task: Task, folder: Path) -> "Future[Finished]":
-    try:
-        with _signals_held_back():  # `submit` starts workers
-            return pool.submit(_work, task, folder)
-    except BrokenProcessPool as error:  # a worker was killed in the meantime
-        lost: Future[Finished] = Future()
-        lost.set_exception(error)
-        return lost
+def _tell(line: str) -> None:
+    with suppress(OSError, ValueError):  # stderr may be closed
+        print(line, file=sys.stderr, flush=True)
 
 
 def _work(task: Task, folder: Path) -> Finished:
@@ -178,6 +176,9 @@ def _work(task: Task, folder: Path) -> Finished:
 def _signals_held_back() -> Iterator[None]:
     """Block signals in processes that are started inside the `with` block, until they call
     `_start_worker`."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield
@@ -217,7 +218,8 @@ def _start_worker(ending: Event, environment: dict[str, str]) -> None:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.end_at_once())
     sys.unraisablehook = interrupt.on_unraisable
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)  # delivers the blocked signals
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)  # delivers the blocked signals
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
 
 

@@ -4,7 +4,6 @@ GIF and animated WebP.
 """
 
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count
@@ -21,6 +20,7 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
+from tetractl.core.children import Child
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, UsageError, unit_of
@@ -120,17 +120,15 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
         "-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", "-fflags", "+bitexact", "-f", "mp4", str(path),
     ]  # fmt: skip
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdin is not None and process.stderr is not None
-        with suppress(BrokenPipeError):  # ffmpeg ended; stderr has the reason
-            process.stdin.write(last.tobytes())
+    with Child(command, fed=True) as encoder:
+        with suppress(BrokenPipeError):  # ffmpeg ended; what it said has the reason
+            encoder.stdin.write(last.tobytes())
             for last in pictures:
-                process.stdin.write(last.tobytes())
-            process.stdin.write(last.tobytes() * hold)
-            process.stdin.close()
-        said = process.stderr.read().decode(errors="replace").strip()
-        if process.wait() != 0:
-            raise OSError(said.splitlines()[-1] if said else "ffmpeg failed")
+                encoder.stdin.write(last.tobytes())
+            encoder.stdin.write(last.tobytes() * hold)
+            encoder.stdin.close()
+        if encoder.wait() != 0:
+            raise OSError((encoder.said() or ["ffmpeg failed"])[-1])
 
 
 class VideoFrames:

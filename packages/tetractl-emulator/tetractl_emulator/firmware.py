@@ -8,7 +8,6 @@ import ctypes
 import os
 import platform
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
 from enum import IntEnum
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from tetractl.core.cache import cache_folder, digest
+from tetractl.core.children import run_tool
 from tetractl.core.errors import TetractlError
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
@@ -99,11 +99,9 @@ def _build(codes: list[Path], path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
         built = Path(scratch) / path.name
-        done = subprocess.run(
-            [name, *FLAGS, *map(str, codes), "-o", str(built)], capture_output=True, text=True
-        )
-        if done.returncode:
-            line = (done.stderr.strip() or "no message").splitlines()[0]
+        done = run_tool([name, *FLAGS, *map(str, codes), "-o", str(built)])
+        if done.code:
+            line = (done.said or ["no message"])[0]
             raise TetractlError(f"{name} could not build the firmware's core: {line}")
         built.replace(path)  # atomic: other processes see the complete file or none
 

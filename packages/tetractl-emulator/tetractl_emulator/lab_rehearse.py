@@ -1,23 +1,26 @@
 """`tetractl lab rehearse`: plays random bad days of an emulated lab, and checks what must hold."""
 
 import gc
-import json
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import nullcontext, suppress
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
-from tetractl.core.errors import AbortError, Exit, UsageError
+from tetractl.core.children import WorkerPool, copying_context
+from tetractl.core.errors import AbortError, Exit
+from tetractl.core.files import save_whole
 from tetractl.run.interrupt import interrupted_once
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
+
+DAYS_MAX = 1_000_000
+"""Most days of a command: some weeks of computing."""
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -28,9 +31,11 @@ if TYPE_CHECKING:
 def rehearse(
     spec: Spec,
     sets: Sets = None,
-    days: Annotated[int, option("N", "Number of days.", min=1)] = 200,
+    days: Annotated[int, option("N", "Number of days.", min=1, max=DAYS_MAX)] = 200,
     seed: Annotated[int, option("S", "Seed of the days.", min=0)] = 1,
-    first: Annotated[int, option("N", "Number of the first day; a day is drawn by it.")] = 0,
+    first: Annotated[
+        int, option("N", "Number of the first day; a day is drawn by it.", min=0, max=DAYS_MAX)
+    ] = 0,
     faults: Annotated[bool, switch("Let faults happen; without, no trial may abort.")] = True,
     jobs: Annotated[int, option("N", "Number of days played at a time.", min=1)] = 1,
     out: Annotated[
@@ -56,6 +61,7 @@ def rehearse(
     from tetractl.run.task import run_trial
     from tetractl.view import style
     from tetractl_emulator.rehearsal.drawing import days_figure
+    from tetractl_emulator.rehearsal.kept_days import RESULTS, KeptDays
     from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.summary import broken, reasons, summary, table
 
@@ -74,21 +80,18 @@ def rehearse(
             raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
-    folder.mkdir(parents=True, exist_ok=True)
-    _own(folder, f"{loaded.hash} {seed} {faults}")
-    results = folder / "days.jsonl"
-    lines = results.read_text().splitlines() if results.exists() else []
-    rows = {row["day"]: row for row in map(json.loads, lines)}
+    kept = KeptDays(folder, f"{loaded.hash} {seed} {faults}")
+    rows = kept.rows
+    for number in kept.unread:
+        ui.tell(f"{folder / RESULTS}, line {number}: cannot be read; its day is played again")
     wanted = range(first, first + days)
     waiting = [day for day in wanted if day not in rows]
     play = partial(rehearsed, spec, tuple(sets or ()), seed, folder, bad=faults)
     interrupted = False
     try:
-        with interrupted_once(), results.open("a") as kept, ui.progress("days") as show:
+        with interrupted_once(), ui.progress("days") as show:
             for done, row in enumerate(_played(play, waiting, jobs)):
-                kept.write(json.dumps(row) + "\n")
-                kept.flush()
-                rows[row["day"]] = row
+                kept.add(row)
                 show(done + 1, len(waiting))
                 for name, at_s, found, _ in broken(row):
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {found}")
@@ -107,27 +110,15 @@ def rehearse(
     return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
 
 
-def _own(folder: Path, days: str) -> None:
-    """Mark a folder as that of some `days`; UsageError if it has others."""
-    mark = folder / "days-of.txt"
-    if mark.exists() and mark.read_text() != days:
-        hint = "give another --out: a folder has the days of one spec, with its --set, and one seed"
-        raise UsageError(f"{folder} has days of another spec, seed or settings", hint)
-    mark.write_text(days)
-
-
 def _played(play: Any, days: Sequence[int], jobs: int) -> "Iterator[DayRow]":
     """Yield what becomes of each day, in the order in which they end."""
-    if jobs == 1:
+    jobs = min(jobs, len(days))
+    if jobs < 2:
         yield from map(play, days)
         return
-    with ProcessPoolExecutor(jobs, get_context("fork")) as pool:
-        running = [pool.submit(play, day) for day in days]
-        try:
-            for ended in as_completed(running):
-                yield ended.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    with WorkerPool(copying_context(), jobs, "a day's process", ui.tell) as pool:
+        for ended in as_completed([pool.submit(play, day) for day in days]):
+            yield ended.result()
 
 
 def _known(experiment: "Experiment", **wanted: float) -> list[str]:
@@ -182,5 +173,5 @@ def rehearsed(
     script = small.script()
     about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
     path = folder / _script_name(seed, day)
-    path.write_text(dump(script | {"about": about}))
+    save_whole(path, dump(script | {"about": about}).encode())
     return {**row, "shrunk": len(script["faults"]), "plays": plays}

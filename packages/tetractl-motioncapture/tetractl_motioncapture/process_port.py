@@ -5,9 +5,8 @@ could not read; neither must reach the process that drives robots.
 """
 
 import signal
-import subprocess
-import sys
 
+from tetractl.core.children import Child, python
 from tetractl.core.clock import host_ns
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
@@ -16,14 +15,11 @@ from tetractl.lab.client_port import ClientPort
 class ProcessPort(ClientPort):
     """The library's process, read like a port: `heard` gets each line; `name` is its argument."""
 
-    _process: subprocess.Popen[bytes] | None = None
+    _process: Child | None = None
 
     def open(self, alone: bool = True) -> None:
         """Start the process."""
-        command = [sys.executable, "-m", "tetractl_motioncapture.bridge", self._name]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
-        )
+        self._process = Child(python("tetractl_motioncapture.bridge", self._name), alone=True)
         super().open(alone)
 
     def connect(self) -> None:
@@ -31,18 +27,19 @@ class ProcessPort(ClientPort):
 
     def wait(self) -> None:
         """Take the next line; AbortError if the process has ended."""
-        assert self._process is not None and self._process.stdout is not None, "it was opened"
+        assert self._process is not None, "it was opened"
         if not (line := self._process.stdout.readline()):
             code = self._process.wait()
-            how = signal.strsignal(-code) if code < 0 else f"exit code {code}"
-            raise AbortError(f"the process of {self._device} has ended: {how}")
+            how = f"exit code {code}" if code >= 0 else signal.strsignal(-code) or f"signal {-code}"
+            why = ": ".join([how, *self._process.said()[-1:]])
+            raise AbortError(f"the process of {self._device} has ended: {why}")
         stamp, _, message = line.partition(b" ")
         # in the pipe, as after a sleep
         self.take(message, max(0, host_ns() - int(stamp)))
 
     def disconnect(self) -> None:
         """Close the pipe."""
-        if self._process is not None and self._process.stdout is not None:
+        if self._process is not None:
             self._process.stdout.close()
 
     def close(self) -> None:
@@ -50,5 +47,4 @@ class ProcessPort(ClientPort):
         self._closing.set()
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
         super().close()

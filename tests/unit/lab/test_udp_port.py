@@ -98,7 +98,7 @@ def test_a_port_is_chosen_by_its_name():
 
 
 def test_who_has_another_address_is_not_heard(robot):
-    """Regression: any sender's reply to a poll was believed."""
+    """Regression: any sender's reply to a poll was accepted."""
     heard = Queue()
     port = port_to(f"udp://127.0.0.1:{robot.getsockname()[1]}", lambda data, now: heard.put(data))
     port.open()

@@ -4,8 +4,6 @@ import itertools
 import math
 import os
 import pickle
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,6 +15,7 @@ from weakref import finalize
 
 import numpy as np
 
+from tetractl.core.children import Child, python
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
 from tetractl_microscope.film.film_source import DIFFERENT
@@ -153,16 +152,10 @@ def _decoded(path: Path) -> Iterator[Any]:
     """Decode a film in another process: yield what it states, then its pictures (height, width), or
     None for one that is damaged or not as large as the first. TetractlError if it is no film.
     """
-    process = subprocess.Popen(
-        # without -P, a file such as cv2.py in the present folder would be run
-        [sys.executable, "-P", "-m", "tetractl_microscope.film.decode", str(path)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # each thread would take memory
-    )
+    # each thread of its libraries would take memory
+    limits = {"OPENBLAS_NUM_THREADS": "1"}
+    process = Child(python("tetractl_microscope.film.decode", str(path)), environment=limits)
     stream = process.stdout
-    assert stream is not None
     try:
         said, error = pickle.load(stream)
         if error is not None:
@@ -176,7 +169,6 @@ def _decoded(path: Path) -> Iterator[Any]:
             raise UsageError(said, "is the film damaged?") from None
     finally:
         process.kill()
-        process.wait()
         stream.close()
 
 

@@ -1,4 +1,4 @@
-"""Which replies to a poll are believed, of robots that take lines and of m3pi."""
+"""Which replies to a poll are accepted, of robots that take lines and of m3pi."""
 
 from collections import deque
 

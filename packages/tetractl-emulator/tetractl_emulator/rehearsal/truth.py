@@ -5,6 +5,7 @@ The observer of a rehearsal shares no code with the guard: distances are compute
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,6 +29,23 @@ LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
 NEAR_S = 0.02  # largest difference of the times of a picture
 ACTS_S = 0.3  # for which an earlier command may still act: radio, wheels, some lost commands
 SLACK_DRIVE_S = 0.03  # of driving, within which motion may differ
+
+
+def nearest_exposures(
+    stamps_s: Floats, exposures_s: Floats, suspended: Sequence[tuple[float, float]]
+) -> list[int | None]:
+    """Return for the time of each picture (F,) [s] the number of the exposure (T,) [s] next to it;
+    None if none is near.
+
+    A picture that comes while our program is `suspended` (from, to) [s] waits, and gets its time
+    from when it was taken at last: which exposure it shows is not known.
+    """
+    apart_s = np.abs(exposures_s[:, None] - stamps_s)
+    known = apart_s.min(axis=0) < NEAR_S
+    for began_s, ended_s in suspended:
+        known &= (stamps_s < began_s) | (stamps_s > ended_s)
+    nearest = apart_s.argmin(axis=0).tolist()
+    return [row if sure else None for row, sure in zip(nearest, known.tolist(), strict=True)]
 
 
 @dataclass
@@ -282,9 +300,8 @@ class Truth:
         for began, _, fault in self.faults:
             if fault["fault"] == "host_clock":
                 host += fault["by"] * (self.times >= began)
-        off = np.abs(host[:, None] - self.log.mocap_ns / SECOND)
-        nearest = zip(off.argmin(axis=0).tolist(), off.min(axis=0).tolist(), strict=True)
-        return [row if apart < NEAR_S else None for row, apart in nearest]
+        suspended = [(at, end) for at, end, fault in self.faults if fault["fault"] == "stopped"]
+        return nearest_exposures(self.log.mocap_ns / SECOND, host, suspended)
 
     @property
     def final(self) -> int:

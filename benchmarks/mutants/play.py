@@ -26,17 +26,15 @@ PARTS = ("tetractl", f"{EMULATOR}/tetractl_emulator", f"{EMULATOR}/firmware")
 def play(folder, args):
     """Play days with the sources that are first in PYTHONPATH."""
     from tetractl_emulator.lab_rehearse import rehearsed
-    from tetractl_emulator.rehearsal import shrink
 
     from tetractl.control.build import warm_up
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import on_plant
 
-    shrink.PLAYS_MAX = 0  # what a defect breaks is not shrunk
     warm_up(on_plant(load_spec(SPEC, args.set), "emulated").experiment, print)
     for day in args.days:
         if not (kept := folder / f"{day}.json").exists():
-            kept.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, folder, day)))
+            kept.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, day)))
 
 
 def found(folder, day):

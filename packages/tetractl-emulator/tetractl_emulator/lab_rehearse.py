@@ -1,9 +1,10 @@
 """`tetractl lab rehearse`: plays random bad days of an emulated lab, and checks what must hold."""
 
 import gc
+import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import nullcontext, suppress
 from functools import partial
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 def rehearse(
     spec: Spec,
     sets: Sets = None,
-    days: Annotated[int, option("N", "Number of days.", min=1, max=DAYS_MAX)] = 200,
+    days: Annotated[int, option("N", "Number of days.", min=1, max=DAYS_MAX)] = 20,
     seed: Annotated[int, option("S", "Seed of the days.", min=0)] = 1,
     first: Annotated[
         int, option("N", "Number of the first day; a day is drawn by it.", min=0, max=DAYS_MAX)
@@ -50,7 +51,8 @@ def rehearse(
     """Rehearse a lab against random faults, in virtual time: no hardware is involved.
 
     Each day is a trial with faults drawn by the seed. An observer that knows the truth asserts what
-    must hold. A day that breaks it is shrunk to a script of a few lines, for `plant.faults`.
+    must hold. A day that breaks it is shrunk to a script of a few lines, for `plant.faults`. The 20
+    days take some minutes, of pictures up to five; without a terminal a line is printed for each.
 
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
@@ -86,17 +88,23 @@ def rehearse(
         ui.tell(f"{folder / RESULTS}, line {number}: cannot be read; its day is played again")
     wanted = range(first, first + days)
     waiting = [day for day in wanted if day not in rows]
-    play = partial(rehearsed, spec, tuple(sets or ()), seed, folder, bad=faults)
+    play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults)
+    began_s = time.monotonic()
     interrupted = False
     try:
         with interrupted_once(), ui.progress("days") as show:
-            for done, row in enumerate(_played(play, waiting, jobs)):
+            for done, row in enumerate(_played(play, waiting, jobs), start=1):
+                # a violation counts and is reported before it is shrunk, which may be interrupted
                 kept.add(row)
-                show(done + 1, len(waiting))
+                show(done, len(waiting))
+                if not sys.stderr.isatty():
+                    left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
+                    ui.tell(_line_of(row, done, len(waiting), left_s))
                 for name, at_s, found, _ in broken(row):
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {found}")
                 if broken(row):
-                    ui.tell(f"  shrunk to {folder / _script_name(seed, row['day'])}")
+                    script = folder / script_name(seed, row["day"])
+                    kept.add(shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults))
     except KeyboardInterrupt:
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
@@ -121,29 +129,74 @@ def _played(play: Any, days: Sequence[int], jobs: int) -> "Iterator[DayRow]":
             yield ended.result()
 
 
+def _line_of(row: "DayRow", done: int, count: int, left_s: float) -> str:
+    """Return a line about a day for a pipe, with the wall time that the others will take [s]."""
+    left = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
+    more = f", about {left} more" if done < count else ""
+    return f"{done} of {count}{more}: day {row['day']}: {row['ended']}"
+
+
 def _known(experiment: "Experiment", **wanted: float) -> list[str]:
     """Return the settings of a controller that the spec's has."""
     known = type(experiment.controller).model_fields
     return [f"controller.{name}={value}" for name, value in wanted.items() if name in known]
 
 
-def _script_name(seed: int, day: int) -> str:
+def script_name(seed: int, day: int) -> str:
+    """Return the name of the file with the script of a day that broke an invariant."""
     return f"seed-{seed}-day-{day}.yaml"
 
 
-def rehearsed(
-    spec: Path, sets: Sequence[str], seed: int, folder: Path, day: int, bad: bool = True
+def rehearsed(spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool = True) -> "DayRow":
+    """Play a day; return what is kept of it."""
+    plan, judged = _day_of(spec, sets, seed, day, bad)
+    row, _ = judged(plan)
+    return row
+
+
+def shrunk_day(
+    spec: Path, sets: Sequence[str], seed: int, script: Path, row: "DayRow", bad: bool = True
 ) -> "DayRow":
-    """Play a day, and shrink its plan if it breaks an invariant; return what is kept of it."""
+    """Shrink the plan of a day that broke an invariant, and write it to a `script`, which has the
+    whole plan until then; return what is kept of the day.
+    """
+    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, shrunk
+    from tetractl_emulator.rehearsal.summary import broken
+
+    day = row["day"]
+    name = broken(row)[0][0]
+    plan, judged = _day_of(spec, sets, seed, day, bad)
+    about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
+
+    def breaks(smaller: "DayPlan") -> tuple[bool, float]:
+        again, seconds = judged(smaller)
+        return name in [violation[0] for violation in broken(again)], seconds
+
+    small = plan
+    plays = 0
+    save_whole(script, dump(plan.script() | {"about": about}).encode())
+    if name != "hangs":  # each play of which would last until it is killed
+        ui.tell(f"  {script} has all its faults; shrinking it, up to {PLAYS_MAX} plays")
+        small, plays = shrunk(plan, breaks)
+        save_whole(script, dump(small.script() | {"about": about}).encode())
+        ui.tell(f"  shrunk to {script}")
+    return {**row, "shrunk": len(small.faults), "plays": plays}
+
+
+def _day_of(
+    spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool
+) -> "tuple[DayPlan, Callable[[DayPlan], tuple[DayRow, float]]]":
+    """Return the plan of a day, and what plays such a plan: it returns what is kept of the day, and
+    the virtual time that it took [s].
+    """
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import on_plant
-    from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.plant.lab_plant import RigSection
     from tetractl_emulator.rehearsal.day import plan_of_day, play
     from tetractl_emulator.rehearsal.observe import observed
     from tetractl_emulator.rehearsal.participants import rehearsal_of
-    from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, shrunk
-    from tetractl_emulator.rehearsal.summary import broken, row_of
+    from tetractl_emulator.rehearsal.summary import row_of
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
     setup, lab = experiment.setup, experiment.plant
@@ -153,25 +206,9 @@ def rehearsed(
 
     def judged(plan: "DayPlan") -> "tuple[DayRow, float]":
         with tempfile.TemporaryDirectory() as scratch:
-            played, began_s = play(spec, sets, plan, Path(scratch)), time.process_time()
+            played = play(spec, sets, plan, Path(scratch))
+            began_s = time.process_time()
             truth, found = observed(played, experiment, lab)
             return row_of(day, truth, found, time.process_time() - began_s), truth.alive_s
 
-    plan = plan_of_day(seed, day, setup, drawn, bad)
-    row, _ = judged(plan)
-    if not broken(row):
-        return row
-    name, small, plays = broken(row)[0][0], plan, 0
-
-    def breaks(plan: "DayPlan") -> tuple[bool, float]:
-        row, seconds = judged(plan)
-        return name in [violation[0] for violation in broken(row)], seconds
-
-    if name != "hangs":  # each play of which would last until it is killed
-        ui.tell(f"day {day} breaks: {name}; shrinking it, up to {PLAYS_MAX} plays")
-        small, plays = shrunk(plan, breaks)
-    script = small.script()
-    about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
-    path = folder / _script_name(seed, day)
-    save_whole(path, dump(script | {"about": about}).encode())
-    return {**row, "shrunk": len(script["faults"]), "plays": plays}
+    return plan_of_day(seed, day, setup, drawn, bad), judged

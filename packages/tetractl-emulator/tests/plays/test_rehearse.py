@@ -145,6 +145,26 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
     assert "doubled_packets" not in script
 
 
+def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkeypatch):
+    """Regression: the day was forgotten, and the last line said that there was no violation."""
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [*FAULTS], ""))
+    monkeypatch.setattr(Guard, "_check_tracking", lambda guard: None)
+
+    def interrupted(plan, breaks):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shrink, "shrunk", interrupted)
+    done = rehearse(tmp_path, "--days", "2")
+    assert done.returncode == 1
+    assert "1 of 2, about " in done.stderr  # a line for each day, in a pipe
+    assert "late: untracked" in done.stderr
+    assert done.stdout.endswith("1 days, 1 violations\n")
+    script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
+    assert "untracked" in script and "doubled_packets" in script
+    again = rehearse(tmp_path, "--days", "1")
+    assert again.stdout.endswith("1 days, 1 violations\n")
+
+
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [], ""))
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)

@@ -153,12 +153,18 @@ def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):
     assert found.y.to_numpy() == pytest.approx(383.5 - poses.y_um.to_numpy() / 2.3)
 
 
-def test_json_has_intervals_and_says_when_the_scale_is_guessed(dish):
-    done = tetractl(dish, "track", "dish.avi", "--json").ok()
+def test_speeds_have_intervals_in_json_unless_the_scale_is_guessed(dish):
+    done = tetractl(dish, "track", "dish.avi", "--scale", UM_PX, "--json").ok()
+    found = json.loads(done.stdout)
+    speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
+    assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
+    done = tetractl(dish, "track", "dish.avi", "-o", "guessed", "--json").ok()
     found = json.loads(done.stdout)
     assert found["scale_guessed"] is True and found["pictures"] == 120
     speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
-    assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
+    assert speeds and all(isinstance(speed, float) for speed in speeds)
+    again = tetractl(dish, "track", "guessed").ok()
+    assert "none: the scale is a guess" in again.stdout
 
 
 def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):

@@ -83,14 +83,15 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
     at which one is found [grey levels].
     """
     if contrast is None:
-        said = f"no object differs from the medium by the {limit:.0f} grey levels"
+        said = f"no object differs from the medium by the {limit:.0f} grey levels that are needed"
     elif contrast < FAINT * limit:
         said = (
-            f"objects differ from the medium by {contrast:.0f} grey levels, hardly the {limit:.0f}"
+            f"objects differ from the medium by {contrast:.0f} grey levels in the median, and "
+            f"those below {limit:.0f} are missed"
         )
     else:
         return None
-    return f"{said} that are needed: use more light, a smaller aperture or phase contrast"
+    return f"{said}: use more light, a smaller aperture or phase contrast"
 
 
 def cell_count(looks: Sequence[Look[SeenDish]]) -> int:

@@ -71,6 +71,7 @@ class CellTracker:
         self.bank = HelixFilter(known, near_wall, organism)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]
+        self.blobs = list[Blob]()  # those of the last picture
         self._tracks, self._last_track = list[CellTrack](), 0
         self._names = Names(self.bank, self._body_um, splits)
         self._time: float | None = None
@@ -97,9 +98,10 @@ class CellTracker:
         self._time, (self._height, self._width) = seconds, picture.shape
         self.born, self._names.answers = [], []
         self.bank.predict(pieces)
-        blobs = self.finder.find(picture)
+        found = self.finder.find(picture)
+        self.blobs = [] if self.finder.light.lost else found
         self._shift(*self.finder.light.shift_px)
-        self._match([] if self.finder.light.lost else blobs, seconds, passed)
+        self._match(self.blobs, seconds, passed)
         self._give_up(seconds)
         cells = self._cells()
         self.finder.follow(self._kept(cells))

@@ -123,18 +123,21 @@ def _round_length(most: float) -> float:
 
 
 def _speeds(axes: Axes, log: TrackLog) -> None:
-    """Draw each cell's speed with its 95 % interval, in order, and their mean."""
-    cells = [each for each in log.record["cells"] if each.get("speed_um_s")]
-    cells.sort(key=lambda each: each["speed_um_s"]["value"])
-    found, rows = [each["speed_um_s"] for each in cells], range(len(cells))
+    """Draw each cell's speed in order, with its 95 % interval if it has one, and their mean."""
+    cells, speeds = known_values(log.record["cells"], "speed_um_s")
+    order = np.argsort(speeds, kind="stable").tolist()
+    cells = [cells[k] for k in order]
+    rows = range(len(cells))
     colors = [_color(each["cell"]) for each in cells]
-    axes.hlines(rows, *np.array([one["ci95"] for one in found]).T, color=colors, lw=1.4)
-    axes.scatter([one["value"] for one in found], rows, s=9, color=colors)
+    for row, (each, color) in enumerate(zip(cells, colors, strict=True)):
+        if isinstance(each["speed_um_s"], dict):
+            axes.hlines(row, *each["speed_um_s"]["ci95"], color=color, lw=1.4)
+    axes.scatter([speeds[k] for k in order], rows, s=9, color=colors)
     few = len(cells) <= NUMBERED / 2
     labels = [f"{each['cell']}{'      ' * (row % 2)}" for row, each in enumerate(cells)]
     axes.set_yticks(range(len(cells)) if few else [], labels * few)
     axes.tick_params(axis="y", length=0, labelsize=5.5)
-    found = _mean(cells, [each["speed_um_s"]["value"] for each in cells])
+    found = _mean(cells, sorted(speeds))
     axes.axvline(found.mean, color=style.GREY, lw=0.8, ls="--", zorder=0)
     if found.ci95.known:
         axes.axvspan(found.ci95.low, found.ci95.high, color=style.FAINT, lw=0, zorder=0)

@@ -18,6 +18,7 @@ POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading"
 POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}
 """Columns of the table of poses, with their units."""
 LISTED = 5  # most meetings with an uncertain end that are listed one by one
+NOT_FOLLOWED_SAID = 0.1  # share of what moves from which on the table says that it is not followed
 TRACKS = ("id", "t", "y", "x", "frame", "particle")
 
 
@@ -31,6 +32,9 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         f"noise {followed.noise:.1f}",
         *followed.remarks,
     ]
+    share = followed.not_followed
+    if share is not None and share >= NOT_FOLLOWED_SAID:
+        found.append(f"warning: of what moves, {100 * share:.0f} % is not followed")
     if followed.damaged:
         found.append(
             f"warning: {followed.damaged} pictures could not be read, or are not as large as most"
@@ -71,16 +75,23 @@ def as_items(
         "bright": followed.bright,
         "contrast": followed.contrast,
         "noise": followed.noise,
-        "cells": [_cell(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
+        "cells": [
+            _cell(cell, path, followed.guessed_scale)
+            for cell, path in zip(cells, followed.paths, strict=True)
+        ],
         "indistinguishable": followed.doubtful,
+        "not_followed": followed.not_followed,
         "notes": notes(followed, cells),
         "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
     }
     return plain(record)
 
 
-def _cell(cell: CellSummary, path: CellPath) -> dict:
-    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`."""
+def _cell(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
+    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`.
+
+    With a guessed scale the speed has no interval: it would hold the guess's error only by chance.
+    """
 
     def value(found: SampleInterval | None) -> dict | None:
         return found and {"value": found.value, "ci95": [found.low, found.high]}
@@ -90,7 +101,7 @@ def _cell(cell: CellSummary, path: CellPath) -> dict:
         "since_s": cell.since_s,
         "duration_s": cell.seconds,
         "pictures": cell.pictures,
-        "speed_um_s": value(cell.speed),
+        "speed_um_s": cell.speed and cell.speed.value if guessed_scale else value(cell.speed),
         "speed_sd_um_s": cell.spread,
         **velocities(path.times, path.places, cell.helix_hz),
         "path_um": cell.path_um,

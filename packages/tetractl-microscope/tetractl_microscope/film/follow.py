@@ -18,6 +18,7 @@ from tetractl_microscope.film.organism_of import recognised
 from tetractl_microscope.film.pairs import fill_pairs
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures
+from tetractl_microscope.film.unfollowed import Unfollowed
 from tetractl_microscope.film.who import CellPath, Whereabouts
 from tetractl_microscope.organisms import Organism
 
@@ -36,7 +37,8 @@ class Followed:
 
     `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
     that could not be distinguished after they met. `divisions` lists mother and daughter of each
-    division that was seen.
+    division that was seen. `not_followed` is the share of moving blobs that no path follows, None
+    if few move.
     """
 
     paths: tuple[CellPath, ...]
@@ -54,6 +56,7 @@ class Followed:
     background: Grey
     doubtful: tuple[tuple[int, ...], ...]
     divisions: tuple[tuple[int, int], ...] = ()
+    not_followed: float | None = None
 
     @property
     def seconds(self) -> float:
@@ -83,11 +86,13 @@ def follow(
     pieces = no_field if field is None else field.pieces
     where = Whereabouts()
     lights = []
+    unfollowed = Unfollowed()
     disturbances = Disturbances(seen_as.um_px, seen_as.organism.body_um[0])
     for number, picture in film:
         seconds = film.seconds(number)
         where.enter(number, seconds, tracker, tracker.see(picture, seconds, pieces))
         lights.append(tracker.finder.light)
+        unfollowed.add(number, seconds, tracker.finder.light.limit, tracker.blobs)
         disturbances.examine(picture, seconds, tracker.finder)
         on_picture(number)
     tracker.finish()
@@ -105,8 +110,9 @@ def follow(
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
+    paths = tuple(where.paths(seen_as.organism))
     return Followed(
-        paths=tuple(where.paths(seen_as.organism)),
+        paths=paths,
         pictures=len(where.frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -121,6 +127,7 @@ def follow(
         background=background,
         doubtful=tuple(where.doubtful),
         divisions=tuple(where.divided(pairs)),
+        not_followed=unfollowed.share(film, paths, seen_as.um_px, seen_as.organism.body_um[0]),
     )
 
 

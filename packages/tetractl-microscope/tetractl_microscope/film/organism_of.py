@@ -62,7 +62,8 @@ def recognised(
     if scale is None:
         if not len(moving):
             raise TetractlError(
-                f"{film.path}: nothing swims in the first {LATEST_S:g} s: the scale is unknown",
+                f"{film.path}: nothing swims in its first pictures, up to {LATEST_S:g} s: "
+                "the scale is unknown",
                 "give the scale: --scale UM_PER_PIXEL",
             )
         usual = float(np.median(moving[:, 0]))

@@ -76,7 +76,8 @@ def cell_tables(record: Record) -> list[Table]:
         if one.heading and not {NONE, "sure"}.issuperset(texts):
             columns.append(Column(one.heading, texts, one.unit))
     note = "\n".join(record["notes"])
-    return [Table("Cells, with 95 % intervals", tuple(columns), note), *_means(cells)]
+    means = _means(cells, record.get("scale_guessed", False))
+    return [Table("Cells, with 95 % intervals", tuple(columns), note), *means]
 
 
 def _text(entry: Any, decimals: int) -> str:
@@ -119,8 +120,10 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     return known_distribution(n, mean, std, ends)
 
 
-def _means(cells: list[Record]) -> list[Table]:
-    """Return the table of means, none for fewer than two cells."""
+def _means(cells: list[Record], guessed_scale: bool) -> list[Table]:
+    """Return the table of means, none for fewer than two cells; of lengths and speeds without
+    intervals if the scale is a guess.
+    """
     rows = []
     for one in QUANTITIES if len(cells) > 1 else ():
         some, known = known_values(cells, one.key)
@@ -130,7 +133,10 @@ def _means(cells: list[Record]) -> list[Table]:
             who = " of those that respond" * (one.key in RESPONSES)
             name = (f"{one.heading} [{one.unit}]" if one.unit else one.heading) + who
             spread = show(found.std)
-            rows.append((name, str(found.n), show(found.mean), found.ci95.text(show), spread))
+            ends = found.ci95
+            if guessed_scale and one.unit.startswith("um"):
+                ends = Interval.none("the scale is a guess")
+            rows.append((name, str(found.n), show(found.mean), ends.text(show), spread))
     header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
     columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
     table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
@@ -145,6 +151,6 @@ def cell_data(record: Record) -> Table:
         entries = [cell.get(one.key) for cell in cells]
         columns.append(Column(one.key, list(map(value_of, entries))))
         for k, end in enumerate(("low", "high") if one.interval else ()):
-            ends = [entry and entry["ci95"][k] for entry in entries]
+            ends = [entry["ci95"][k] if isinstance(entry, Mapping) else None for entry in entries]
             columns.append(Column(Quantity(f"{one.name}_{end}", one.unit).key, ends))
     return Table("Cells", tuple(columns))

@@ -168,7 +168,11 @@ def looks(**changes):
         ({"level": 252.0}, 11.0, "saturated"),
         ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
         ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, 2"),
-        ({"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)}, 11.0, "by 9 grey levels, hardly"),
+        (
+            {"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)},
+            11.0,
+            "those below 7 are missed",
+        ),
         ({"light": Light(1, 3.0, None, 0.0, False, limit=7.0)}, 11.0, "no object differs"),
         ({"sharpness": 0.05}, 11.0, "focus"),
         ({"sure": 0.6}, 11.0, "it is uncertain which is which"),

@@ -1,0 +1,79 @@
+"""How much of what moves is not followed, in films whose truth is known."""
+
+import numpy as np
+import pytest
+from support.dish_films import film, followed
+from support.film_rows import seen_cell
+from tetractl_microscope.cells.detect_cells import Blob
+from tetractl_microscope.film import follow as following
+from tetractl_microscope.film.film_tables import notes
+from tetractl_microscope.film.unfollowed import BLOBS_MIN, EVERY, Unfollowed
+from tetractl_microscope.film.who import CellPath
+
+UM_PX, BODY_UM, SIDE, COUNT = 2.0, 50.0, 200, 90
+LONG, WIDE = 25, 12  # of a body [px]
+LIMIT = 4.0  # difference that is noise [grey levels]
+STEP_PX = 4  # way from one picture to the next
+
+
+def middle(lane, number):
+    """Column and row of a body: lanes 0 and 1 swim, lane 2 rests."""
+    way = STEP_PX * (40 - abs(40 - number % 80))  # to and fro
+    return (20 + way if lane < 2 else 100), 40 + 60 * lane
+
+
+def picture(number):
+    shown = np.full((SIDE, SIDE), 200, np.uint8)
+    for lane in range(3):
+        column, row = middle(lane, number)
+        shown[row - WIDE // 2 : row + WIDE // 2, column - LONG // 2 : column + LONG // 2] = 120
+    return shown
+
+
+def path(lane):
+    seen = []
+    for number in range(COUNT):
+        column, row = middle(lane, number)
+        seen.append(seen_cell(lane, (column + 0.5) * UM_PX, (SIDE - 0.5 - row) * UM_PX, lane))
+    return CellPath(lane, np.arange(COUNT) / 30, np.arange(COUNT), tuple(seen))
+
+
+@pytest.mark.parametrize(("lanes", "share"), [((0, 1), 0.0), ((0,), 0.5), ((0, 2), 0.5)])
+def test_the_share_of_what_moves_without_a_path_is_counted(lanes, share):
+    counted = Unfollowed()
+    for number in range(COUNT):
+        places = [middle(lane, number) for lane in range(3)]
+        body = np.ones((1, 1), np.uint8)
+        blobs = [Blob(x, y, 0.0, LONG, WIDE, 80.0, body, (0, 0), False) for x, y in places]
+        counted.add(number, number / 30, LIMIT, blobs)
+    pictures = [(number, picture(number)) for number in range(COUNT)]
+    paths = [path(lane) for lane in lanes]
+    assert counted.share(pictures, paths, UM_PX, BODY_UM) == pytest.approx(share, abs=0.02)
+
+
+def test_no_share_is_stated_of_few_blobs_or_without_a_path():
+    counted = Unfollowed()
+    assert counted.share([], [path(0)], UM_PX, BODY_UM) is None
+    blob = Blob(100.0, 40.0, 0.0, LONG, WIDE, 80.0, np.ones((1, 1), np.uint8), (0, 0), False)
+    for number in range(EVERY * BLOBS_MIN // 2):
+        counted.add(number, number / 30, LIMIT, [blob])
+    assert counted.share([], [], UM_PX, BODY_UM) is None
+    assert counted.share([(0, picture(0))], [path(0)], UM_PX, BODY_UM) is None
+
+
+@pytest.mark.long
+def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
+    made = film(seed=44, side=512, cells=6, crossings=False, seconds=4.0)
+    seen = followed(made)
+    assert seen.not_followed is not None and seen.not_followed < 0.1
+    assert not any("is not followed" in line for line in notes(seen, ()))
+    whole = following.Whereabouts.paths
+
+    def half(where, organism):
+        yield from list(whole(where, organism))[::2]
+
+    monkeypatch.setattr(following.Whereabouts, "paths", half)
+    few = followed(made)
+    rows = [sum(len(path.seen) for path in each.paths) for each in (few, seen)]
+    assert few.not_followed == pytest.approx(1 - rows[0] / rows[1], abs=0.08)
+    assert any("of what moves, " in line for line in notes(few, ()))

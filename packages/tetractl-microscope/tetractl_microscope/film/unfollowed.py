@@ -1,0 +1,138 @@
+"""How much of what moves in a film is not followed: a count that wrong tracks cannot spoil.
+
+A blob moves if its middle differs, by more than half of its contrast and than noise, from the same
+place both before and after it, in the same sense, by the time in which followed cells swim AWAY. It
+is followed if a cell is shown within half of its length. Blobs that the picture's edge cuts off do
+not count.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.core.poses import Floats, Grey
+from tetractl_microscope.cells.detect_cells import Blob
+from tetractl_microscope.cells.match import pixels_of
+from tetractl_microscope.film.who import CellPath
+
+EVERY = 3  # every third picture is examined
+AWAY = 0.75  # way that followed cells swim between the pictures that are compared [lengths]
+CORE = 0.25  # radius of a blob's middle that is compared, in its widths
+DIFFERS = 0.5  # share of a blob's contrast by which a place differs if the blob has left it
+BLOBS_MIN = 20  # fewest moving blobs of which a share is stated
+
+BEFORE, NOW, AFTER = range(3)
+
+
+@dataclass(slots=True)
+class _Examined:
+    """The B blobs of one picture: columns and rows of their middles (B, 2), radii of these (B,)
+    [px], lengths (B,) [px], differences (B,) by which a place differs if its blob has left it, and
+    the grey levels (3, B) there, less those of their surroundings, before, now and after.
+    """
+
+    middles: Floats
+    radii: Floats
+    lengths: Floats
+    differences: Floats
+    levels: Floats
+
+
+@dataclass(slots=True)
+class Unfollowed:
+    """Collects the blobs of a film's pictures, and then counts those that move and are not
+    followed.
+    """
+
+    _blobs: dict[int, _Examined] = field(default_factory=dict)
+    _times: dict[int, float] = field(default_factory=dict)
+    _height: int = 0  # of a picture [px]
+
+    def add(self, number: int, seconds: float, limit: float, blobs: Sequence[Blob]) -> None:
+        """Add the blobs of a picture taken at a time [s], in which less than a `limit` is noise."""
+        self._times[number] = seconds
+        whole = [blob for blob in blobs if not blob.at_edge]
+        if len(self._times) % EVERY or not whole:
+            return
+        rows = np.array([(b.x, b.y, b.wide, b.long, b.strength) for b in whole])
+        self._blobs[number] = _Examined(
+            middles=rows[:, :2],
+            radii=CORE * rows[:, 2],
+            lengths=rows[:, 3],
+            differences=np.maximum(DIFFERS * np.abs(rows[:, 4]), limit),  # more than noise
+            levels=np.full((3, len(whole)), np.nan),
+        )
+
+    def share(
+        self,
+        film: Iterable[tuple[int, Grey]],
+        paths: Sequence[CellPath],
+        um_px: float,
+        body_um: float,
+    ) -> float | None:
+        """Return the share of moving blobs that none of the paths follows, None if few move."""
+        speeds = [_speed(path) for path in paths if len(path.times) > 1]
+        if not speeds or not self._blobs:
+            return None
+        self._measure(film, AWAY * body_um / max(float(np.median(speeds)), 1e-9))
+        shown = defaultdict[int, list[tuple[float, float]]](list)
+        for path in paths:
+            for number, cell in zip(path.frames.tolist(), path.seen, strict=True):
+                shown[number].append((cell.x, cell.y))
+        moving = 0
+        missed = 0
+        for number, blobs in self._blobs.items():
+            before, now, after = blobs.levels
+            came = now - before
+            left = now - after
+            # where a speck drifts, the grey level goes on from before to after
+            moves = (np.minimum(np.abs(came), np.abs(left)) > blobs.differences) & (came * left > 0)
+            near = np.zeros(len(moves), bool)
+            if shown[number]:
+                places = pixels_of(np.array(shown[number]), um_px, self._height)
+                away = np.linalg.norm(blobs.middles[:, None] - places[None], axis=-1).min(axis=1)
+                near = away < np.maximum(blobs.lengths, body_um / um_px) / 2
+            moving += int(moves.sum())
+            missed += int((moves & ~near).sum())
+        return missed / moving if moving >= BLOBS_MIN else None
+
+    def _measure(self, film: Iterable[tuple[int, Grey]], apart_s: float) -> None:
+        """Measure the blobs' places in their pictures, and in those `apart_s` [s] away."""
+        numbers = np.array(list(self._times))
+        times = np.array(list(self._times.values()))
+        asked = defaultdict[int, list[tuple[int, _Examined]]](list)
+        for number, blobs in self._blobs.items():
+            now_s = self._times[number]
+            asked[number].append((NOW, blobs))
+            for when, due_s in ((BEFORE, now_s - apart_s), (AFTER, now_s + apart_s)):
+                nearest = int(np.abs(times - due_s).argmin())
+                if times[0] <= due_s <= times[-1] and numbers[nearest] != number:
+                    asked[int(numbers[nearest])].append((when, blobs))
+        for number, picture in film:
+            self._height = picture.shape[0]
+            for when, blobs in asked.get(number, ()):
+                places = zip(blobs.middles, blobs.radii, blobs.lengths, strict=True)
+                blobs.levels[when] = [_level(picture, *place) for place in places]
+
+
+def _level(picture: Grey, middle: Floats, radius: float, length: float) -> float:
+    """Return the mean grey level of a square about a place, less that of its surroundings."""
+    column, row = np.rint(middle).astype(int).tolist()
+    return float(
+        _square(picture, column, row, math.floor(radius)).mean()
+        - np.median(_square(picture, column, row, math.ceil(length)))
+    )
+
+
+def _square(picture: Grey, column: int, row: int, reach: int) -> Grey:
+    rows = slice(max(row - reach, 0), row + reach + 1)
+    return picture[rows, max(column - reach, 0) : column + reach + 1]
+
+
+def _speed(path: CellPath) -> float:
+    """Return the speed of a path [um/s]."""
+    way = np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum()
+    return float(way / (path.times[-1] - path.times[0]))

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-from tifffile import TiffFile, memmap, natural_sorted
+from tifffile import COMPRESSION, TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
 from tetractl_microscope.film.film_source import FilmSource, Raw, micrometres
@@ -21,6 +21,12 @@ TIFFS = frozenset({".tif", ".tiff"})
 PICTURES = TIFFS | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
 ANY_GREY = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE
 MICRO_MANAGER = 51123  # tag of a page's metadata, JSON
+OF_OPENCV = frozenset({
+    COMPRESSION.NONE, COMPRESSION.LZW, COMPRESSION.JPEG, COMPRESSION.OJPEG, COMPRESSION.DEFLATE,
+    COMPRESSION.ADOBE_DEFLATE, COMPRESSION.PACKBITS, COMPRESSION.CCITTRLE, COMPRESSION.CCITT_T4,
+    COMPRESSION.CCITT_T6,
+})  # fmt: skip
+"""Compressions that OpenCV reads; of others it returns black pictures."""
 IMAGECODECS = "imagecodecs"  # package by which tifffile decodes most compressions
 
 
@@ -56,12 +62,13 @@ def folder_film(folder: Path) -> FilmSource:
     if not chosen.names:
         hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
         raise UsageError(f"{folder}: contains no pictures", hint)
-    pages: list[tuple[Path, int]] = []
+    pages: list[tuple[Path, int, bool]] = []
     times: list[float | None] = []
     source = FilmSource(lambda index: _picture(*pages[index]), remarks=chosen.remarks)
     for name in chosen.names:
         path = folder / name
         count = 1
+        by_opencv = True
         if path.suffix.lower() in TIFFS:
             with suppress(Exception), TiffFile(path) as tif:  # what it raises is not documented
                 if name == chosen.names[0]:
@@ -69,8 +76,10 @@ def folder_film(folder: Path) -> FilmSource:
                         return tiff_film(path)
                     _add_tags(tif, tif.series[0], source)
                 count = len(tif.pages)
+                page: Any = tif.pages[0]
+                by_opencv = page.keyframe.compression in OF_OPENCV
                 times += [_elapsed_s(page, source) for page in tif.pages]
-        pages += [(path, page) for page in range(count)]
+        pages += [(path, page, by_opencv) for page in range(count)]
     source.count = len(pages)
     _require_codec(source)
     if len(pages) == len(chosen.names):
@@ -85,13 +94,10 @@ def _page(path: Path | str, index: int) -> Raw:
     return cv2.imreadmulti(str(path), index, 1, flags=ANY_GREY)[1][0]
 
 
-def _picture(path: Path, index: int) -> Raw:
+def _picture(path: Path, index: int, by_opencv: bool) -> Raw:
     """Return the pixels of a page of a file in a folder."""
-    try:
+    if by_opencv:
         return _page(path, index)
-    except IndexError:
-        if path.suffix.lower() not in TIFFS:
-            raise
     with TiffFile(path) as tif:
         return _pixels(tif.pages[index])
 
@@ -116,12 +122,11 @@ def _pixels(page: Any) -> Raw:
     try:
         pixels = page.asarray()
     except (ValueError, ImportError) as error:
-        try:  # LZW and JPEG need another package, but OpenCV reads them
+        if page.compression in OF_OPENCV:  # such as LZW and JPEG, which need another package
             return _page(page.parent.filehandle.path, page.index)
-        except IndexError:  # OpenCV reads no page
-            if isinstance(error, ImportError) or IMAGECODECS in str(error):
-                raise _codec_missing(page) from error
-            raise
+        if isinstance(error, ImportError) or IMAGECODECS in str(error):
+            raise _codec_missing(page) from error
+        raise
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
 
 

@@ -259,20 +259,27 @@ def test_velocities_do_not_depend_on_the_rate_of_the_pictures():
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many):
+@pytest.mark.parametrize(
+    ("code", "name"), [(50000, "ZSTD"), (34712, "JPEG2000"), (33003, "APERIO")]
+)
+def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many, code, name):
     path = tmp_path / "film.tif"
-    tifffile.imwrite(path, made(2))
+    with tifffile.TiffWriter(path) as tif:
+        for picture in made(2):
+            tif.write(picture, photometric="minisblack", metadata=None, contiguous=False)
     data = path.read_bytes()
     with tifffile.TiffFile(path) as tif:
         places = [page.tags["Compression"].valueoffset for page in tif.pages]
     for place in places:
-        data = data[:place] + struct.pack("<H", 50000) + data[place + 2 :]
+        data = data[:place] + struct.pack("<H", code) + data[place + 2 :]
     path.write_bytes(data)
     if many:
         (tmp_path / "many").mkdir()
         for k in range(2):
             (tmp_path / "many" / f"{k}.tif").write_bytes(data)
         path = tmp_path / "many"
-    with pytest.raises(UsageError, match="compressed by ZSTD, which needs imagecodecs") as error:
+    with pytest.raises(
+        UsageError, match=f"compressed by {name}.*, which needs imagecodecs"
+    ) as error:
         open_film(path, 10.0)
     assert "pip install imagecodecs" in error.value.hint

@@ -59,8 +59,9 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     if followed.paths:
         save(cells_figure(read_track(path)), folder / "cells.png", SCREEN_DPI)
         if find_spec("geff") is not None:
-            scale = followed.rate_hz, followed.um_px
-            write_geff(folder / "tracks.geff", poses, tracks, followed.divisions, *scale)
+            rate_hz = followed.rate_hz if followed.timing.even else None
+            path = folder / "tracks.geff"
+            write_geff(path, poses, tracks, followed.divisions, rate_hz, followed.um_px)
 
 
 def _write_pictures(

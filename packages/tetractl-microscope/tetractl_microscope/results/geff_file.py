@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +23,13 @@ def write_geff(
     poses: Table,
     tracks: Table,
     divisions: Iterable[tuple[int, int]],
-    rate_hz: float,
+    rate_hz: float | None,
     um_px: float,
 ) -> None:
     """Write a node for each row of the tables that `pose_tables` of `film` returns: t [pictures],
-    y and x [pixels], and what ABOUT lists; an edge between successive nodes of a cell, and one from
-    the mother to the daughter of each of `divisions`.
+    or [s] without a rate, since pictures are at uneven times, y and x [pixels], and what ABOUT
+    lists; an edge between successive nodes of a cell, and one from the mother to the daughter of
+    each of `divisions`.
     """
     from geff import GeffMetadata
     from geff.core_io import write_arrays
@@ -36,7 +38,7 @@ def write_geff(
     pixels, um = tracks.as_dict(), poses.as_dict()
     cell, frame = np.array(pixels["id"], np.int64), np.array(pixels["t"], np.int64)
     values = {
-        "t": frame,
+        "t": np.array(um["time_s"], float) if rate_hz is None else frame,
         "y": np.array(pixels["y"], float),
         "x": np.array(pixels["x"], float),
         "cell": cell,
@@ -45,7 +47,9 @@ def write_geff(
         "sure": np.array(um["sure"], bool),
     }
     space = {"type": "space", "unit": "pixel", "scale": um_px, "scaled_unit": "micrometer"}
-    time = {"type": "time", "unit": "frame", "scale": 1 / rate_hz, "scaled_unit": "second"}
+    time: dict[str, Any] = {"type": "time", "unit": "second"}
+    if rate_hz is not None:
+        time = {"type": "time", "unit": "frame", "scale": 1 / rate_hz, "scaled_unit": "second"}
     about = {
         name: PropMetadata(identifier=name, dtype=str(values[name].dtype), description=text)
         for name, text in ABOUT.items()

@@ -16,8 +16,10 @@ from tetractl_microscope.film.picture_names import picture_names
 from tetractl_microscope.film.picture_times import PictureTimes, increasing
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import TETRAHYMENA
+from tetractl_microscope.results.geff_file import write_geff
 
 from tetractl.core.errors import UsageError
+from tetractl.core.table.table import Column, Table
 
 pytestmark = pytest.mark.slow
 
@@ -283,3 +285,16 @@ def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many,
     ) as error:
         open_film(path, 10.0)
     assert "pip install imagecodecs" in error.value.hint
+
+
+def test_a_graph_of_uneven_pictures_has_their_times(tmp_path):
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    um = {"time_s": [0.0, 0.1, 0.4], "heading": [0.0] * 3, "axis": [0.0] * 3, "sure": [True] * 3}
+    units = {"heading": "rad", "axis": "rad"}
+    poses = Table("Poses", tuple(Column(k, v, units.get(k, "")) for k, v in um.items()))
+    pixels = {"id": [1] * 3, "t": [0, 1, 4], "y": [5.0] * 3, "x": [6.0, 7.0, 10.0]}
+    tracks = Table("Tracks", tuple(Column(name, values) for name, values in pixels.items()))
+    write_geff(tmp_path / "uneven.geff", poses, tracks, (), None, 2.3)
+    graph = core_io.read_to_memory(tmp_path / "uneven.geff")
+    assert graph["node_props"]["t"]["values"].tolist() == [0.0, 0.1, 0.4]
+    assert [axis.unit for axis in graph["metadata"].axes] == ["second", "pixel", "pixel"]

@@ -7,9 +7,7 @@ import re
 import select
 import signal
 import sys
-import termios
 import threading
-import tty
 from collections.abc import Callable
 from contextlib import suppress
 from types import FrameType
@@ -25,11 +23,15 @@ _SEQUENCES = {
 }
 """Keys by name, as the sequences after the escape character that terminals send for them."""
 _NAMES = {f"\x1b{code}": name for name, codes in _SEQUENCES.items() for code in codes}
-_NAMES |= {" ": "space", "=": "+", "_": "-", "Q": "q"}
+_NAMES |= {" ": "space", "=": "+", "_": "-", "Q": "q", "\x1b": "escape"}
 _KEY = re.compile(
-    r"(?P<unfinished>\x1b(O|\[[ -?]*)?\Z)|\x1b(O.|\[[ -?]*[@-~]?)?|(?P<printable>[ -~])|.",
+    r"(?P<unfinished>\x1b(O|\[[ -?]*)?\Z)|(?P<alt>\x1b(?=\x1b[O\[]))|\x1b(O.|\[[ -?]*[@-~]?)?"
+    r"|(?P<printable>[ -~])|.",
     re.DOTALL,
 )
+ESCAPE_S = 0.05
+"""Time within which the rest of a key's escape sequence comes [s]; without it, Esc was pressed."""
+STOP_KEYS = {"space", "escape"}
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
@@ -37,12 +39,15 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
     sequence.
 
     The name of a printable character is the character, except "space"; unknown sequences are
-    dropped.
+    dropped. "escape" is Esc with another character behind it, as when it is held: Esc alone looks
+    like the beginning of a sequence, until ESCAPE_S have passed.
     """
     keys: list[str] = []
     for found in _KEY.finditer(data.decode("latin-1")):
         if found["unfinished"]:
             return keys, data[found.start() :]
+        if found["alt"]:  # of a key with Alt, whose sequence follows
+            continue
         if found[0] in _NAMES or found["printable"]:
             keys.append(_NAMES.get(found[0], found[0]))
     return keys, b""
@@ -52,16 +57,23 @@ class _Unbuffered:
     """The terminal's input without buffer and echo, until `restore`."""
 
     def __init__(self) -> None:
+        import termios  # not on Windows
+
         self.fd = sys.stdin.fileno()
         self._before = termios.tcgetattr(self.fd)
         self.set()
 
     def set(self) -> None:
         """Set the terminal so; TCSANOW does not wait for pending output."""
+        import termios
+        import tty
+
         tty.setcbreak(self.fd, termios.TCSANOW)
 
     def restore(self) -> None:
         """Set the terminal as it was; does nothing if it was closed."""
+        import termios
+
         with suppress(termios.error):
             termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
 
@@ -139,8 +151,8 @@ SAYS = "SPACE or ESC: EMERGENCY STOP"
 class StopKey:
     """Calls `stop` on space, Esc, or when the terminal is closed; a context manager.
 
-    Enter calls `enter`; other keys do nothing. With `unattended`, a closed terminal does not call
-    `stop`. Works only if stdin is a terminal: then `listening` is True.
+    Enter calls `enter`; other keys, such as arrows, do nothing. With `unattended`, a closed
+    terminal does not call `stop`. Works only if stdin is a terminal: then `listening` is True.
     """
 
     def __init__(
@@ -164,13 +176,20 @@ class StopKey:
             self._input.restore()
 
     def _listen(self) -> None:
+        rest = b""
         while not self._closing.is_set():
-            keys = self._input.wait(0.2, 64)
-            if keys is None:
+            data = self._input.wait(ESCAPE_S if rest else 0.2, 64)
+            if data is None:
+                if rest:  # Esc alone; a sequence that never ends stops, too: better than not to
+                    self._stop()
+                rest = b""
                 continue
-            if b" " in keys or b"\x1b" in keys or not (keys or self._unattended):
-                self._stop()
-            if not keys:
+            if not data:
+                if not self._unattended:
+                    self._stop()
                 return
-            if b"\n" in keys or b"\r" in keys:
+            keys, rest = decode(rest + data)
+            if not STOP_KEYS.isdisjoint(keys):
+                self._stop()
+            if b"\n" in data or b"\r" in data:
                 self._enter()

@@ -1,10 +1,15 @@
+import os
+import sys
+import threading
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.view.terminal.keys import decode
+from tetractl.view.terminal.keys import StopKey, decode
 
 pytestmark = pytest.mark.slow
+PATIENCE_S = 60
 
 
 @pytest.mark.parametrize(
@@ -42,3 +47,42 @@ def test_a_sequence_torn_between_two_reads_is_put_together(parts, data):
     first, rest = decode(whole[:cut])
     second, left = decode(rest + whole[cut:])
     assert (first + second, left) == decode(whole)
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """The operator's end of a terminal, whose other end is stdin."""
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        yield ours
+    os.close(ours)
+
+
+def pressed(terminal, *pieces):
+    """Return how often the robots were stopped once all keys, and then Enter, were read."""
+    stops, entered = [], threading.Event()
+    with StopKey(lambda: stops.append(1), entered.set):
+        for piece in (*pieces, b"\n"):
+            os.write(terminal, piece)
+        assert entered.wait(PATIENCE_S)
+    return len(stops)
+
+
+@pytest.mark.parametrize("key", [b"\x1b[A", b"\x1bOB", b"\x1b[1;5C", b"\x1b[5~", b"\x1b\x1b[D"])
+def test_an_arrow_is_no_emergency_stop(key, terminal):
+    """Regression: its first byte is that of Esc, and robots were stopped until switched off."""
+    assert pressed(terminal, key) == 0
+
+
+@pytest.mark.parametrize("keys", [b" ", b"\x1b\x1b", b"\x1bx", b"\x1b[A ", b"\x1b[A\x1b\x1b"])
+def test_space_and_escape_stop_the_robots(keys, terminal):
+    assert pressed(terminal, keys) == 1
+
+
+def test_escape_alone_stops_the_robots(terminal):
+    """No other byte follows it: the stop must not wait for one."""
+    stopped = threading.Event()
+    with StopKey(stopped.set, lambda: None):
+        os.write(terminal, b"\x1b")
+        assert stopped.wait(PATIENCE_S)

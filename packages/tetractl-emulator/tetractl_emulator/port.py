@@ -17,6 +17,7 @@ from tetractl.lab.actuators.xbee.hardware import BAUDS
 from tetractl.lab.cobs import Splitter
 from tetractl_emulator.loop import Loop, Timeline
 
+TERMINALS = Path("/dev/pts")
 _BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
 
 
@@ -147,6 +148,17 @@ class PluggedDevice:
             self.port.unplug()
 
 
+def _left_over(link: Path) -> bool:
+    """Return whether a link was left by an emulation that was killed: its terminal is gone, or is
+    another one that was made later and has got the same number."""
+    if not link.is_symlink() or TERMINALS not in link.readlink().parents:
+        return False
+    try:
+        return link.stat().st_ctime_ns > link.lstat().st_mtime_ns
+    except FileNotFoundError:
+        return True
+
+
 class PseudoPort:
     """A serial port that programs open by the name `link`, or `name` as text; `fd` is the file
     descriptor of the emulation's end.
@@ -207,8 +219,8 @@ class PseudoPort:
                 os.write(self.fd, data)
 
     def _make_link(self, target: str) -> None:
-        if self.link.is_symlink() and not self.link.exists():
-            self.link.unlink()  # left by an emulation that was killed
+        if _left_over(self.link):
+            self.link.unlink()
         try:
             self.link.symlink_to(target)
         except OSError as error:

@@ -1,9 +1,13 @@
 """The emulated XBee over a real pseudo-terminal, spoken to with pyserial and our frames."""
 
+import os
+
 import pytest
 import serial
 from support.lab_processes import emulated, turn_until
+from tetractl_emulator.port import PseudoPort
 
+from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, at_response, encode
 from tetractl.lab.cobs import Flag
@@ -86,3 +90,30 @@ def test_a_name_left_by_a_killed_emulation_is_taken_over(tmp_path):
     with emulated(tmp_path) as lab:
         assert lab.actuator.port.link.exists()
     assert not (tmp_path / "radio").is_symlink()
+
+
+def test_a_name_left_by_a_killed_emulation_is_taken_over_if_its_number_is_used_again(tmp_path):
+    """Regression: the new port had the number of the killed one, and the link to it "exists"."""
+    link = tmp_path / "radio"
+    first = PseudoPort(link)
+    first.plug()
+    target = link.readlink()
+    link.unlink()
+    first.unplug()
+    link.symlink_to(target)  # as SIGKILL leaves it
+    os.utime(link, (0, 0), follow_symlinks=False)
+    again = PseudoPort(link)
+    again.plug()
+    assert link.exists()
+    again.unplug()
+    assert not link.is_symlink()
+
+
+def test_a_name_that_an_emulation_uses_is_refused(tmp_path):
+    first, second = PseudoPort(tmp_path / "radio"), PseudoPort(tmp_path / "radio")
+    first.plug()
+    try:
+        with pytest.raises(UsageError, match="exists already"):
+            second.plug()
+    finally:
+        first.unplug()

@@ -92,6 +92,18 @@ def exposed(folder: Path) -> str | None:
     return None
 
 
+def read_own(file: Path) -> bytes:
+    """Return the bytes of a file that is to be executed; PermissionError, with the reason, if it is
+    another user's, or others can write to it."""
+    with file.open("rb") as opened:
+        state = os.fstat(opened.fileno())
+        if hasattr(os, "getuid") and state.st_uid not in (os.getuid(), 0):
+            raise PermissionError(f"{file} belongs to another user")
+        if hasattr(os, "getuid") and state.st_mode & stat.S_IWOTH:
+            raise PermissionError(f"others can write to {file}")
+        return opened.read()
+
+
 def _alone_in(group: int) -> bool:
     """Return whether the user is the only member of a group."""
     import grp

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from tetractl.core.cache import cache_folder, digest
+from tetractl.core.cache import cache_folder, digest, read_own
 from tetractl.core.children import run_tool
 from tetractl.core.errors import TetractlError
 from tetractl.lab.actuators.wheel_commands import Status
@@ -80,7 +80,9 @@ def load(name: str, folder: Path | None = None) -> Library:
     parts = [part for code in codes for part in (code, code.with_suffix(".h"))]
     state = digest(parts, " ".join(FLAGS))
     path = (folder or cache_folder()) / f"{name}_core-{platform.machine()}-{state}.so"
-    if not path.is_file():
+    try:
+        read_own(path)
+    except OSError:  # it is missing, or another user's
         _build(codes, path)
     library = ctypes.CDLL(str(path))
     functions = {function: library[f"{name}_{function}"] for function in FUNCTIONS[name]}

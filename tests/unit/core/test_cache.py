@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tetractl.core import cache
-from tetractl.core.cache import FOLDER, cache_folder, claim, exposed
+from tetractl.core.cache import FOLDER, cache_folder, claim, exposed, read_own
 
 
 @pytest.fixture(autouse=True)
@@ -82,3 +82,23 @@ def test_without_a_home_there_is_a_folder(monkeypatch, capsys):
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):
     (tmp_path / "file").write_text("")
     assert "Not a directory" in str(claim(tmp_path / "file" / "tetractl"))
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="gives a file to another user")
+def test_a_file_of_another_user_is_not_read(tmp_path):
+    """Regression: in the user's own folder, whose mode was mended, it was executed."""
+    file = tmp_path / "code.kernel"
+    file.write_bytes(b"code")
+    os.chown(file, 65534, -1)
+    with pytest.raises(PermissionError, match="belongs to another user"):
+        read_own(file)
+
+
+def test_a_file_to_which_others_can_write_is_not_read(tmp_path):
+    file = tmp_path / "code.kernel"
+    file.write_bytes(b"code")
+    file.chmod(0o646)
+    with pytest.raises(PermissionError, match="others can write"):
+        read_own(file)
+    file.chmod(0o600)
+    assert read_own(file) == b"code"

@@ -25,7 +25,15 @@ from llvmlite import binding
 from numba import njit
 from numba.core import event
 
-from tetractl.core.cache import cache_folder, claim, compiler_settings, compiling, digest, say_once
+from tetractl.core.cache import (
+    cache_folder,
+    claim,
+    compiler_settings,
+    compiling,
+    digest,
+    read_own,
+    say_once,
+)
 from tetractl.core.kernels import sources
 from tetractl.core.kernels.light_parts import light
 
@@ -119,7 +127,8 @@ class KernelCache:
         if place is None:
             return None
         try:
-            stored = self._path(place, key).read_bytes()
+            path = self._path(place, key)
+            stored = path.read_bytes() if place == SHIPPED else read_own(path)
             if hashlib.sha256(stored[_SUM:]).digest() != stored[:_SUM]:
                 raise ValueError("its checksum does not match")
             kept, payload = pickle.loads(stored[_SUM:])
@@ -127,6 +136,8 @@ class KernelCache:
                 return _rebuild(target_context, *payload)
         except FileNotFoundError:
             pass
+        except PermissionError as error:
+            say_once(f"{error}: compiled again")
         except Exception as error:  # after any error the code is compiled again
             say_once(f"{place}: damaged, compiled again: {error}")
         return None

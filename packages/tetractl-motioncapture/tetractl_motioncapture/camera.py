@@ -6,6 +6,7 @@ from typing import Any
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
+from tetractl.core.errors import printable
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
@@ -15,6 +16,10 @@ from tetractl.lab.cameras.port_camera import PortCamera
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl_motioncapture.process_port import ProcessPort
 from tetractl_motioncapture.section import MotionCaptureSection
+
+NAME_MAX = 60
+"""Most characters that are shown of a streamed body's name, which any sender chooses."""
+NAMES_MAX = 20
 
 
 class MotionCapture(PortCamera):
@@ -49,7 +54,9 @@ class MotionCapture(PortCamera):
     def check(self) -> Health:
         """Return which robots have no body in the stream."""
         lost = [one for one in self.robots if str(one.body) not in self._bodies]
-        streamed = ", ".join(self._bodies) or "none"
+        streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
+        rest = len(self._bodies) - NAMES_MAX
+        streamed = f"{streamed or 'none'} and {rest} more" if rest > 0 else streamed or "none"
         lines = [f"{o.name} has no rigid body {o.body}; streamed are {streamed}" for o in lost]
         return Health(tuple(lines), emulated=self.emulated)
 

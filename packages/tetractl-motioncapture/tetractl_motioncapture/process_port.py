@@ -30,8 +30,10 @@ class ProcessPort(ClientPort):
         assert self._process is not None, "it was opened"
         if not (line := self._process.stdout.readline()):
             code = self._process.wait()
-            how = f"exit code {code}" if code >= 0 else signal.strsignal(-code) or f"signal {-code}"
-            why = ": ".join([how, *self._process.said()[-1:]])
+            if code < 0:
+                why = signal.strsignal(-code) or f"signal {-code}"
+            else:
+                why = ": ".join([f"exit code {code}", *self._process.said()[-1:]])
             raise AbortError(f"the process of {self._device} has ended: {why}")
         stamp, _, message = line.partition(b" ")
         # in the pipe, as after a sleep

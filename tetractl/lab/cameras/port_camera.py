@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.section_abilities import Addressed
@@ -97,7 +97,7 @@ class PortCamera(ABC):
                 raise ValueError(f"{len(poses)} poses, not {len(self._none)}")
         except UNREADABLE as error:
             self.damaged += 1
-            self._first = self._first or f"{type(error).__name__}: {error}, in {data[:60]!r}"
+            self._first = self._first or f"{text_of(error)}, in {data[:60]!r}"
             return
         self._number += 1
         shot_ns = max(0, at_ns - self._age_ns(at_ns))

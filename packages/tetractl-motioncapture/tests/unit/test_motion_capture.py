@@ -170,3 +170,21 @@ def test_the_real_library_streams_from_its_mock_in_the_process():
     port.close()
     assert came and json.loads(heard[0][0]) == {"bodies": {}}
     assert heard[0][1] <= heard[3][1] <= clock.now()
+
+
+def test_long_names_of_bodies_are_cut_and_many_are_counted():
+    """Regression: a sender's names of 600 characters were printed whole, with their escapes."""
+    lab, setup = lab_of()
+    port = types.SimpleNamespace(failure=None, close=lambda: None)
+    bodies = {f"{number}\x1b" * 300: [0, 0, 0, 0, 0, 0, 1] for number in range(500)}
+
+    def ports(name, baud, device, clock, heard, hint):
+        port.open = lambda: heard(json.dumps({"bodies": bodies}).encode(), 10**9)
+        port.write = lambda data: 0
+        return port
+
+    with MotionCapture(lab.camera, setup, LabClock(), lambda: None, ports) as camera:
+        problem = camera.check().problems[0]
+    assert problem.isprintable()
+    assert len(problem) < 1500
+    assert problem.endswith("and 480 more")

@@ -18,7 +18,7 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import ui
-from tetractl.core.errors import Exit, TetractlError, UsageError, text_of
+from tetractl.core.errors import UNIX_MODULES, Exit, TetractlError, UsageError, text_of
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
@@ -181,6 +181,11 @@ def run_app() -> int:
         return complain(Exit.INTERRUPTED, "interrupted")
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
+        if module in UNIX_MODULES:
+            hint = "simulations, tables and reports need none of it"
+            return complain(
+                Exit.USAGE, f"this does not run on Windows: Python has no '{module}' here", hint
+            )
         if module not in EXTRAS:
             raise
         package, extra = EXTRAS[module]

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
+GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
+"""What `poll` says of a closed stream; Windows has no `poll`."""
 
 
 class PatientWriter(io.FileIO):
@@ -164,6 +165,9 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
     If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,
     before `Interrupt.watch`.
     """
+    if not hasattr(select, "poll"):  # Windows, where no robots move
+        yield
+        return
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None
     main, ended = threading.get_ident(), threading.Event()
     poll, left = select.poll(), 0

@@ -81,6 +81,11 @@ class Child:
                     stream.close()
 
     @property
+    def pid(self) -> int:
+        """The id of the process."""
+        return self._process.pid
+
+    @property
     def stdin(self) -> IO[bytes]:
         """The pipe to a process that is `fed`."""
         assert self._process.stdin is not None

@@ -77,6 +77,10 @@ class WireError(ValueError):
     """
 
 
+UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
+"""Modules of Python that Windows does not have; the lab needs them."""
+
+
 def printable(text: str, length: int | None = None) -> str:
     """Return text for one line of a terminal, cut to `length` characters.
 

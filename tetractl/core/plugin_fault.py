@@ -8,13 +8,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from traceback import extract_tb
 
-from tetractl.core.errors import TetractlError, WrongValueError, printable, text_of
+from tetractl.core.errors import UNIX_MODULES, TetractlError, WrongValueError, printable, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
 
 HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
-"""Errors of the computer, such as a full disk, in which code they occur does not matter."""
+"""Errors of the computer, such as a full disk."""
 # reason, file and line in an error of numba's compiler
 COMPILED = re.compile(r'(\S[^\n]*)\n\s*File "([^"]+)", line (\d+)')
 
@@ -46,7 +46,7 @@ def plugin_fault(
 ) -> FaultyPluginError | None:
     """Return an error that names the plug-in whose code raised `error`, called what raised it, or
     returned a wrong value; None if there is no such plug-in, for another TetractlError, and for an
-    error of the computer, such as a full disk.
+    error of the computer, such as a full disk or a module that its system has not.
 
     If none is found, but `packages`, name and version, provide kinds, these are named: one may have
     returned a value with which tetractl's code fails.
@@ -56,9 +56,7 @@ def plugin_fault(
             who = error.who if error.who in owner[0] else owner[0]  # the one of many that is named
             text = f"plug-in {who} ({owner[1]}) returned {error.what}"
             return FaultyPluginError(text, CHECK)
-    elif isinstance(error, TetractlError) or (
-        isinstance(error, OSError) and error.errno in COMPUTERS
-    ):
+    elif isinstance(error, TetractlError) or _of_computer(error):
         return None
     calls, why = extract_tb(error.__traceback__), text_of(error).removeprefix("WrongValueError: ")
     places: list[tuple[str, str, object]]
@@ -76,6 +74,16 @@ def plugin_fault(
             return fault
     used = ", ".join(f"{name} {version}" for name, version in (packages or {}).items())
     return FaultyPluginError(f"{why}; the spec uses plug-ins of {used}", CHECK) if used else None
+
+
+def _of_computer(error: BaseException) -> bool:
+    """Return whether an error is of the computer or its system, in whichever code it occurs."""
+    match error:
+        case OSError(errno=number):
+            return number in COMPUTERS
+        case ModuleNotFoundError(name=name):
+            return name in UNIX_MODULES
+    return False
 
 
 def _owner(file: Path) -> tuple[str, str] | None:

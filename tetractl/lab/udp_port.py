@@ -19,6 +19,7 @@ from typing import Any
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
+from tetractl.core.file_lock import lock_file as take_lock
 from tetractl.lab.serial_port import Heard, PortHeldError, SerialPort
 
 SCHEME = "udp://"
@@ -104,12 +105,8 @@ class UdpPort(SerialPort):
     def _hold(self) -> None:
         """Lock the devices' address; PortHeldError if another program has."""
         try:
-            import fcntl
-        except ImportError:  # Windows: nothing keeps two programs from one address
-            return
-        try:
             self._locked = _open_lock(self._lock)
-            fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take_lock(self._locked)
         except BlockingIOError:
             raise PortHeldError(str(self._lock), self._name) from None
         except OSError as error:

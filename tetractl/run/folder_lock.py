@@ -1,6 +1,5 @@
 """The lock of a folder, so that two runs never write to the same one."""
 
-import fcntl
 import getpass
 import os
 import socket
@@ -10,9 +9,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.file_lock import lock_file
 
 LOCK_FILE = ".tetractl-lock"
 OWNER_BYTES = 300
+OPENED = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
+"""How the file is opened: no link is followed, where the system can tell."""
 
 
 def make_folder(folder: Path) -> None:
@@ -51,9 +53,9 @@ def locked(folder: Path) -> Iterator[None]:
 def _acquire(path: Path) -> int:
     """Open and lock a file and return its descriptor; UsageError if another run has locked it."""
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        file = os.open(path, OPENED, 0o644)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(file)
             if not _is(path, file):  # the last owner has removed the file in the meantime
                 os.close(file)
                 continue
@@ -83,8 +85,8 @@ def _owner() -> str:
     """Return "host pid user since", the four words of the lock's file."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # the user id has no name
-        user = str(os.getuid())
+    except (KeyError, OSError, ImportError):  # the user id has no name, or users have no ids
+        user = str(os.getuid()) if hasattr(os, "getuid") else "?"
     return f"{socket.gethostname()} {os.getpid()} {user} {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 

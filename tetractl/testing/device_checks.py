@@ -4,7 +4,6 @@ emulated one all that the lab relies on.
 
 import math
 import os
-import tty
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -195,6 +194,8 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
         yield Finding("send: not called, as the section has no field `port` for a serial port")
         return
     ours, theirs = os.openpty()
+    import tty  # not on Windows
+
     tty.setraw(theirs)
     Thread(target=_swallow, args=(ours,), daemon=True).start()
     fake = section.model_copy(update={"port": os.ttyname(theirs)})

@@ -1,7 +1,6 @@
 """Writes an MCAP file: collects messages in chunks, and writes these to the disk."""
 
 import errno
-import fcntl
 import os
 import shutil
 import sys
@@ -19,6 +18,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.errors import LogError
+from tetractl.core.file_lock import lock_file
 from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, DIGESTS, METADATA, WRITER, Entry
 from tetractl.log.format.digest import LogDigests
@@ -248,7 +248,7 @@ def _owned(path: Path) -> BinaryIO:
     """
     file = path.open("a+b")
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock_file(file.fileno())
         file.truncate(0)
     except BlockingIOError:
         file.close()

@@ -1,0 +1,36 @@
+"""Runs tetractl as on Windows, as far as Linux can: without the modules, functions and signals of
+Unix. `python without_unix.py WORDS...`"""
+
+import os
+import select
+import signal
+import sys
+
+MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
+NAMES = {
+    os: ("getuid", "geteuid", "fork", "openpty", "O_NOFOLLOW", "O_CLOEXEC"),
+    select: ("poll", "epoll", "POLLERR", "POLLHUP", "POLLNVAL"),
+    signal: ("pthread_sigmask", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGHUP", "SIGQUIT", "SIGUSR1"),
+}
+
+
+class Hidden:
+    """Finds no module of Unix."""
+
+    def find_spec(self, name, path=None, target=None):
+        if name in MODULES:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+if __name__ == "__main__":
+    for name in MODULES:
+        sys.modules.pop(name, None)
+    sys.meta_path.insert(0, Hidden())
+    for module, names in NAMES.items():
+        for name in names:
+            if hasattr(module, name):
+                delattr(module, name)
+    sys.argv[0] = "tetractl"
+    from tetractl.cli import main
+
+    main()

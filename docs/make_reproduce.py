@@ -1,30 +1,39 @@
-"""Write the figures of reproduced papers into docs/explanation/reproduce.md, between its markers.
+"""Write the tables of reproduced papers into docs/explanation/reproduce.md, between its markers.
 
-Run `tetractl reproduce --all --json > docs/explanation/reproduce.json` after a change of a paper,
-and then `python docs/make_reproduce.py`; a test fails while the page differs from that file.
+Run `python docs/make_reproduce.py [FOLDER]` after a change of a paper: it does what `tetractl
+reproduce --all --out FOLDER` does. Trials in FOLDER (logs/reproduce) are kept, so that what was
+run before is only read.
 """
 
-import json
+import sys
 from pathlib import Path
 
+from tetractl.cli.specs import examples
+from tetractl.core.registries import PAPERS
 from tetractl.core.table.terminal_table import markdown
-from tetractl.reproduce.paper import Figure, figure_table
+from tetractl.reproduce.claim import judge
+from tetractl.reproduce.paper import table
+from tetractl.reproduce.trials import run_arms
 
-FOLDER = Path(__file__).parent / "explanation"
-PAGE, FOUND = FOLDER / "reproduce.md", FOLDER / "reproduce.json"
-BEGIN, END = "<!-- figures: begin -->\n", "<!-- figures: end -->"
+PAGE = Path(__file__).parent / "explanation/reproduce.md"
+BEGIN = "<!-- figures: begin -->\n"
+END = "<!-- figures: end -->"
 
 
-def page(current: str) -> str:
-    """Return the page with the tables between its markers made again."""
-    found = json.loads(FOUND.read_text(encoding="utf-8"))["papers"]
-    tables = [
-        figure_table(name, paper["source"], [Figure(**one) for one in paper["figures"]])
-        for name, paper in found.items()
-    ]
-    before, after = current.partition(BEGIN)[0], current.partition(END)[2]
-    return f"{before}{BEGIN}{markdown(tables).strip()}\n{END}{after}"
+def tables(folder: Path) -> str:
+    """Return the tables of all papers, from the trials in `folder`, of which it runs what lacks."""
+    printed = []
+    for name in PAPERS.names():
+        paper = PAPERS.load(name)
+        results = run_arms(paper, folder / name, examples(), None, 1, print)
+        rows = [judge(claim, results) for claim in paper.claims]
+        printed.append(table(name, paper.source, rows))
+    return markdown(printed).strip()
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    folder = Path(*sys.argv[1:]) if len(sys.argv) > 1 else Path("logs/reproduce")
+    page = PAGE.read_text(encoding="utf-8")
+    before = page.partition(BEGIN)[0]
+    after = page.partition(END)[2]
+    PAGE.write_text(f"{before}{BEGIN}{tables(folder)}\n{END}{after}", encoding="utf-8")

@@ -1,7 +1,6 @@
 """`tetractl reproduce`: the figures of published papers next to ours, each with a verdict."""
 
-from dataclasses import asdict, replace
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,12 +14,7 @@ from tetractl.core.table.terminal_table import print_tables
 from tetractl.experiment.yaml.problems import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tetractl.log.read.trial_log import TrialLog
-    from tetractl.reproduce.paper import Runs
-
-SEED = 20261128
+    from tetractl.reproduce.claim import Row
 
 
 def reproduce(
@@ -41,49 +35,40 @@ def reproduce(
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
-    from tetractl.reproduce.paper import Paper, figure_table
+    from tetractl.reproduce.claim import judge
+    from tetractl.reproduce.paper import Paper, items, table
+    from tetractl.reproduce.trials import run_arms
 
     names = PAPERS.names() if every else papers or []
+    _check_known(names)
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
+    described: dict[str, dict[str, Any]] = {}
+    unexpected = 0
+    for name in names:
+        paper: Paper = PAPERS.load(name)
+        results = run_arms(paper, out / name, examples(), trials, jobs, ui.tell)
+        rows = [judge(claim, results) for claim in paper.claims]
+        described[name] = {"source": paper.source, "figures": [items(row) for row in rows]}
+        if not as_json:
+            print_tables([table(name, paper.source, rows)])
+        unexpected += _tell_unexpected(name, rows)
+    if as_json:
+        print(json_text({"papers": described or {name: {} for name in PAPERS.names()}}))
+    return Exit.FAILED if unexpected else Exit.DONE
+
+
+def _check_known(names: Sequence[str]) -> None:
     for name in names:
         if name not in PAPERS:
             text = f"there is no paper '{name}'{did_you_mean(name, PAPERS.names())}"
             raise UsageError(text, f"the papers are {', '.join(PAPERS.names())}")
-    same, found = True, dict[str, dict[str, Any]]()
-    for name in names:
-        paper: Paper = PAPERS.load(name)
-        run = partial(_logs, trials=trials, jobs=jobs)
-        logs = dict[str, Any]()
-        for kind, arm in paper.arms.items():
-            count = trials or arm.trials
-            ui.tell(f"{out / name / kind}: {count} trials of {arm.example} {' '.join(arm.sets)}")
-            logs[kind] = run(replace(arm, sets=(*arm.sets, *arm.then(logs))), out / name / kind)
-        for kind, work in paper.work.items():
-            ui.tell(f"{out / name / kind}: {trials or work.trials} times")
-            logs[kind] = work.results(out / name / kind, SEED, trials or work.trials, jobs)
-        figures = list(paper.figures(logs))
-        found[name] = {"source": paper.source, "figures": [asdict(one) for one in figures]}
-        if not as_json:
-            print_tables([figure_table(name, paper.source, figures)])
-        for one in figures:
-            if one.verdict is not one.page:
-                same = False
-                ui.tell(f"{name}: {one.what}: {one.verdict}, but {one.page} on the page")
-    if as_json:
-        print(json_text({"papers": found or {name: {} for name in PAPERS.names()}}))
-    return Exit.DONE if same else Exit.FAILED
 
 
-def _logs(arm: "Runs", folder: Path, trials: int | None, jobs: int) -> "Sequence[TrialLog]":
-    """Run the trials of an arm that its folder lacks; return the first `trials`, all complete."""
-    from tetractl.api import run_batch
-    from tetractl.experiment.load import load_spec
-    from tetractl.log.read.reader import read_trial
-    from tetractl.run.task import log_path
-
-    count = trials or arm.trials
-    settings = (*arm.sets, f"trials.count={count}", f"trials.seed={SEED}")
-    spec = load_spec(examples()[arm.example], settings)
-    run_batch(spec, folder, jobs=jobs, resume=True)
-    return [read_trial(log_path(folder, trial)) for trial in range(count)]
+def _tell_unexpected(name: str, rows: "Sequence[Row]") -> int:
+    """Say which verdicts differ from those of the page; return how many do."""
+    differing = [row for row in rows if row.verdict is not row.claim.expected]
+    for row in differing:
+        claim = row.claim
+        ui.tell(f"{name}: {claim.figure}: {row.verdict}, but {claim.expected} on the page")
+    return len(differing)

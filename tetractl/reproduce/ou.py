@@ -1,34 +1,28 @@
 """Ou, Kang, Kim, Julius: motion control of several T. pyriformis cells by one signal, PSO-MPC.
 
-The paper that tetractl implements, figure by figure; Figure 4 shows a robot. Its controller is run
-exactly as published. What the paper states without a number is taken as the plain comparison.
+The paper that tetractl implements, claim by claim; Figure 4 shows a robot, and Figure 2 a swarm.
+Its controller is run exactly as published. What the paper states without a number is taken as the
+plain comparison. A number appears once: the error of one robot is a third of the total error, and
+that of a cell the same, scaled by the speeds.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-
-import numpy as np
-
-from tetractl.core.table.table import digits
-from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce import ou_measures as of
-from tetractl.reproduce.paper import (
-    Fate,
-    Figure,
-    Paper,
-    Repeated,
-    Requirement,
-    Runs,
-    at_least,
-    at_most,
-    mean,
-    near,
-    share,
-    single,
+from tetractl.reproduce import ou_measures as measures
+from tetractl.reproduce.claim import (
+    AtLeast,
+    AtMost,
+    Claim,
+    OneRun,
+    Rarely,
+    SameDeviation,
+    SameMean,
+    Verdict,
+    Within,
 )
+from tetractl.reproduce.paper import Paper, Runs
 
 AS_PUBLISHED = "controller={type: pso-mpc, horizon_max: 70, obstacle_weight: 5000, time_limit: 60}"
 EARLIER = "controller={type: ensemble, arrival_tolerance: 20, time_limit: 400}"
-LATE = (
+HARSHER = (
     "plant.dead_time=0.15",
     "plant.a_error=0.1",
     "plant.speed_error=0.1",
@@ -36,226 +30,277 @@ LATE = (
     "plant.lost_commands=0.05",
 )
 """Round values that give an error of the published size; none is published."""
-ONCE = ("plant.motion=euler", "controller.steps_max=1", "controller.optimizer.stop={type: budget}")
+UNDISTURBED = "plant.motion=euler"
+"""The plant moves by the equations (4)-(6) by which the controller predicts."""
+FIRST_SEARCH = (
+    UNDISTURBED,
+    "controller.steps_max=1",
+    "controller.optimizer.stop={type: budget}",
+)
 """Only the searches of step 0, with all 100 iterations."""
-CASES = {"bench": "bench", "late": "harsher"}
-PUBLISHED = Repeated(648.6, 225.1, 20)
-CELL_SPEED, BODY_UM = 300.0, 50.0
-"""The paper's speed [um/s] and body length [um] of a cell."""
-MISSED, AGREES = Fate.MISSED, Fate.AGREES
-Logs = Mapping[str, Sequence[TrialLog]]
 
+ARMS = {
+    "figure-1": Runs("round_obstacle", trials=100),
+    "swarm-1000": Runs("round_obstacle", ("controller.optimizer.particles=1000",)),
+    "swarm-10000": Runs("round_obstacle", ("controller.optimizer.particles=10000",), 5),
+    "first-search": Runs("three_m3pi_paper", FIRST_SEARCH),
+    "open-undisturbed": Runs("three_m3pi_paper", (UNDISTURBED,), plans_of="first-search"),
+    "bench": Runs("three_m3pi_paper_bench", trials=100),
+    "open-bench": Runs("three_m3pi_paper_bench", trials=100, plan_of="first-search"),
+    "square": Runs("three_m3pi_paper_bench", ("controller.first_plan={type: square}",)),
+    "harsher": Runs("three_m3pi_paper", HARSHER, 300),
+    "ensemble": Runs("three_m3pi_paper_bench", (EARLIER,), 100),
+    "cells": Runs("benchmark/cells-bench", (AS_PUBLISHED,)),
+}
 
-def _first_plan(logs: Logs) -> tuple[str, ...]:
-    """Return the plan of step 0 of the first `once` trial as a controller, to be sent open loop."""
-    directions = logs["once"][0].steps[0].plan.signals.tolist()
-    return (f"controller={{type: sequence, period: 0.2, directions: {directions}}}",)
+ONE_PERIOD_MM = (180 + 200 + 150) * 0.2
+"""What the three robots drive in one control period [mm]: as near as "at the targets" can mean."""
+FIGURE_5_MM = 858.8
+MEAN_MM = 648.6
+STD_MM = 225.1
+PUBLISHED_TRIALS = 20
+CELL_UM = 400.0
 
+AS_PRINTED = (
+    "as printed, (20) is met at its first test, iteration 11: an iteration without improvement "
+    "adds log 0"
+)
+SMALLER = "ours is smaller: the paper's delays and errors are unknown"
+SAMPLES = "(13) tests the predicted samples, not the way between them"
+NO_EDGE = "the cost (7) has no term for its edge"
+THAN_EARLIER = "PSO-MPC minus Feedback Ensemble Control"
 
-def _simulated(logs: Logs) -> Iterator[Figure]:
-    drawn, once = logs["figure-1"], logs["once"]
-    way = 0.2 * sum(drawn[0].start.setup.speed)
-    yield mean(
-        "Fig. 1: robots reach their targets: total error",
-        f"drawn; read as {way:.0f} mm or less",
-        [*map(of.total_error, drawn)],
-        at_most(way),
+SIMULATED = [
+    Claim(
+        figure="Fig. 1: robots reach their targets: total error",
+        published=f"drawn; read as {ONE_PERIOD_MM:.0f} mm or less",
+        arm="figure-1",
+        measure=measures.total_error,
         unit="mm",
-    )
-    yield share("Fig. 1: the disc is entered", "not", [*map(of.entered, drawn)], 0)
-    yield mean(
-        "Fig. 3: iteration in which criterion (20) is met",
-        "20",
-        [*map(of.iterations, drawn)],
-        near(20),
-        MISSED,
-        "as printed, (20) is met at its first test, iteration 11, in any unit and swarm tried",
-    )
-    yield mean(
-        "Fig. 3: J falls exponentially: R^2 of a line through log J, minus that through J",
-        "no number; above 0",
-        [*map(of.exponential, once)],
-        at_least(0),
-    )
-    yield mean(
-        "Fig. 3: J falls quickly at first: share of the fall in 10 of 100 iterations",
-        "no number; above 0.1",
-        [*map(of.early_share, once)],
-        at_least(0.1),
-    )
-    yield mean(
-        "II to IV: J found is close to the least, which is 0 or more: J of step 0, 100 iterations",
-        f"no number; read as {way:.0f} mm or less",
-        [*map(of.first_cost, once)],
-        at_most(way),
+        asked=AtMost(ONE_PERIOD_MM),
+    ),
+    Claim(
+        figure="Fig. 1: the disc is entered",
+        published="not, in one run",
+        arm="figure-1",
+        measure=measures.entered,
+        asked=Rarely(),
+    ),
+    Claim(
+        figure="Fig. 3: iteration in which criterion (20) is met, 100 particles",
+        published="20",
+        arm="figure-1",
+        measure=measures.iterations,
+        asked=Within(20, 20),
+        expected=Verdict.MISSED,
+        why=AS_PRINTED,
+    ),
+    Claim(
+        figure="Fig. 3: the same, 1,000 particles",
+        published="20",
+        arm="swarm-1000",
+        measure=measures.iterations,
+        asked=Within(20, 20),
+        expected=Verdict.MISSED,
+        why="the same",
+    ),
+    Claim(
+        figure="Fig. 3: the same, 10,000 particles",
+        published="20",
+        arm="swarm-10000",
+        measure=measures.iterations,
+        asked=Within(20, 20),
+        expected=Verdict.MISSED,
+        why="the same",
+    ),
+    Claim(
+        figure="Fig. 3: J falls exponentially: R^2 of a line through log J, minus that through J",
+        published="no number; above 0",
+        arm="first-search",
+        measure=measures.exponential,
+        asked=AtLeast(0),
+    ),
+    Claim(
+        figure="Fig. 3: J falls quickly at first: share of the fall in 10 of 100 iterations",
+        published="no number; above 0.1",
+        arm="first-search",
+        measure=measures.early_share,
+        asked=AtLeast(0.1),
+    ),
+    Claim(
+        figure="II to IV: J found is close to the least, which is 0 or more: J of step 0",
+        published=f"no number; read as {ONE_PERIOD_MM:.0f} mm or less",
+        arm="first-search",
+        measure=measures.first_cost,
         unit="mm",
-    )
-    yield mean(
-        "III: without errors, the sequence of step 0 is enough: its total error, open loop",
-        f"no number; read as {way:.0f} mm or less",
-        [log.steps[0].plan.target_cost for log in once],
-        at_most(way),
+        asked=AtMost(ONE_PERIOD_MM),
+    ),
+    Claim(
+        figure="III: without errors, the sequence of step 0 is enough: its total error, open loop",
+        published=f"no number; read as {ONE_PERIOD_MM:.0f} mm or less",
+        arm="open-undisturbed",
+        measure=measures.total_error,
         unit="mm",
-    )
-    open_loop, bench = logs["open"], logs["bench"]
-    yield _against(
-        "III: with errors, it is not: total error on the bench, closed minus open loop",
-        bench,
-        open_loop,
-        of.total_error,
-        "mm",
-    )
-    yield mean(
-        "IV-B: warm start saves work: cost evaluations of a later step over those of step 0",
-        "less, no number",
-        [*map(of.warm_work, bench)],
-        at_most(1),
-    )
-    yield mean(
-        "IV-B: a square during the first search ends at the starts: distance of a robot, bench",
-        f"no number; read as {way / 3:.0f} mm or less",
-        [*map(of.off_start, logs["square"])],
-        at_most(way / 3),
+        asked=AtMost(ONE_PERIOD_MM),
+    ),
+    Claim(
+        figure="III: with errors, it is not: total error on the bench, closed minus open loop",
+        published="less, no number",
+        arm="bench",
+        minus="open-bench",
+        measure=measures.total_error,
         unit="mm",
-    )
+        asked=AtMost(0),
+    ),
+    Claim(
+        figure="IV-B: a warm start is a good guess: J of a step amid the trial, bench, minus that "
+        "of 51 lengths searched from nothing",
+        published="no number; 0 or less",
+        arm="bench",
+        measure=measures.warm_gain,
+        first=20,
+        unit="mm",
+        asked=AtMost(0),
+    ),
+    Claim(
+        figure="IV-B: a square during the first search ends at the starts: distance of a robot, "
+        "bench",
+        published=f"no number; read as {ONE_PERIOD_MM / 3:.0f} mm or less",
+        arm="square",
+        measure=measures.off_start,
+        unit="mm",
+        asked=AtMost(ONE_PERIOD_MM / 3),
+    ),
+]
 
 
-def _experiment(logs: Logs) -> Iterator[Figure]:
-    unknown = "the paper's delays and errors are unknown"
-    for kind, case in CASES.items():
-        late = kind == "late"
-        runs, total = logs[kind], [*map(of.total_error, logs[kind])]
-        yield mean(
-            f"Fig. 5: total error of the run, {case}", "858.8 mm", total, at_most(858.8), unit="mm"
-        )
-        page = AGREES if late else MISSED
-        smaller = "" if late else f"ours is smaller: {unknown}"
-        yield single(f"Fig. 5: the same, {case}", 858.8, total, page, smaller, "mm")
-        yield mean(
-            f"Fig. 5: error of a robot, {case}",
-            "about 280 mm",
-            [one / 3 for one in total],
-            at_most(858.8 / 3),
+def _of_the_experiment(arm: str, expected: Verdict, why: str, left: Verdict) -> list[Claim]:
+    """Return what section V says of its 20 trials and of the run of Figure 5, asked of one arm.
+
+    `expected` is the verdict on the sizes of errors, `left` that on the edge of the field.
+    """
+    of_trials = f"(n {PUBLISHED_TRIALS})"
+    entered = Verdict.UNDECIDED if arm == "bench" else Verdict.MISSED
+    return [
+        Claim(
+            figure=f"Fig. 5: total error of the run, {arm}",
+            published=f"{FIGURE_5_MM} mm (one run)",
+            arm=arm,
+            measure=measures.total_error,
             unit="mm",
-        )
-        yield PUBLISHED.of_mean(f"20 trials: mean total error, {case}", total, page, smaller, "mm")
-        yield PUBLISHED.of_deviation(
-            f"20 trials: standard deviation of the total error, {case}", total, page, smaller, "mm"
-        )
-        yield share(
-            f"Fig. 5: the square is entered, {case}",
-            "not, in one run",
-            [*map(of.entered, runs)],
-            0,
-            MISSED,
-            "(13) tests the predicted samples, not the way between them",
-        )
-        yield share(
-            f"Fig. 5: the field of view of 1600 x 1800 mm is left, {case}",
-            "not stated",
-            [*map(of.left, runs)],
-            0,
-            MISSED,
-            "the cost (7) has no term for its edge",
-        )
+            asked=OneRun(FIGURE_5_MM),
+            expected=expected,
+            why=why,
+        ),
+        Claim(
+            figure=f"20 trials: mean total error, {arm}",
+            published=f"{MEAN_MM} +- 105.4 mm {of_trials}",
+            arm=arm,
+            measure=measures.total_error,
+            unit="mm",
+            asked=SameMean(MEAN_MM, STD_MM, PUBLISHED_TRIALS),
+            expected=expected,
+            why=why,
+        ),
+        Claim(
+            figure=f"20 trials: standard deviation of the total error, {arm}",
+            published=f"{STD_MM} mm {of_trials}",
+            arm=arm,
+            measure=measures.total_error,
+            unit="mm",
+            asked=SameDeviation(STD_MM, PUBLISHED_TRIALS),
+            expected=expected,
+            why=why,
+        ),
+        Claim(
+            figure=f"Fig. 5: the square is entered, {arm}",
+            published="not, in one run",
+            arm=arm,
+            measure=measures.entered,
+            asked=Rarely(),
+            expected=entered,
+            why=SAMPLES,
+        ),
+        Claim(
+            figure=f"Fig. 5: the field of view of 1600 x 1800 mm is left, {arm}",
+            published="not stated",
+            arm=arm,
+            measure=measures.left,
+            asked=Rarely(),
+            expected=left,
+            why=NO_EDGE,
+        ),
+    ]
 
 
-def _cells(logs: Logs) -> Iterator[Figure]:
-    robots = logs["bench"][0].start.setup
-    factor = CELL_SPEED / float(np.mean(robots.speed))
-    scaled = [factor * one / 3 for one in (858.8, PUBLISHED.mean)]
-    published = f"about 400 um; {scaled[0]:.0f} from 858.8 mm, {scaled[1]:.0f} from 648.6 mm"
-    for kind, case in CASES.items():
-        late = kind == "late"
-        yield mean(
-            f"V: error of a cell, scaled from robots by the speeds, {case}",
-            published,
-            [factor * of.total_error(log) / 3 for log in logs[kind]],
-            near(400) if late else at_most(400),
-            AGREES if late else Fate.REACHED,
-            unit="um",
-        )
-    found = [of.total_error(log) / len(log.start.setup.names) for log in logs["cells"]]
-    simulated = "V: error of a cell, three simulated cells"
-    yield mean(simulated, "about 400 um", found, at_most(400), unit="um")
-    yield mean(
-        f"{simulated}, in body lengths",
-        "about 8 body lengths",
-        [one / BODY_UM for one in found],
-        at_most(8),
-    )
-    side = np.sqrt(1600 * 1800) / float(np.mean(robots.speed)), 5000 / CELL_SPEED
-    yield mean(
-        "I: field of view over speed, cells over robots",
-        "roughly the same; read as 0.8 to 1.25",
-        [side[1] / side[0]],
-        Requirement("agreement", lambda ci: ci.low >= 0.8 and ci.high <= 1.25, AGREES),
-        MISSED,
-        f"by the paper's numbers: {side[0]:.1f} s (root of the area) and {side[1]:.1f} s",
-    )
+EXPERIMENT = [
+    *_of_the_experiment("bench", Verdict.MISSED, SMALLER, Verdict.MISSED),
+    *_of_the_experiment("harsher", Verdict.AGREES, "", Verdict.MISSED),
+]
 
+CELLS = [
+    Claim(
+        figure="V: error of a cell, three simulated cells",
+        published="about 400 um, 8 body lengths",
+        arm="cells",
+        measure=measures.error_of_a_robot,
+        unit="um",
+        asked=AtMost(CELL_UM),
+    ),
+    Claim(
+        figure="I: field of view over speed, cells over robots",
+        published="roughly the same; read as 0.8 to 1.25",
+        arm="bench",
+        first=1,
+        measure=measures.field_of_cells,
+        asked=Within(0.8, 1.25),
+        expected=Verdict.MISSED,
+        why="by the paper's numbers: 9.6 s (root of the area) and 16.7 s",
+    ),
+]
 
-def _earlier(logs: Logs) -> Iterator[Figure]:
-    ours, earlier = logs["bench"], logs["ensemble"]
-    than = "PSO-MPC minus Feedback Ensemble Control"
-    yield _against(
-        f"I: error of a robot, {than}", ours, earlier, lambda log: of.total_error(log) / 3, "mm"
-    )
-    yield _against(
-        f"I: space, over that of starts and targets, {than}",
-        ours,
-        earlier,
-        of.space,
-        "",
-        MISSED,
-        "about the same space, or a little more, with three robots",
-    )
-    spins = [of.spinning(log) for log in ours]
-    yield mean(
-        'I: "we will not generate the rotating magnetic field": time for which it rotates',
-        "0 s",
-        spins,
-        at_most(0),
-        MISSED,
-        f"in {sum(one > 0 for one in spins)} of {len(spins)} trials, at most {max(spins):.1f} s",
-        "s",
-    )
-    yield _against(f"I: the same, {than}", ours, earlier, of.spinning, "s")
-
-
-def _against(
-    what: str,
-    ours: Sequence[TrialLog],
-    other: Sequence[TrialLog],
-    measure: Callable[[TrialLog], float],
-    unit: str,
-    page: Fate = Fate.REACHED,
-    why: str = "",
-) -> Figure:
-    """Return a figure of paired differences, ours minus the other's: below 0 is asked."""
-    a, b = ([measure(log) for log in logs[: len(other)]] for logs in (ours, other))
-    means = f"means {digits(float(np.mean(a)))} and {digits(float(np.mean(b)))} {unit}".strip()
-    why = f"{means}: {why}" if why else means
-    gaps = [one - than for one, than in zip(a, b, strict=True)]
-    return mean(what, "less, no number", gaps, at_most(0), page, why, unit)
-
-
-def _figures(logs: Logs) -> Iterator[Figure]:
-    for part in (_simulated, _experiment, _cells, _earlier):
-        yield from part(logs)
-
+EARLIER_METHOD = [
+    Claim(
+        figure=f"I: total error, {THAN_EARLIER}",
+        published="less, no number",
+        arm="bench",
+        minus="ensemble",
+        measure=measures.total_error,
+        unit="mm",
+        asked=AtMost(0),
+    ),
+    Claim(
+        figure=f"I: space, over that of starts and targets, {THAN_EARLIER}",
+        published="less, no number",
+        arm="bench",
+        minus="ensemble",
+        measure=measures.space,
+        asked=AtMost(0),
+        expected=Verdict.MISSED,
+        why="about the same space, or a little more, with three robots",
+    ),
+    Claim(
+        figure='I: "we will not generate the rotating magnetic field": it rotates in a trial',
+        published="never",
+        arm="bench",
+        measure=measures.spins,
+        asked=Rarely(),
+        expected=Verdict.MISSED,
+        why="nothing in the cost (7) keeps the direction from turning through a whole turn",
+    ),
+    Claim(
+        figure=f"I: time for which the field rotates, {THAN_EARLIER}",
+        published="less, no number",
+        arm="bench",
+        minus="ensemble",
+        measure=measures.spinning,
+        unit="s",
+        asked=AtMost(0),
+    ),
+]
 
 PAPER = Paper(
-    "Ou, Kang, Kim and Julius, the paper of PSO-MPC (simulation)",
-    {
-        "figure-1": Runs("round_obstacle"),
-        "once": Runs("three_m3pi_paper", ONCE),
-        "bench": Runs("three_m3pi_paper_bench", trials=100),
-        "late": Runs("three_m3pi_paper", LATE, 300),
-        "open": Runs("three_m3pi_paper_bench", trials=100, then=_first_plan),
-        "square": Runs("three_m3pi_paper_bench", ("controller.first_plan={type: square}",)),
-        "ensemble": Runs("three_m3pi_paper_bench", (EARLIER,), 100),
-        "cells": Runs("benchmark/cells-bench", (AS_PUBLISHED,)),
-    },
-    _figures,
+    source="Ou, Kang, Kim and Julius, the paper of PSO-MPC (simulation)",
+    arms=ARMS,
+    claims=[*SIMULATED, *EXPERIMENT, *CELLS, *EARLIER_METHOD],
 )

@@ -2,17 +2,29 @@
 
 import numpy as np
 
+from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, wrap
 from tetractl.log.read.trial_log import TrialLog
 
 REVERSAL = 0.3
 """A field that turns back by up to this angle [rad] has not changed its sense."""
+ROBOTS_FIELD_MM2 = 1600 * 1800
+"""The field of view of the paper's robots (section V)."""
+CELLS_FIELD_UM = 5000
+"""Side of the field of view of its cells (section V)."""
+CELL_SPEED_UM_S = 300
+"""Speed of its cells (section V)."""
 
 
 def total_error(log: TrialLog) -> float:
     """Return the sum of the robots' distances to their targets at the end [length unit]."""
     assert log.result is not None, "a batch's trial has a result"
     return log.result.total_error
+
+
+def error_of_a_robot(log: TrialLog) -> float:
+    """Return the mean distance of the robots to their targets at the end [length unit]."""
+    return total_error(log) / len(log.start.setup.names)
 
 
 def entered(log: TrialLog) -> bool:
@@ -27,8 +39,8 @@ def left(log: TrialLog) -> bool:
 
 def iterations(log: TrialLog) -> float:
     """Return the mean iteration at which criterion (20) ends a search."""
-    found = [len(one.history) - 1 for step in log.steps for one in step.plan.searches]
-    return float(np.mean(found))
+    ends = [len(search.history) - 1 for step in log.steps for search in step.plan.searches]
+    return float(np.mean(ends))
 
 
 def first_cost(log: TrialLog) -> float:
@@ -36,10 +48,16 @@ def first_cost(log: TrialLog) -> float:
     return log.steps[0].plan.cost
 
 
-def warm_work(log: TrialLog) -> float:
-    """Return the mean cost evaluations of a later step, of those of step 0."""
-    each = [sum(one.evaluations for one in step.plan.searches) for step in log.steps]
-    return float(np.mean(each[1:])) / each[0]
+def warm_gain(log: TrialLog) -> float:
+    """Return J of the plan of the middle step, found from a warm start by three searches, minus J
+    of the plan that a controller finds there that searches all lengths from nothing, as in step 0
+    [length unit]."""
+    middle = len(log.steps) // 2
+    step = log.steps[middle]
+    from_nothing = log.experiment.controller.build(log.start.setup, key=middle)
+    decision = from_nothing.plan(step.observation, log.steps[middle - 1].command)
+    assert isinstance(decision, Plan), "amid a trial the robots have not arrived"
+    return step.plan.cost - decision.cost
 
 
 def off_start(log: TrialLog) -> float:
@@ -80,31 +98,60 @@ def _box(points: Floats) -> float:
     return float(np.prod(np.ptp(points[np.isfinite(points).all(axis=1)], axis=0)))
 
 
+def field_of_cells(log: TrialLog) -> float:
+    """Return the field of view of cells over their speed, over that of the robots of a trial.
+
+    An area over a speed depends on units, so the root of the area is taken: both are times.
+    """
+    robots_s = np.sqrt(ROBOTS_FIELD_MM2) / float(np.mean(log.start.setup.speed))
+    return CELLS_FIELD_UM / CELL_SPEED_UM_S / robots_s
+
+
+def spins(log: TrialLog) -> bool:
+    """Return whether the field ever turns in one sense through a whole turn or more."""
+    return spinning(log) > 0
+
+
 def spinning(log: TrialLog) -> float:
     """Return for how long the field turns in one sense through a whole turn or more, apart from
     reversals up to REVERSAL [s]."""
     sent = [step.plan.direction for step in log.steps]
-    direction = np.array([np.nan if one is None else one for one in sent], dtype=float)
+    direction = np.array([np.nan if angle is None else angle for angle in sent], dtype=float)
     time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
     turned = wrap(np.diff(direction))
     on = np.isfinite(turned)
     bounds = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-    return sum(
-        _spinning(np.concatenate([[0.0], np.cumsum(turned[begin:end])]), time_s[begin : end + 1])
-        for begin, end in bounds.reshape(-1, 2)
-    )
+    total_s = 0.0
+    for begin, end in bounds.reshape(-1, 2):
+        angle = np.concatenate([[0.0], np.cumsum(turned[begin:end])])
+        total_s += spinning_time(angle, time_s[begin : end + 1])
+    return total_s
 
 
-def _spinning(angle: Floats, time_s: Floats) -> float:
-    """Return how long a field spins [s] whose angle [rad], (K,), counts whole turns."""
-    found, begin, far, sense = 0.0, 0, 0, 0.0
-    for k in range(1, len(angle) + 1):
-        ahead = sense * (angle[k] - angle[far]) if k < len(angle) else -np.inf
-        if ahead < -REVERSAL:  # the sense changed at `far`
-            if abs(angle[far] - angle[begin]) >= 2 * np.pi:
-                found += float(time_s[far] - time_s[begin])
-            begin, far, sense = far, k, -sense
+def spinning_time(angle: Floats, time_s: Floats) -> float:
+    """Return how long a field spins [s] whose angle [rad], (K,), counts whole turns.
+
+    The angle is cut where its sense changes by more than REVERSAL; a piece counts from a whole turn
+    on.
+    """
+    total_s = 0.0
+    begin = 0  # of the present piece
+    farthest = 0  # in the sense of the piece
+    sense = 0.0
+    for k in range(1, len(angle)):
+        ahead = sense * (angle[k] - angle[farthest])
+        if ahead < -REVERSAL:
+            total_s += _if_whole_turn(angle, time_s, begin, farthest)
+            begin = farthest
+            farthest = k
+            sense = -sense
         elif ahead >= 0:
             sense = sense or float(np.sign(angle[k] - angle[begin]))
-            far = k
-    return found
+            farthest = k
+    return total_s + _if_whole_turn(angle, time_s, begin, farthest)
+
+
+def _if_whole_turn(angle: Floats, time_s: Floats, begin: int, end: int) -> float:
+    """Return the time of a piece [s] if it turns through a whole turn, else 0."""
+    turns = abs(angle[end] - angle[begin]) >= 2 * np.pi
+    return float(time_s[end] - time_s[begin]) if turns else 0.0

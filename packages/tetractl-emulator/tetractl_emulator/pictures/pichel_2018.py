@@ -22,7 +22,8 @@ from tetractl_microscope.organisms import MAGNETOSPIRILLUM
 
 from tetractl.core.poses import Floats, Grey
 from tetractl.model.swimmers import Swimmers, bodies
-from tetractl.reproduce.paper import Figure, Paper, Work, at_most, mean, share
+from tetractl.reproduce.claim import AsOften, AtMost, Claim
+from tetractl.reproduce.paper import Paper, Work
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
 STRENGTHS_MT, CELLS = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0), 34
@@ -113,28 +114,41 @@ def films(seed: int, number: int) -> dict[str, Any]:
     return {"put in": put_in, "slopes": slopes, "deviations": deviations}
 
 
-def _figures(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[Figure]:
-    ends = [fitted(np.array(one["slopes"]), np.array(one["deviations"])) for one in found["films"]]
-    put_in = [one["put in"] for one in found["films"]]
-    yield mean(
-        "a over B: width of its interval, 204 cells",
-        "0.06 rad/(mT s), of 0.74 +- 0.03",
-        [high - low for _, low, high in ends],
-        at_most(0.06),
-        unit="rad/(mT s)",
-    )
-    yield share(
-        "a over B: the slope put in is not in its interval",
-        "at most 1 of 20",
-        [not low <= true <= high for true, (_, low, high) in zip(put_in, ends, strict=True)],
-        0.05,
-    )
+def interval_width(films_of_set: Mapping[str, Any]) -> float:
+    """Return the width of the slope's interval [rad/(mT s)] of a set of films."""
+    _, low, high = _fitted_to(films_of_set)
+    return high - low
+
+
+def misses_slope(films_of_set: Mapping[str, Any]) -> bool:
+    """Return whether the interval of a set of films does not hold the slope that was put in."""
+    _, low, high = _fitted_to(films_of_set)
+    return not low <= films_of_set["put in"] <= high
+
+
+def _fitted_to(films_of_set: Mapping[str, Any]) -> tuple[float, float, float]:
+    return fitted(np.array(films_of_set["slopes"]), np.array(films_of_set["deviations"]))
 
 
 PAPER = Paper(
-    "Pichel and others, 2018: turning rate against the field's strength (emulated films; the slope "
-    "is put in)",
-    {},
-    _figures,
-    {"films": Work(films)},
+    source="Pichel and others, 2018: turning rate against the field's strength (emulated films; "
+    "the slope is put in)",
+    arms={"films": Work(films)},
+    claims=[
+        Claim(
+            figure="a over B: width of its interval, 204 cells",
+            published="0.06 rad/(mT s), of 0.74 +- 0.03",
+            arm="films",
+            measure=interval_width,
+            unit="rad/(mT s)",
+            asked=AtMost(0.06),
+        ),
+        Claim(
+            figure="a over B: the slope put in is not in its interval",
+            published="in 5 %, as the interval is of 95 %",
+            arm="films",
+            measure=misses_slope,
+            asked=AsOften(0.05),
+        ),
+    ],
 )

@@ -1,0 +1,79 @@
+"""Runs the arms of a paper, each as a batch in a folder that a later call completes."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tetractl.api import run_batch
+from tetractl.experiment.load import load_spec
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.reproduce.paper import Paper, Runs, Work
+from tetractl.run.task import log_path
+
+SEED = 20261128
+"""The root seed of all trials."""
+
+
+def run_arms(
+    paper: Paper,
+    folder: Path,
+    specs: Mapping[str, Path],
+    trials: int | None,
+    jobs: int,
+    tell: Callable[[str], None],
+) -> dict[str, Sequence[Any]]:
+    """Return the results of all arms by name: logs of trials, and what a `Work` computes.
+
+    `specs` are the shipped specs by name, `trials` replaces the number of trials of each arm. An
+    arm that was run before is only completed; what a `Work` computes is computed again.
+    """
+    results = dict[str, Sequence[Any]]()
+    for name, arm in paper.arms.items():
+        match arm:
+            case Work():
+                count = trials or arm.trials
+                tell(f"{folder / name}: {count} times")
+                results[name] = [arm.once(SEED, number) for number in range(count)]
+            case Runs():
+                count = trials or arm.trials
+                tell(f"{folder / name}: {count} trials of {arm.example} {' '.join(arm.sets)}")
+                results[name] = _logs(arm, results, folder / name, specs, count, jobs)
+    return results
+
+
+def _logs(
+    arm: Runs,
+    results: Mapping[str, Sequence[TrialLog]],
+    folder: Path,
+    specs: Mapping[str, Path],
+    count: int,
+    jobs: int,
+) -> list[TrialLog]:
+    """Return the logs of an arm's trials, of which those are run that the folder lacks."""
+    spec = specs[arm.example]
+    if arm.plans_of is not None:
+        logs = list[TrialLog]()
+        for number, planned in enumerate(results[arm.plans_of][:count]):
+            settings = (*arm.sets, open_loop(planned))
+            logs += _batch(spec, settings, folder / f"plan-{number:03d}", 1, jobs)
+        return logs
+    settings = arm.sets
+    if arm.plan_of is not None:
+        settings = (*settings, open_loop(results[arm.plan_of][0]))
+    return _batch(spec, settings, folder, count, jobs)
+
+
+def open_loop(log: TrialLog) -> str:
+    """Return the controller that sends the plan of a trial's step 0 to its end, as a setting."""
+    directions = log.steps[0].plan.signals.tolist()
+    period_s = log.experiment.controller.period
+    return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
+
+
+def _batch(
+    path: Path, settings: Sequence[str], folder: Path, count: int, jobs: int
+) -> list[TrialLog]:
+    spec = load_spec(path, (*settings, f"trials.count={count}", f"trials.seed={SEED}"))
+    run_batch(spec, folder, jobs=jobs, resume=True)
+    return [read_trial(log_path(folder, trial)) for trial in range(count)]

@@ -11,7 +11,7 @@ from pathlib import Path
 from tetractl.cli.specs import examples
 from tetractl.core.registries import PAPERS
 from tetractl.core.table.terminal_table import markdown
-from tetractl.reproduce.claim import judge
+from tetractl.reproduce.claim import assess
 from tetractl.reproduce.paper import table
 from tetractl.reproduce.trials import run_arms
 
@@ -26,7 +26,7 @@ def tables(folder: Path) -> str:
     for name in PAPERS.names():
         paper = PAPERS.load(name)
         results = run_arms(paper, folder / name, examples(), None, 1, print)
-        rows = [judge(claim, results) for claim in paper.claims]
+        rows = [assess(claim, results) for claim in paper.claims]
         printed.append(table(name, paper.source, rows))
     return markdown(printed).strip()
 

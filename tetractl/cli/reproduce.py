@@ -35,7 +35,7 @@ def reproduce(
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
-    from tetractl.reproduce.claim import judge
+    from tetractl.reproduce.claim import assess
     from tetractl.reproduce.paper import Paper, items, table
     from tetractl.reproduce.trials import run_arms
 
@@ -48,7 +48,7 @@ def reproduce(
     for name in names:
         paper: Paper = PAPERS.load(name)
         results = run_arms(paper, out / name, examples(), trials, jobs, ui.tell)
-        rows = [judge(claim, results) for claim in paper.claims]
+        rows = [assess(claim, results) for claim in paper.claims]
         described[name] = {"source": paper.source, "figures": [items(row) for row in rows]}
         if not as_json:
             print_tables([table(name, paper.source, rows)])

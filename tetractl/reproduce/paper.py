@@ -1,7 +1,7 @@
-"""A paper to reproduce: the trials that it needs, and its claims, judged on these trials.
+"""A paper to reproduce: the trials that it needs, and its claims, assessed on these trials.
 
 The arms of a paper are batches of shipped specs with values replaced (`Runs`), or what a function
-computes (`Work`). Its claims are a table of `claim.Claim`, whose verdicts `claim.judge` gives.
+computes (`Work`). Its claims are a table of `claim.Claim`, whose verdicts `claim.assess` gives.
 """
 
 from collections.abc import Callable, Mapping, Sequence

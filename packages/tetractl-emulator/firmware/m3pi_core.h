@@ -62,7 +62,7 @@ void m3pi_init(m3pi_core *core, uint8_t index);
 m3pi_event m3pi_push(m3pi_core *core, uint8_t byte, uint32_t now_ms);
 
 /* Give the counts, -127..127, to drive with now. Call it at least every few milliseconds: the
- * watchdog is judged here. */
+ * watchdog is assessed here. */
 void m3pi_wheels(m3pi_core *core, uint32_t now_ms, int8_t *left, int8_t *right);
 
 /* Write the reply that is due now, if any, and return its size, else 0. */

@@ -63,7 +63,7 @@ void twist_init(twist_core *core, uint8_t index, uint16_t radius_mm);
 twist_event twist_push(twist_core *core, uint8_t byte, uint32_t now_ms);
 
 /* Give the speeds [mm/s] to drive the wheels with now. Call it at least every few milliseconds: the
- * watchdog is judged here. */
+ * watchdog is assessed here. */
 void twist_wheels(twist_core *core, uint32_t now_ms, int32_t *left, int32_t *right);
 
 /* Write the reply that is due now, if any, and return its size, else 0. */

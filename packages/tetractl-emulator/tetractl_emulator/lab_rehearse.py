@@ -149,8 +149,8 @@ def script_name(seed: int, day: int) -> str:
 
 def rehearsed(spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool = True) -> "DayRow":
     """Play a day; return what is kept of it."""
-    plan, judged = _day_of(spec, sets, seed, day, bad)
-    row, _ = judged(plan)
+    plan, assessed = _day_of(spec, sets, seed, day, bad)
+    row, _ = assessed(plan)
     return row
 
 
@@ -166,11 +166,11 @@ def shrunk_day(
 
     day = row["day"]
     name = broken(row)[0][0]
-    plan, judged = _day_of(spec, sets, seed, day, bad)
+    plan, assessed = _day_of(spec, sets, seed, day, bad)
     about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
 
     def breaks(smaller: "DayPlan") -> tuple[bool, float]:
-        again, seconds = judged(smaller)
+        again, seconds = assessed(smaller)
         return name in [violation[0] for violation in broken(again)], seconds
 
     small = plan
@@ -204,11 +204,11 @@ def _day_of(
     drawn = rehearsal_of(lab, setup, experiment.open)
     sets = (*sets, *_known(experiment, deadline=60))  # of wall time, which is not the lab's
 
-    def judged(plan: "DayPlan") -> "tuple[DayRow, float]":
+    def assessed(plan: "DayPlan") -> "tuple[DayRow, float]":
         with tempfile.TemporaryDirectory() as scratch:
             played = play(spec, sets, plan, Path(scratch))
             began_s = time.process_time()
             truth, found = observed(played, experiment, lab)
             return row_of(day, truth, found, time.process_time() - began_s), truth.alive_s
 
-    return plan_of_day(seed, day, setup, drawn, bad), judged
+    return plan_of_day(seed, day, setup, drawn, bad), assessed

@@ -15,7 +15,7 @@ from tetractl.reproduce.claim import (
     SameMean,
     Verdict,
     Within,
-    judge,
+    assess,
 )
 
 VALUES = np.array([10.0, 11.0, 12.0, 13.0])
@@ -77,7 +77,7 @@ def test_a_published_run_agrees_if_it_is_no_rare_one_of_ours():
 
 def test_a_difference_is_paired_and_tells_both_means():
     claim = Claim("f", "less", "ours", lambda trial: trial, AtMost(0), minus="other")
-    row = judge(claim, {"ours": [1.0, 2.0, 3.0, 9.0], "other": [2.0, 3.0, 4.0]})
+    row = assess(claim, {"ours": [1.0, 2.0, 3.0, 9.0], "other": [2.0, 3.0, 4.0]})
     assert row.found.value == -1
     assert row.found.means == (2, 3)
     assert row.verdict is Verdict.REACHED
@@ -86,7 +86,7 @@ def test_a_difference_is_paired_and_tells_both_means():
 def test_what_no_controller_can_do_is_out_of_reach_only_if_it_is_not_reached():
     def verdict(bound):
         claim = Claim("f", "p", "ours", float, AtMost(bound), expected=Verdict.OUT)
-        return judge(claim, {"ours": VALUES}).verdict
+        return assess(claim, {"ours": VALUES}).verdict
 
     assert verdict(12) is Verdict.OUT
     assert verdict(15) is Verdict.REACHED
@@ -94,4 +94,4 @@ def test_what_no_controller_can_do_is_out_of_reach_only_if_it_is_not_reached():
 
 def test_a_claim_that_does_not_depend_on_the_trial_measures_one():
     claim = Claim("f", "p", "ours", float, AtMost(12), first=1)
-    assert judge(claim, {"ours": VALUES}).found.n == 1
+    assert assess(claim, {"ours": VALUES}).found.n == 1

@@ -276,8 +276,8 @@ class Claim:
     """One row of a paper's table, before our trials are measured.
 
     `measure` turns a trial of the arm `arm` into a number, or a fact into 1 or 0, in `unit`. With
-    `minus`, the same is measured of that arm, and the paired differences are assessed. `expected` is
-    the verdict that the page states, and `why` its reason, if it is not reached. `first` limits
+    `minus`, the same is measured of that arm, and the paired differences are assessed. `expected`
+    is the verdict that the page states, and `why` its reason, if it is not reached. `first` limits
     the trials that are measured: 1 for what does not depend on the trial.
     """
 

@@ -152,7 +152,7 @@ def calibration(plant: SimPlant) -> tuple[Floats, Floats]:
     if plant.wheels is None:
         ones = np.ones(len(plant.a))
         return ones, ones
-    _, gain, _, true_gain, *_ = plant.wheels.host.trains[0]
+    _, gain, _, true_gain, *_ = plant.wheels.host.trains
     mean = (true_gain / gain).mean(axis=0)
     return mean * plant.setup.wheel_radius / plant.wheels.radius, mean
 

@@ -16,7 +16,6 @@ SMALLEST = [
     ("bodies.py", "--rate", "5", "--trials", "1"),
     ("unmodelled.py", "--trials", "1", "--world", "base"),
     ("solver.py", "--quick", "--only", "b"),
-    ("side_by_side.py", "--trials", "4", "--rounds", "1"),
 ]
 
 

@@ -73,19 +73,20 @@ class Drivetrains:
         return np.where(self.swap, pairs[::-1], pairs) if self.swap.any() else pairs
 
 
-def nothing_sent(trials: int, robots: int) -> tuple[Times, Floats]:
-    """Return `sent_ns` and `sent` of `wish` for robots that stand, an axis of trials more."""
-    sent_ns = np.full((trials, 8), NEVER)
-    sent_ns[:, 0] = 0
-    return sent_ns, np.zeros((trials, 9, robots))
+def nothing_sent(robots: int) -> tuple[Times, Floats]:
+    """Return `sent_ns` and `sent` of `wish` for robots that stand."""
+    sent_ns = np.full(8, NEVER)
+    sent_ns[0] = 0
+    return sent_ns, np.zeros((9, robots))
 
 
 def with_room(sent_ns: Times, sent: Floats) -> tuple[Times, Floats]:
-    """Return `sent_ns` (B, Q) and `sent` (B, Q + 1, N) with room for another command."""
-    if (sent_ns[:, -2] == NEVER).all():
+    """Return `sent_ns` (Q,) and `sent` (Q + 1, N) with room for another command."""
+    if sent_ns[-2] == NEVER:
         return sent_ns, sent
-    unused_ns, unused = np.full_like(sent_ns, NEVER), np.zeros_like(sent[:, 1:])
-    return np.concatenate([sent_ns, unused_ns], 1), np.concatenate([sent, unused], 1)
+    unused_ns = np.full_like(sent_ns, NEVER)
+    unused = np.zeros_like(sent[1:])
+    return np.concatenate([sent_ns, unused_ns]), np.concatenate([sent, unused])
 
 
 class WheelHost:
@@ -101,16 +102,16 @@ class WheelHost:
     ) -> None:
         self.drivetrains, self._lag_s = drivetrains, lag_s
         self._known = np.array([a, speed, radius])
-        self._sent = nothing_sent(1, a.size)
+        self._sent = nothing_sent(a.size)
         self._owed = np.zeros((2, a.size))
 
     def wished(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
         """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`."""
-        towards, (sent_ns, sent) = np.full(heading.shape, u), self._sent
+        towards = np.full(heading.shape, u)
         how = drives, since_ns, acts_ns, self._known, self._lag_s
-        return wish(heading, towards, *how, sent_ns[0], sent[0])
+        return wish(heading, towards, *how, *self._sent)
 
     def counts(self, wished: Floats) -> CountArray:
         """Return the counts (2, N) to send for wheel speeds (2, N)."""
@@ -121,12 +122,12 @@ class WheelHost:
         """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
         speeds and the turning rates [rad/s] of the robots, (N,) each."""
         if self._lag_s > 0:
-            sent_ns, sent = self._sent = with_room(*self._sent)
-            note(acts_ns, speeds, self._known, sent_ns[0], sent[0])
+            self._sent = with_room(*self._sent)
+            note(acts_ns, speeds, self._known, *self._sent)
         return body_velocity(speeds[0], speeds[1], self._known[2])
 
 
-NOTHING = np.zeros((1, 0, 0))
+NOTHING = np.zeros((0, 0))
 
 
 class WheeledRobots:
@@ -136,14 +137,14 @@ class WheeledRobots:
     `radius` [length unit] is the true distance from a wheel to the centre, and `lag_s` [s] the
     wheels' time constant, for all robots or for each (N,), 0 for none. A stopped robot stands once
     its wheels are slower than `still` [length unit/s]. `pose` (3, N) are x, y, heading and `wheels`
-    (2, N) the present speeds; all are parts of `bodies` (1, ROWS, N), see `rolling.roll`.
+    (2, N) the present speeds; all are parts of `body` (ROWS, N), see `rolling.roll`.
     """
 
     roll = staticmethod(roll)
 
     def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
-        self.bodies = np.zeros((1, ROWS, radius.size))
-        body, self.radius = self.bodies[0], radius
+        self.body = body = np.zeros((ROWS, radius.size))
+        self.radius = radius
         self.pose, self.wheels, self.targets, self._rates, _ = np.split(body, (3, 5, 7, 9))
         body[LAG], body[STILL] = lag_s, still
         self.poses = poses
@@ -173,6 +174,6 @@ class WheeledRobots:
         """Advance from `since_ns` [ns] to the last of the `times` (M,) [ns]; return x, y, heading
         (M, 3, N) at these. For the swerves of the headings see `rolling.roll`."""
         ticks = np.zeros(times.size, np.bool_) if ticks is None else ticks
-        now_ns, path = np.array([since_ns]), np.empty((1, times.size, *self.pose.shape))
-        self.roll(self.bodies, now_ns, times[-1:], times, ticks, walk, drawn, path)
-        return path[0]
+        path = np.empty((times.size, *self.pose.shape))
+        self.roll(self.body, since_ns, times, ticks, walk, drawn, path)
+        return path

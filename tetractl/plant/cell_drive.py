@@ -75,15 +75,15 @@ class CellDrive:
         self._poses, self._placed = poses, True
 
     @property
-    def bodies(self) -> Floats:
-        """The cells, (1, ROWS, N) of `model.motion.swimming`."""
+    def body(self) -> Floats:
+        """The cells, (ROWS, N) of `model.motion.swimming`."""
         body, poses = self._body, self._poses
         if self._placed:
             across = body[HELIX] * np.cos(body[PHASE])
             x, y = to_the_left(poses.heading, across)
             body[0], body[1] = poses.x * self.unit_um - x, poses.y * self.unit_um - y
             body[2], self._placed = poses.heading, False
-        return body[None]
+        return body
 
     @property
     def moving(self) -> Floats:
@@ -102,11 +102,11 @@ class CellDrive:
         `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
         steps, count = steps_until(since_ns, times.tolist()), self._body.shape[1]
-        noise = self.random.standard_normal((1, steps, 2, count))
-        now_ns, path = np.array([since_ns]), np.empty((1, times.size, 3, count))
-        self._swim(self.bodies, now_ns, times[-1:], times, noise, self.unit_um, path)
-        self._poses = Poses(*path[0, -1].copy())
-        return path[0]
+        noise = self.random.standard_normal((steps, 2, count))
+        path = np.empty((times.size, 3, count))
+        self._swim(self.body, since_ns, times, noise, self.unit_um, path)
+        self._poses = Poses(*path[-1].copy())
+        return path
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the cells that it reaches."""

@@ -380,9 +380,8 @@ class SimPlant:
         towards = aim(held, headings)
         drives = not isinstance(held, Turn)
         left = right = made = None
-        if host is not None:  # its arrays have an axis of trials: here there is one
-            given = [True], [new], [now], [headings], [seen.sampled_ns], [towards], [drives]
-            (left, right), made = host.speeds(*map(np.array, given))[0]
+        if host is not None:
+            (left, right), made = host.speeds(new, now, headings, seen.sampled_ns, towards, drives)
         elif setup.wheel_radius is not None:
             speed, radius = setup.speed * drives, setup.wheel_radius
             left, right = wheel_speeds(np.sin(towards - headings), setup.a, speed, radius)

@@ -1,4 +1,4 @@
-"""Cells in B simulations: `tetractl.model.motion.swimming.swim`, compiled, with the same bits."""
+"""Cells in a simulation: `tetractl.model.motion.swimming.swim`, compiled, with the same bits."""
 
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, exact, with_parts

@@ -4,7 +4,6 @@ The host computes wheel speeds by equations (24)-(25) at the headings of the new
 rounds them to wheel counts, and sends them at the radio's rate or once per control step.
 """
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -55,11 +54,10 @@ class WheelDriveSection(Model):
 
 
 class SimHost:
-    """The host of N robots in each of B trials: computes wheel speeds sent, and the true ones.
+    """The host of N robots: computes wheel speeds sent, and the true ones.
 
-    `repeats_ns` (B,) are the times of the next transmissions [ns]. One trial is made, and its true
-    gains and dead zones are drawn from `erring`; `beside` puts trials side by side. The arrays are
-    those of `wheel_kernel.answer`.
+    `repeats_ns` is the time of the next transmission [ns]. True gains and dead zones are drawn from
+    `erring`. The arrays are those of `wheel_kernel.answer`.
     """
 
     def __init__(
@@ -68,58 +66,52 @@ class SimHost:
         from tetractl.plant.wheel_kernel import answer
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
-        both, self._answer, self._section = (2, setup.a.size), answer, section
+        self._answer = answer
+        self._section = section
+        both = 2, setup.a.size
         gains = 1 + section.gain_error * erring.uniform(-1, 1, both)
-        more, limit = section.dead_zone_error, 0.0 if section.count is None else COUNT_MAX
+        more = section.dead_zone_error
+        limit = 0.0 if section.count is None else COUNT_MAX
         zones = section.dead_zone + erring.integers(-more, more + 1, both)
         gain = section.count or 1.0
         rows = 0.0, gain, section.dead_zone, gain * gains, np.maximum(zones, 0), limit
-        self.trains = np.array([[row + np.zeros(both) for row in rows]])
-        self._known = np.array([setup.a, setup.speed, np.full(both[1], setup.wheel_radius)])
+        self.trains = np.array([row + np.zeros(both) for row in rows])
+        self._known = np.array([setup.a, setup.speed, np.full(setup.a.size, setup.wheel_radius)])
         self._lag_s = 0.0 if section.lead is None else setup.lag_s
         self._lead_ns = round((section.lead or 0.0) * SECOND)
-        self.beside([self])
-
-    def beside(self, hosts: "Sequence[SimHost]") -> None:
-        """Become the host of all trials of some hosts that have sent nothing."""
-        self.trains = np.concatenate([host.trains for host in hosts])
-        shape = len(self.trains), 2, *self._known[:2].shape
-        self._speeds, self.repeats_ns = np.zeros(shape), np.full(shape[0], NEVER)
-        self._sent = nothing_sent(shape[0], shape[-1])
+        self._speeds = np.zeros((2, *both))
+        self._sent = nothing_sent(setup.a.size)
+        self.repeats_ns = NEVER
 
     def halt(self, now: int) -> None:
-        """Hold no direction from now on, because a stop is sent `now` [ns] in the only trial."""
-        self.repeats_ns[:], still = NEVER, np.zeros_like(self._known[:2])
-        sent_ns, sent = self._sent = with_room(*self._sent)
-        note(now + self._lead_ns, still, self._known, sent_ns[0], sent[0])
+        """Hold no direction from now on, because a stop is sent `now` [ns]."""
+        self.repeats_ns = NEVER
+        still = np.zeros_like(self._known[:2])
+        self._sent = with_room(*self._sent)
+        note(now + self._lead_ns, still, self._known, *self._sent)
 
     def speeds(
-        self,
-        sends: Bools,
-        new: Bools,
-        now_ns: Times,
-        heading: Floats,
-        exposed_ns: Times,
-        u: Floats,
-        drives: Bools,
+        self, new: bool, now_ns: int, heading: Floats, exposed_ns: int, u: Floats, drives: bool
     ) -> Floats:
-        """Return the wheel speeds sent in each trial that `sends` (B,) at `now_ns` (B,) [ns], and
-        the resulting true ones, (B, 2, 2, N), the last axes left and right [length unit/s] and N.
+        """Return the wheel speeds sent at `now_ns` [ns], and the resulting true ones, (2, 2, N),
+        the last axes left and right [length unit/s] and N.
 
-        `heading` (B, N) is that in the newest frames received, exposed at `exposed_ns` (B,), `u`
-        (B, N) the direction held, `new` or not; the robots of trials that do not `drives` turn on
-        the spot. Also schedules the next transmission, as the lab's inner loop does.
+        `heading` (N,) is that in the newest frame received, exposed at `exposed_ns`, `u` (N,) the
+        direction held, `new` or not; robots that do not `drives` turn on the spot. Also schedules
+        the next transmission, as the lab's inner loop does.
         """
-        section, acts_ns = self._section, now_ns + self._lead_ns
+        section = self._section
+        acts_ns = now_ns + self._lead_ns
         if section.rate is not None:
             period = round(SECOND / section.rate)
-            last = np.where(self.repeats_ns == NEVER, 0, self.repeats_ns)
-            following = np.maximum(last + period, now_ns + period // 2)
-            self.repeats_ns = np.where(sends, following, self.repeats_ns)
-        self._sent, self._speeds = with_room(*self._sent), self._speeds.copy()
-        since_ns, asked = acts_ns if section.lead is None else exposed_ns, sends & new
-        how = drives, since_ns, acts_ns, self._known, self._lag_s, *self._sent, self.trains
-        self._answer(sends if section.recompute else asked, heading, u, *how, self._speeds)
+            last = 0 if self.repeats_ns == NEVER else self.repeats_ns
+            self.repeats_ns = max(last + period, now_ns + period // 2)
+        if new or section.recompute:
+            self._sent = with_room(*self._sent)
+            self._speeds = np.empty_like(self._speeds)
+            since_ns = acts_ns if section.lead is None else exposed_ns
+            how = drives, since_ns, acts_ns, self._known, self._lag_s, *self._sent, self.trains
+            self._answer(heading.copy(), u.copy(), *how, self._speeds)
         return self._speeds
 
 
@@ -158,13 +150,13 @@ class WheelDrive(WheeledRobots):
         self.walk, self.walking, self._setup = walk / np.sqrt(truth_rate), walking, setup
         radii = setup.wheel_radius * (1 + section.radius_error * erring.uniform(-1, 1, a.size))
         super().__init__(starts, radii, section.lag, REST * float(setup.speed.max(initial=0.0)))
-        self._moving = self.bodies[0, MOVING, :]
+        self._moving = self.body[MOVING, :]
         self.vary(a, speed)
 
     @property
     def repeats_ns(self) -> int:
         """The time of the next transmission [ns]."""
-        return self.host.repeats_ns.item()
+        return self.host.repeats_ns
 
     @property
     def commanded(self) -> Floats:
@@ -191,7 +183,7 @@ class WheelDrive(WheeledRobots):
         """
         drawn = NOTHING
         if self.walk > 0:
-            drawn = self.walking.standard_normal((1, np.count_nonzero(ticks), len(self._able)))
+            drawn = self.walking.standard_normal((np.count_nonzero(ticks), len(self._able)))
         return self.drive(since_ns, times, ticks, self.walk, drawn)
 
     def apply(self, command: DelayedCommand) -> None:

@@ -44,13 +44,13 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
 
 def headings_at_rest(lag_s, sent, frames, until):
     """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
-    at, known = nothing_sent(1, 2), np.ones((3, 2))
+    at, known = nothing_sent(2), np.ones((3, 2))
     for when, rates in sent:
         at = with_room(*at)
-        note(when, np.array([-rates, rates]), known, at[0][0], at[1][0])
+        note(when, np.array([-rates, rates]), known, *at)
     found = []
     for since, heading in frames:
-        args = (True, since, until, known, lag_s, at[0][0], at[1][0])
+        args = (True, since, until, known, lag_s, *at)
         sine, cosine = (
             np.diff(wish(heading, np.full(2, u), *args), axis=0)[0] / 2 for u in (0.0, np.pi / 2)
         )
@@ -86,7 +86,7 @@ def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
         SECOND // 50,
         known,
         0.0,
-        *(each[0] for each in nothing_sent(1, 2)),
+        *nothing_sent(2),
     )
     _, _, ahead = exact(0.0, 0.0, heading, 1.2, known[0], known[1], 0.02)
     assert found == pytest.approx(np.array(wheel_speeds(np.sin(1.2 - ahead), *known)), abs=1e-9)
@@ -101,49 +101,33 @@ def robots(rng, count):
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.04])
 def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
-    """Two trials side by side in the compiled loop, and the lab's host for each."""
-    rng, count, trials = np.random.default_rng(5), 3, 2
+    rng, count = np.random.default_rng(5), 3
     known = np.array([rng.uniform(2, 6, count), rng.uniform(100, 300, count), np.full(count, 40.0)])
     trains, _ = robots(rng, count)
-    hosts = [WheelHost(*known, lag_s, trains) for _ in range(trials)]
+    wrong = Drivetrains(2 * trains.gain, trains.dead_zone + 1, trains.limit, trains.swap)
+    host = WheelHost(*known, lag_s, trains)
     rows = np.array(
         [
             0 * trains.gain,
             trains.gain,
             trains.dead_zone,
-            2 * trains.gain,
-            trains.dead_zone + 1,
+            wrong.gain,
+            wrong.dead_zone,
             trains.limit + 0 * trains.gain,
         ]
     )
-    rows, at = (
-        np.array([rows] * trials),
-        nothing_sent(trials, count),
-    )
+    at = nothing_sent(count)
     for k in range(40):
         now, since = (k + 1) * SECOND // 40, k * SECOND // 40 + 3_000_000
-        heading, u = rng.uniform(-3, 3, (trials, count)), rng.uniform(-3, 3, (trials, 1))
-        at, speeds = with_room(*at), np.empty((trials, 2, 2, count))
-        kernels.answer(
-            np.ones(trials, np.bool_),
-            heading,
-            u + 0 * heading,
-            np.array([True, False]),
-            np.full(trials, since),
-            np.full(trials, now),
-            known,
-            lag_s,
-            *at,
-            rows,
-            speeds,
-        )
-        for b, host in enumerate(hosts):
-            wished = host.wished(heading[b], u[b, 0], since, now, b == 0)
-            host.sent(now, wished)
-            sent = host.counts(wished)
-            assert speeds[b, 0].tolist() == trains.speeds(sent).tolist()
-            wrong = Drivetrains(2 * trains.gain, trains.dead_zone + 1, trains.limit, trains.swap)
-            assert speeds[b, 1].tolist() == wrong.speeds(sent).tolist()
+        heading, u, drives = rng.uniform(-3, 3, count), rng.uniform(-3, 3), k % 5 > 0
+        at, speeds = with_room(*at), np.empty((2, 2, count))
+        towards = np.full(count, u)
+        kernels.answer(heading, towards, drives, since, now, known, lag_s, *at, rows, speeds)
+        wished = host.wished(heading, u, since, now, drives)
+        host.sent(now, wished)
+        sent = host.counts(wished)
+        assert speeds[0].tolist() == trains.speeds(sent).tolist()
+        assert speeds[1].tolist() == wrong.speeds(sent).tolist()
 
 
 def test_the_path_is_that_of_an_integration_in_any_division_into_calls():

@@ -108,7 +108,7 @@ def note(acts_ns: int, speeds: Floats, known: Floats, sent_ns: Times, sent: Floa
 
 
 LAG, STILL, MOVING, ROWS = 9, 10, 11, 12
-"""Rows of the array (B, ROWS, N) of B trials of N robots on wheels: 0-2 x, y, heading; 3-4 the
+"""Rows of the array (ROWS, N) of N robots on wheels: 0-2 x, y, heading; 3-4 the
 present speeds of the left and right wheel; 5-6 the speeds that they follow; 7-8 the factors by
 which their difference turns a robot and their sum moves it; LAG the wheels' time constant [s];
 STILL the speed below which the wheels of a stopped robot stand; MOVING 1 for a robot whose heading
@@ -116,39 +116,33 @@ swerves, else 0."""
 
 
 def roll(
-    bodies: Floats,
-    now_ns: Times,
-    until_ns: Times,
+    body: Floats,
+    now_ns: int,
     times: Times,
     ticks: Bools,
     walk: float,
     drawn: Floats,
     path: Floats,
 ) -> None:
-    """Advance the robots of each of B trials, `bodies` (B, ROWS, N), from `now_ns` to `until_ns`
-    (B,) [ns]; write x, y, heading at those of the `times` (M,) [ns] in between into `path`
-    (B, M, 3, N).
+    """Advance N robots, `body` (ROWS, N), from `now_ns` to the last of the `times` (M,) [ns]; write
+    x, y, heading at these into `path` (M, 3, N).
 
-    At each time for which `ticks` (M,) is True, a heading swerves by `walk` [rad] times its next
-    number in `drawn` (B, number of ticks, N). A path does not depend on how it is divided into
-    calls.
+    At each time after `now_ns` for which `ticks` (M,) is True, a heading swerves by `walk` [rad]
+    times its next number in `drawn` (number of ticks, N). A path does not depend on how it is
+    divided into calls.
     """
-    for b in range(len(bodies)):
-        body, since, tick = bodies[b], now_ns[b], 0
-        for k in range(len(times)):
-            if since <= times[k] <= until_ns[b]:
-                _step(body, (times[k] - now_ns[b]) / SECOND)
-                now_ns[b] = times[k]
-                if walk > 0 and ticks[k] and times[k] > since:
-                    for i in range(body.shape[1]):
-                        body[2, i] += walk * drawn[b, tick, i] * body[MOVING, i]
-                for row in range(3):
-                    for i in range(body.shape[1]):
-                        path[b, k, row, i] = body[row, i]
-            tick += ticks[k]
-        if now_ns[b] < until_ns[b]:
-            _step(body, (until_ns[b] - now_ns[b]) / SECOND)
-            now_ns[b] = until_ns[b]
+    since = now_ns
+    tick = 0
+    for k in range(len(times)):
+        _step(body, (times[k] - since) / SECOND)
+        since = times[k]
+        if walk > 0 and ticks[k] and times[k] > now_ns:
+            for i in range(body.shape[1]):
+                body[2, i] += walk * drawn[tick, i] * body[MOVING, i]
+        for row in range(3):
+            for i in range(body.shape[1]):
+                path[k, row, i] = body[row, i]
+        tick += ticks[k]
 
 
 def _step(body: Floats, seconds: float) -> None:

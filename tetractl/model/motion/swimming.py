@@ -88,34 +88,23 @@ def step(body: Any, seconds: float, noise: Any) -> None:
 
 
 def swim(
-    bodies: Floats,
-    now_ns: Times,
-    until_ns: Times,
-    times: Times,
-    noise: Floats,
-    unit_um: float,
-    path: Floats,
+    body: Floats, now_ns: int, times: Times, noise: Floats, unit_um: float, path: Floats
 ) -> None:
-    """Advance the cells of each of B trials, `bodies` (B, ROWS, N), from `now_ns` to `until_ns`
-    (B,) [ns]; write x, y and heading of the bodies, in units of `unit_um`, at those of the `times`
-    (M,) [ns] in between into `path` (B, M, 3, N).
+    """Advance N cells, `body` (ROWS, N), from `now_ns` to the last of the `times` (M,) [ns]; write
+    x, y and heading of the bodies, in units of `unit_um`, at these into `path` (M, 3, N).
 
-    `noise` (B, S, 2, N) is standard normal, a row for each time step. A path does not depend on how
+    `noise` (S, 2, N) is standard normal, a row for each time step. A path does not depend on how
     it is divided into calls.
     """
-    for b in range(len(bodies)):
-        body, since, used = bodies[b], now_ns[b], 0
-        for k in range(len(times) + 1):
-            shown = k < len(times)
-            when = times[k] if shown else until_ns[b]
-            if not since <= when <= until_ns[b]:
-                continue
-            seconds = (when - now_ns[b]) / SECOND
-            step(body, seconds, noise[b, used:])
-            used += steps_in(seconds)
-            now_ns[b] = when
-            for i in range(body.shape[1] if shown else 0):
-                across, heading = body[HELIX, i] * math.cos(body[PHASE, i]), body[2, i]
-                path[b, k, 0, i] = (body[0, i] - across * math.sin(heading)) / unit_um
-                path[b, k, 1, i] = (body[1, i] + across * math.cos(heading)) / unit_um
-                path[b, k, 2, i] = heading
+    since = now_ns
+    used = 0
+    for k in range(len(times)):
+        seconds = (times[k] - since) / SECOND
+        step(body, seconds, noise[used:])
+        used += steps_in(seconds)
+        since = times[k]
+        for i in range(body.shape[1]):
+            across, heading = body[HELIX, i] * math.cos(body[PHASE, i]), body[2, i]
+            path[k, 0, i] = (body[0, i] - across * math.sin(heading)) / unit_um
+            path[k, 1, i] = (body[1, i] + across * math.cos(heading)) / unit_um
+            path[k, 2, i] = heading

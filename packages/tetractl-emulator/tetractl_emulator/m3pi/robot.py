@@ -202,7 +202,7 @@ class EmulatedRobots:
         if self._stood[0] != self._now_ns:
             ahead_s = (self._settled_ns - self._now_ns) / SECOND
             if not self._own:
-                body = self._wheeled.bodies[0]
+                body = self._wheeled.body
                 self._own = [*zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)]
             self._stood = self._now_ns, [_stands(ahead_s, *wheels) for wheels in self._own]
         return self._stood[1]
@@ -240,7 +240,7 @@ class EmulatedRobots:
     def now(self) -> tuple[int, list[Place], list[Speeds]]:
         """Return the present time [ns], poses, and speeds of each robot's wheels."""
         if self._known[0] != self._now_ns:
-            body = self._settled().bodies[0]
+            body = self._settled().body
             places = list(zip(*body[:3].tolist(), strict=True))
             self._known = self._now_ns, places, list(zip(*body[3:5].tolist(), strict=True))
         return self._known

@@ -32,7 +32,7 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     simulated.clock.sleep_until(3 * SECOND)
     samples += simulated.samples()
     robots = [EmulatedRobot(robot.name, i) for i, robot in enumerate(ROBOTS)]
-    _, known_gain, known_zone, gain, zone, limit = simulated.drive.host.trains[0]
+    _, known_gain, known_zone, gain, zone, limit = simulated.drive.host.trains
     true = Drivetrains(gain, zone, limit[0], np.zeros(3, np.bool_))
     fleet = EmulatedRobots(robots, true, np.full(3, 40.0), np.full(3, 0.04))
     for robot, given in zip(robots, ROBOTS, strict=True):

@@ -32,6 +32,7 @@ class East(ControllerSection):
     type: Literal["east"]
     fails_at: int = 99
     ends: str = "no"
+    steps: int = 20
     def build(self, setup, key, host=ALONE):
         return Driver(self)
 
@@ -40,7 +41,7 @@ class Driver:
         self.section, self.k = section, -1
     def plan(self, observation, last_command=None, earlier=()):
         self.k += 1
-        if self.k > 20:
+        if self.k > self.section.steps:
             return Outcome.TIME_LIMIT
         1 / (self.section.fails_at - self.k)
         cost, signals = 1.0, np.zeros(1)
@@ -54,6 +55,7 @@ class Driver:
 """
 ANCHOR = """
 from typing import Literal
+import numpy as np
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
 class Anchor(DisturbanceSection):
@@ -69,7 +71,8 @@ class Held(Disturbance):
     def varied(self, a, speed, time_s):
         if time_s > self.until_s:
             raise SystemExit("no more")
-        return 0 * a, 0 * speed
+        goes = np.arange(a.size) > 0
+        return goes * a, goes * speed
 """
 NOTHING = """
 def nothing(logs):
@@ -117,11 +120,18 @@ def test_other_exceptions_name_their_plug_in_too(tetractl, tmp_path):
 
 def test_a_robot_that_a_plug_in_holds_for_ever_is_told_in_log_and_table(tetractl):
     held = "plant.disturbances=[{type: anchor}]"
-    done = tetractl("run", "one.yaml", "--out", "logs", "--set", held).ok()
-    assert "a stood for 4 s though commanded to move" in " ".join(done.stdout.split())
+    robots = [
+        f"{{name: {name}, start: [200, {y}], target: [500, {y}], a: 6, speed: 100}}"
+        for name, y in (("a", 500), ("b", 300))
+    ]
+    both = f"robots=[{', '.join(robots)}]"
+    sets = [held, both, "controller.steps=30", "controller.time_limit=6.2"]
+    words = [word for setting in sets for word in ("--set", setting)]
+    done = tetractl("run", "one.yaml", "--out", "logs", *words).ok()
+    assert "a does not move while others drive" in " ".join(done.stdout.split())
     shown = tetractl("info", "logs/trial-000.mcap").stdout
-    assert "warning  a does not move though commanded to" in shown
-    assert "time limit (a stood for 4 s though commanded to move) after 21" in shown
+    assert "warning  a does not move while others drive" in shown
+    assert "time limit (a does not move while others drive) after 31" in shown
     assert tetractl("verify", "logs").returncode == 0
 
 

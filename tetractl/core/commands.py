@@ -116,10 +116,6 @@ class Note:
     text: str
 
 
-STOOD = "though commanded to move"
-"""How the text `Verdict.stood` ends, and the reason in the result of such a trial."""
-
-
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """How a trial of N robots ended, from the plant's finest samples of their paths.
@@ -131,8 +127,7 @@ class Verdict:
     distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
     the least distance of each robot to another robot, inf for a single robot; both are empty in
     older logs. All distances are measured from the robots' centres; the methods count bodies of a
-    `radius` [length unit], by default the centres. `stood` is a text on the simulated robots that
-    stood for long though commanded to move, "" for none. In a lab with robots on wheels `turn` (N,)
+    `radius` [length unit], by default the centres. In a lab with robots on wheels `turn` (N,)
     is the rate at which each robot turned by itself while it drove, and `turn_std` (N,) its
     standard error, inf if it is unknown [rad/s]; otherwise both are empty.
     """
@@ -143,7 +138,6 @@ class Verdict:
     not_at_rest: str = ""
     edge: tuple[float, ...] = ()
     apart: tuple[float, ...] = ()
-    stood: str = ""
     turn: tuple[float, ...] = ()
     turn_std: tuple[float, ...] = ()
 

@@ -4,7 +4,7 @@ All robots pass their M way-points together: leg j = 0, ..., M - 1 ends when the
 to their way-points j + 1, leg M at the targets, and leg M + 1 is the hold.
 
 A robot is lost if it was not tracked for too long, as one that swam away, or if it has wheels and
-stands while others drive, as one whose battery is empty.
+stands while others drive, as one whose battery is empty. Who stands is decided here for all plants.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,8 +27,8 @@ class LossRule:
     """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
 
     If `replaced`, a body that is tracked again under the robot's name counts as another robot,
-    which takes over the lost robot's target. A robot that is seen but `dead` (see `Standing`) is
-    lost if that is looked for; a trial that `ends` ends then, and its robots are never lost.
+    which takes over the lost robot's target. If `dead`, a robot that is seen but dead (see
+    `Standing`) is lost too; a trial that `ends` ends then, and its robots are never lost.
     """
 
     after_s: float
@@ -42,11 +42,13 @@ class Standing:
 
     All robots receive the same commands, so that one that stands for long while another drives is
     dead. The frames alone tell: if all robots stand, commanded or not, none is dead. Way is counted
-    in seconds of driving at the spec's speed.
+    in seconds of driving at the spec's speed; a robot of speed 0 drives nowhere and is never dead.
     """
 
     def __init__(self, speed: Floats) -> None:
-        self._speed, self.due_ns = speed, 0
+        self._drives = speed > 0
+        self._speed = np.where(self._drives, speed, np.inf)
+        self.due_ns = 0
         self._at = np.full((len(speed), 2), np.nan)  # where each robot was when it last moved
         self._driven = np.zeros(len(speed))  # way of each robot [s]
         self._then = np.zeros((len(speed), len(speed)))  # row i: that of all when i last moved
@@ -56,13 +58,13 @@ class Standing:
         set `due_ns` to the time of the next frame to look at."""
         self.due_ns, xy = (frame.sampled_ns // LOOK_NS + 1) * LOOK_NS, frame.poses.xy
         way = np.hypot(*(xy - self._at).T) / self._speed
-        moves = frame.valid & ~(way < STRIDE_S)  # a robot seen for the first time moves
+        moves = frame.valid & ~(way < STRIDE_S)  # one seen for the first time moves
         if not moves.any():
             return None
         self._driven[moves] += np.fmin(way, STRIDE_MOST_S)[moves]
         self._at[moves] = xy[moves]
         self._then[moves | ~frame.valid] = self._driven
-        return (self._driven - self._then).max(axis=1) >= DEAD_S
+        return self._drives & ((self._driven - self._then).max(axis=1) >= DEAD_S)
 
 
 class Losses:
@@ -70,12 +72,13 @@ class Losses:
     whenever that changes, how often each has been lost, `times` (N,), and which are `dead` (N,).
 
     The controller, the log's reader and `verify` all pass every camera frame to `see`, in order,
-    and so get the same result. Without a rule no robot is ever lost.
+    and so get the same result. Without a rule no robot is ever lost; which
+    are dead is found all the same.
     """
 
     def __init__(self, rule: LossRule | None, speed: Floats) -> None:
         self._rule, count = rule, len(speed)
-        self._standing = Standing(speed) if rule and rule.dead else None
+        self._standing = Standing(speed)
         self.dead: Bools = np.zeros(count, dtype=np.bool_)
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
         self.left: Bools = ~self.lost
@@ -86,14 +89,13 @@ class Losses:
 
     def see(self, frame: Observation) -> list[int]:
         """Update the losses by the next frame; return the indices of robots replaced in it."""
-        if self._rule is None:
-            return []
-        if self._standing and frame.sampled_ns >= self._standing.due_ns:
+        if frame.sampled_ns >= self._standing.due_ns:
             dead = self._standing.dead(frame)
             if dead is not None and (dead & ~self.dead).any():
                 self.dead = self.dead | dead
-                self._lose(dead & self.left & (not self._rule.ends))
-        if self._rule.ends:
+                if self._rule and self._rule.dead and not self._rule.ends:
+                    self._lose(dead & self.left)
+        if self._rule is None or self._rule.ends:
             return []
         self._waiting.append(frame)
         if frame.sampled_ns < self._due_ns:
@@ -118,10 +120,16 @@ class Losses:
         self.left = ~self.lost
 
 
+STOOD = "while others drive", "though commanded to move"
+"""How the reason in the result of a trial ends in which a robot stood: now, and in earlier logs."""
+
+
 def told_dead(names: Sequence[str], dead: Bools) -> str:
-    """Return the text that some of the robots `names` are dead."""
+    """Return the text that some of the robots `names` are dead, "" for none."""
     who = [name for name, one in zip(names, dead.tolist(), strict=True) if one]
-    return f"{', '.join(who)} {'do' if len(who) > 1 else 'does'} not move while others drive"
+    if not who:
+        return ""
+    return f"{', '.join(who)} {'do' if len(who) > 1 else 'does'} not move {STOOD[0]}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +194,11 @@ class TourMeasure:
     def dead(self) -> Bools:
         """Which robots (N,) are seen and do not move while others drive."""
         return self._losses.dead
+
+    @property
+    def stood(self) -> Bools:
+        """Which robots (N,) are dead and were not lost for it."""
+        return self._losses.dead & self._losses.left
 
     @property
     def gone(self) -> tuple[bool, ...]:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -223,9 +222,6 @@ class SimPlant:
             swerving,
             lambda now: self._news.append(self._transmit(now, None)),
         )
-        from tetractl.plant.standing import StandingCheck  # not needed to read a spec
-
-        self._standing = StandingCheck(setup, section.dead_time)
         self._stop: Command | None = None
         self._held: Steer | Turn | FieldOff = FieldOff()  # sent last, and repeated
         self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
@@ -261,7 +257,6 @@ class SimPlant:
         robot has received it."""
         seen = self.observe()
         now = self._plan()
-        self._standing.sent(now, isinstance(action, Steer | FieldOff))
         if isinstance(action, Stop):
             return self._halt(now, seen)
         self._held = action
@@ -272,13 +267,10 @@ class SimPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
         self.motion.advance(self.clock.now())
-        found = self.camera.samples()
-        self._news += self._standing.see(found[-1].observation) if found else []
-        return found
+        return self.camera.samples()
 
     def news(self) -> list[Command | Note]:
-        """Return the commands sent under a held direction since the last call, oldest first, and
-        warnings about robots that stand."""
+        """Return the commands sent under a held direction since the last call, oldest first."""
         news, self._news = self._news, []
         return news
 
@@ -320,7 +312,7 @@ class SimPlant:
         self.motion.advance(self.clock.now())
         self._await_frame(stand)
         self.motion.check()
-        return replace(self.motion.path_check.verdict(self.poses), stood=self._standing.found)
+        return self.motion.path_check.verdict(self.poses)
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

@@ -83,7 +83,8 @@ class Repetition(Encoder):
     def on_stop(self, stop: Command, result: Result) -> None:
         """Add the stop and the result."""
         logged = self.result
-        if result.reason not in ("", ENDED, logged.reason, result.verdict.stood):
+        aborted = result.outcome is Outcome.ABORTED  # other reasons only say who stood
+        if aborted and result.reason not in ("", ENDED, logged.reason):
             self.failure = result.reason
         if self._failed:
             for note in self._log.notes[:-1]:  # the calls that led to a plug-in's exception

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.commands import STOOD
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import NONE, digits, lengths
+from tetractl.core.tour import STOOD
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import Distribution, Interval, distributions
@@ -233,7 +233,7 @@ def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
     A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle,
-    left the arena, touched another one, was lost, stood though commanded to move or turned
+    left the arena, touched another one, was lost, stood while others drove or turned
     otherwise than in the other trials, or the trial ended at `steps max` or `time limit`. Warnings
     flag trials in a lab only, since in a simulation the spec requests the disturbances.
     """

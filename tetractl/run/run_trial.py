@@ -229,11 +229,14 @@ class Trial:
             observer.on_note(Note(command.sent_ns, level, text))
 
     def _tell_dead(self, command: Command) -> None:
-        """Say which robots are lost because they do not move."""
-        setup, before, self._dead = self.start.setup, self._dead, int(self._tour.dead.sum())
-        if self._dead > before and setup.loss and not setup.loss.ends:
-            text = told_dead(setup.names, self._tour.dead)
-            self._say(command, f"{text}: the trial goes on without", "warning")
+        """Say which robots do not move while others drive, and whether they are lost."""
+        before = self._dead
+        self._dead = int(self._tour.dead.sum())
+        if self._dead == before:
+            return
+        text = told_dead(self.start.setup.names, self._tour.dead)
+        goes_on = "" if self._tour.stood.any() else ": the trial goes on without"
+        self._say(command, text + goes_on, "warning")
 
     def _send(self, action: Action) -> Command:
         command = self.plant.send(action)
@@ -291,7 +294,7 @@ class Trial:
             self.start.setup,
             verdict,
             outcome=outcome,
-            reason=reason or verdict.stood,
+            reason=reason or told_dead(self.start.setup.names, self._tour.stood),
             duration_s=seconds(
                 stop.sent_ns - (opened_ns if self._began_ns is None else self._began_ns)
             ),

@@ -11,9 +11,8 @@ from support.trials import experiment
 from tetractl.control.cost import predict
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Poses
 from tetractl.model.wheels import body_velocity
-from tetractl.plant.standing import StandingCheck
 
 pytestmark = pytest.mark.slow
 
@@ -157,14 +156,6 @@ def test_heading_noise_comes_with_every_frame(dead_time):
     began = round(dead_time * 120) + 1
     steps = np.diff(truths(samples)[began:, 0, 2])
     assert np.all(np.abs(steps) > 1e-6)
-
-
-def test_a_robot_that_is_not_seen_is_not_said_to_stand():
-    setup, check = experiment().setup, StandingCheck(experiment().setup, 0.0)
-    check.sent(0, drives=True)
-    for k in range(1, 5):  # every other frame shows the robots
-        valid = np.full(3, k % 2 == 0)
-        assert not check.see(Observation(k, 4 * k * SECOND, 4 * k * SECOND, setup.starts, valid))
 
 
 def test_a_standing_robot_does_not_wander():

@@ -96,6 +96,9 @@ def test_one_that_stands_while_another_drives_is_dead(way_s, dead):
     ends = driven(way_s, rule=LossRule(0.3, False, dead=True, ends=True))
     assert ends.dead.tolist() == losses.dead.tolist()
     assert not ends.lost.any()
+    without_rule = driven(way_s, rule=None)
+    assert without_rule.dead.tolist() == losses.dead.tolist()
+    assert not without_rule.lost.any()
 
 
 @pytest.mark.long

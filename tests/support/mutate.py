@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import zstandard
 from google.protobuf.message import Message
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment
@@ -20,7 +19,6 @@ from mcap.writer import Writer
 from tetractl.log.format.channels import CHANNELS, DIGESTS, HOST, Entry
 from tetractl.log.format.tetractl_pb2 import Host
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.salvage import MAGIC
 from tetractl.log.write.sink import Sink
 
 Place = tuple[str | int, ...]
@@ -152,30 +150,6 @@ def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> 
             writer.add_attachment(0, item.log_time, item.name, item.media_type, item.data)
         writer.finish()
     return path
-
-
-def with_record(data: bytes, record: Any, in_index: bool = False) -> bytes:
-    """Add a record to a file, at the end of its data or of its index; checksums are made to fit.
-
-    It is one of MCAP's, or the number of a private kind of record.
-    """
-    built = RecordBuilder()
-    if isinstance(record, int):
-        added = bytes([record]) + struct.pack("<Q", 4) + b"mine"
-    else:
-        record.write(built)
-        added = built.end()
-    footer = len(data) - len(MAGIC) - 29
-    begin = int.from_bytes(data[footer + 9 : footer + 17], "little")
-    body, index = data[: begin - 13], data[begin:footer]
-    if in_index:
-        index += added
-    else:
-        body += added
-    end = bytes([Opcode.DATA_END]) + struct.pack("<QI", 4, zlib.crc32(body))
-    closing = struct.pack("<BQQQ", Opcode.FOOTER, 20, len(body) + 13, 0)
-    crc = struct.pack("<I", zlib.crc32(index + closing))
-    return body + end + index + closing + crc + MAGIC
 
 
 def chunk(data, size=None, raw=None):

@@ -4,6 +4,7 @@ that spec replaced.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -100,7 +101,7 @@ def _compare(log: Path, again: Path) -> int:
     from tetractl.log.format.channels import RESOLVED_SPEC
     from tetractl.log.read.reader import result_of, trial_of
     from tetractl.log.read.salvage import scan
-    from tetractl.replay.comparison import log_difference
+    from tetractl.replay.comparison import log_differences
     from tetractl.replay.verify import host_differences
 
     was, is_now = scan(log), scan(again)
@@ -116,8 +117,7 @@ def _compare(log: Path, again: Path) -> int:
         ui.tell(f"the content digests agree: {one}")
         return Exit.DONE
     ui.tell(f"the content digests differ: {one} in {log}, {two} in {again}")
-    if difference := log_difference(is_now, was):
-        ui.tell(f"  {difference}")
+    ui.tell(*(f"  {one}" for one in islice(log_differences(is_now, was), 1)))
     if first.recovered or not first.outcome.complete:
         ui.tell(f"  {log} is damaged, or its trial did not run to its end")
     if was.text(RESOLVED_SPEC) != is_now.text(RESOLVED_SPEC):

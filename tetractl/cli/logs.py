@@ -173,7 +173,7 @@ def recover(
 def verify(logs: Logs, as_json: AsJson = False) -> int:
     """Compute every control decision of a log again and compare it with the logged decision.
 
-    A simulation is run again as well, and the messages for viewers are compared with the records.
+    A simulation is run again as well, and the two logs are compared record by record.
 
     On the machine that wrote a log, every number must be the same to the last bit. On another
     machine, only the costs of the logged plans are evaluated again; the output names the check that

@@ -1,8 +1,8 @@
 """What `verify` notices of a log tampered with in any channel, record or field."""
 
 import pytest
-from support.mutate import of_host, rewrite, rewritten, stating
-from support.tampering import missed, sim_log, unnoticed_in_file
+from support.mutate import rewrite, rewritten, stating
+from support.tampering import missed, sim_log
 
 from tetractl.log.format.channels import RUN
 from tetractl.log.read.salvage import scan
@@ -16,11 +16,6 @@ SHORT = ("controller.time_limit=0.8", "controller.horizon_max=5")
 def test_a_simulation_is_noticed_to_be_tampered_with_anywhere(tmp_path):
     log = sim_log(tmp_path, SHORT)
     assert missed(log) == set()
-    assert unnoticed_in_file(log, tmp_path) == set()
-    # of other versions of the libraries, the index is not compared
-    other = rewrite(scan(log), tmp_path / "elsewhere.mcap", of_host(scan(log), mcap="0.1"))
-    assert verify(other).ok
-    assert {what for what in unnoticed_in_file(other, tmp_path) if "index" not in what} == set()
 
 
 @pytest.mark.parametrize("in_order", [True, False])

@@ -203,9 +203,7 @@ class Sink:
             file.close()
 
 
-def new_writer(
-    stream: BinaryIO, topics: Collection[str] = CHANNELS
-) -> tuple[Writer, dict[str, int]]:
+def new_writer(stream: BinaryIO, topics: Collection[str]) -> tuple[Writer, dict[str, int]]:
     """Begin the file of a log; return its writer, and the number of each channel by topic."""
     messages = {topic: message for topic, message in CHANNELS.items() if topic in topics}
     writer = Writer(stream, use_summary_offsets=False, enable_data_crcs=True)

@@ -7,10 +7,9 @@ standing still the robots are put back on their starts.
 import math
 
 import numpy as np
+from tetractl_emulator.rehearsal.log_checks import log_differences
 
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.salvage import scan
-from tetractl.replay.verify import differences
 
 UNEVEN = """
 emulation:
@@ -69,7 +68,7 @@ def check(sets, played):
         trial = read_trial(log)
         assert trial.damage is None
         assert trial.result.outcome.complete
-        differs = [*differences(scan(log), trial)]
+        differs = [*log_differences(trial)]
         assert not differs, differs
     check_poses(played, trial)
     assert played.of("robot", moving=False), "they drove, and stand"

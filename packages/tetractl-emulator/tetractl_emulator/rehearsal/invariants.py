@@ -12,9 +12,9 @@ import numpy as np
 
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.verify import differences
 from tetractl_emulator.rehearsal.depths import places
 from tetractl_emulator.rehearsal.due import FRAME_S
+from tetractl_emulator.rehearsal.log_checks import log_differences
 from tetractl_emulator.rehearsal.logged import logged
 from tetractl_emulator.rehearsal.schedule import MOTION
 from tetractl_emulator.rehearsal.sending import sending
@@ -145,7 +145,7 @@ def ends(truth: Truth) -> Iterator[Violation]:
         outcome = log.result.outcome
         expected = 0 if outcome.complete else 130 if outcome == "interrupted" else 1
         assert day.log is not None, "it was read"
-        if log.damage is None and (differs := [*differences(truth.raw, log)]):
+        if log.damage is None and (differs := [*log_differences(log)]):
             yield Violation("verify", 0.0, str(differs[0]))
         elif log.damage is not None and not truth.met("disk_full"):
             yield Violation("damaged log", 0.0, str(log.damage))

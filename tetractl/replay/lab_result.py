@@ -1,0 +1,180 @@
+"""Computes again what tables use of a lab's log, from its frames and commands: errors, final
+poses, distances to obstacles, duration, and how fast the robots turned by themselves.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, seconds
+from tetractl.core.commands import HALTS, Command, Verdict
+from tetractl.core.poses import CameraFrame, Pose, Poses
+from tetractl.core.trial import Result
+from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.guard import Guard
+from tetractl.lab.guard_records import GuardState
+from tetractl.lab.rig import guard_rules
+from tetractl.log.read.reader import trial_path
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.path_check import check_path
+from tetractl.replay.comparison import Difference, first_difference
+
+DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
+STOP_REPEATED_NS = 500_000_000  # longest time from a stop's first repetition to its last
+# A lab trial's final poses must be those of one of this many last frames: once, logs had some more.
+LAST_FRAMES = 120
+
+
+def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Yield what in the result of an undamaged log its frames and commands contradict."""
+    if log.stop is None:
+        return
+    yield from _lasted(log, result, log.stop)
+    yield from _errors(log, result)
+    if result.outcome.complete or not untold(result.verdict):
+        if not _stands(log, result.verdict.final, log.stop):
+            yield Difference(None, "result.final", "differs from the robots' last poses")
+        yield from _obstacles(log, result.verdict, log.stop)
+        yield from _turns(log, result.verdict)
+
+
+def untold(verdict: Verdict) -> bool:
+    """Return whether a verdict states nothing, as `Verdict.unknown`."""
+    told = any(verdict.entered) or bool(np.isfinite(verdict.clearance).any())
+    return not told and bool(np.isnan(verdict.final.array()).all())
+
+
+def _errors(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Check the errors, which follow from the final poses, and what the tour says of them."""
+    again = Result.of(
+        log.start.setup,
+        result.verdict,
+        outcome=result.outcome,
+        reason=result.reason,
+        duration_s=result.duration_s,
+        solve_ns=tuple(step.solve_ns for step in log.steps),
+        deadline_misses=result.deadline_misses,
+        tour=log.tour,
+    )
+    if found := first_difference(again, result, name="result"):
+        yield Difference(None, *found)
+
+
+def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:
+    """Check the distances and the entered obstacles in the verdict against the logged path.
+
+    The plant of a lab evaluates only the frames between the first step and the stop. A stated
+    distance must therefore lie between the least distance in all frames and the least distance in
+    the evaluated frames.
+    """
+    path, known = trial_path(log)
+    least = check_path(log.start.setup, path, known, verdict.final)
+    since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
+    driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
+    most = check_path(log.start.setup, path[driven], known[driven], verdict.final)
+    for name in ("clearance", "edge", "apart"):
+        columns = (getattr(one, name) for one in (verdict, least, most))
+        for i, (stated, low, high) in enumerate(zip(*columns, strict=False)):
+            floor = low - DISTANCE_TOLERANCE * max(1.0, abs(low)) if np.isfinite(low) else -np.inf
+            if not (floor <= stated <= high + DISTANCE_TOLERANCE * max(1.0, abs(high))):
+                text = f"states {stated}, the frames show {low} to {high}"
+                yield Difference(None, f"result.{name}.{i}", text)
+    for i, (stated, touches) in enumerate(zip(verdict.entered, least.entered, strict=True)):
+        if stated != touches:
+            text = f"states {stated}, but the logged path gives {touches}"
+            yield Difference(None, f"result.entered.{i}", text)
+
+
+def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
+    """Check the duration of a trial in the lab, from the first direction to the stop; without a
+    direction, it counts from the opening of the devices, within a second of the first frame.
+    """
+    directed = [command.sent_ns for command in log.commands if not command.stops]
+    opened = int(log.received_ns[0]) - SECOND if len(log.received_ns) else 0
+    least = seconds(stop.sent_ns - min(directed, default=stop.sent_ns))
+    most = least if directed else seconds(stop.sent_ns - opened)
+    if not least <= result.duration_s <= most:
+        text = f"states {result.duration_s} s, but the commands give {least} to {most} s"
+        yield Difference(None, "result.duration_s", text)
+
+
+def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
+    """Return whether the final poses are those of one of the last frames or, for robots that swim
+    on after the stop, of any frame since STOP_REPEATED_NS before the stop, or since the last one
+    before it if the pictures ended earlier.
+    """
+    if not len(log.mocap):
+        return True
+    rows = log.mocap[-LAST_FRAMES:]
+    if log.start.plant.facts.get(HALTS) == "no":
+        before = int(log.mocap_ns[log.mocap_ns <= stop.sent_ns].max(initial=0))
+        rows = log.mocap[log.mocap_ns >= min(stop.sent_ns - STOP_REPEATED_NS, before)]
+    ends = [np.ascontiguousarray(row).tobytes() for row in rows]
+    return np.ascontiguousarray(final.array()).tobytes() in ends
+
+
+TURN = 0.5
+"""Largest difference of a turn from the one computed again, in its standard errors: the guard has
+seen frames before the first logged one, and commands that were sent again."""
+
+
+def _turns(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
+    """Check how fast the robots turned by themselves, by a guard that sees the trial again."""
+    if not verdict.turn:  # logs before 2026-11 have none
+        return
+    rates, errors = _turning(log)
+    if len(rates) != len(verdict.turn):
+        text = f"states {len(verdict.turn)} turns, the frames show {len(rates)}"
+        yield Difference(None, "result.turn", text)
+        return
+    stated = zip(verdict.turn, verdict.turn_std, rates, errors, strict=True)
+    for i, (rate, error, again, std) in enumerate(stated):
+        if np.isfinite(std) and abs(rate - again) > TURN * std:
+            yield Difference(None, f"result.turn.{i}", f"states {rate}, the frames show {again}")
+        if not np.isclose(error, std, rtol=TURN):
+            yield Difference(None, f"result.turn_std.{i}", f"states {error}, not {std}")
+
+
+def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the rates (N,) at which robots on wheels turn by themselves, and their standard errors
+    [rad/s], as the guard states them at the end."""
+    lab, setup = log.experiment.plant, log.start.setup
+    if not isinstance(lab, LabSection) or setup.wheel_radius is None:
+        return (), ()
+    guard = Guard(guard_rules(setup, lab.limits))
+    guard.ready()
+    events = [(int(t_ns), 1, i) for i, t_ns in enumerate(log.received_ns)]
+    events += [(command.sent_ns, 0, i) for i, command in enumerate(log.commands)]
+    for t_ns, is_frame, i in sorted(events):
+        if is_frame:
+            guard.see(_frame(log, i))
+        else:
+            _send(guard, log.commands[i], t_ns, 2 * setup.wheel_radius)
+    return guard.drift.turning()
+
+
+def _send(guard: Guard, command: Command, t_ns: int, track: float) -> None:
+    """Let a guard take a command to robots whose wheels are `track` apart [length unit]."""
+    if command.stops:
+        guard.rest()
+    elif guard.state is GuardState.READY:
+        guard.go(t_ns)
+    if command.left is not None and command.right is not None:
+        speed, turning = (command.left + command.right) / 2, (command.right - command.left) / track
+        guard.sent(t_ns, speed.tolist(), turning.tolist())
+
+
+def _frame(log: TrialLog, i: int) -> CameraFrame:
+    """Return the camera frame of row i."""
+    poses = tuple(
+        Pose(*row) if valid else None
+        for row, valid in zip(log.mocap[i].tolist(), log.valid[i], strict=True)
+    )
+    own = log.exposed_ns[i] if (log.exposed_ns[i] != log.mocap_ns[i]).any() else ()
+    return CameraFrame(
+        int(log.frames[i]),
+        int(log.mocap_ns[i]),
+        int(log.received_ns[i]),
+        poses,
+        exposed_ns=tuple(map(int, own)),
+    )

@@ -1,0 +1,82 @@
+"""Runs the simulation of a log again, on the host and with the code that wrote it, and compares the
+two logs record by record.
+"""
+
+import time
+from collections.abc import Iterable, Iterator
+
+from mcap.records import Attachment
+
+from tetractl.core.errors import TetractlError
+from tetractl.core.plan import Outcome, StopReason
+from tetractl.experiment.load import LoadedSpec
+from tetractl.log.format.channels import WRITER, Entry
+from tetractl.log.provenance import CODE
+from tetractl.log.read import limits
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.encoder import Encoder
+from tetractl.replay.comparison import Difference, log_differences
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import code_of, run_with
+
+
+class _Recorder:
+    """A sink that keeps all records of a trial, and asks to stop it once `until_s` [s of processor
+    time] has passed."""
+
+    def __init__(self, until_s: float) -> None:
+        self.records: list[Entry | Attachment] = []
+        self.interrupt = Interrupt()
+        self.late = False
+        self._until_s = until_s
+
+    def messages(self, entries: Iterable[Entry]) -> None:
+        """Keep messages."""
+        self.records += entries
+        if time.thread_time() > self._until_s and not self.late:
+            self.late = True
+            self.interrupt.request()
+
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Keep an attachment."""
+        self.records.append(Attachment(unix_ns, unix_ns, name, media_type, data))
+
+    def flush(self) -> None:
+        """Do nothing: how messages are divided into chunks is not compared."""
+
+
+def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
+    """Return why the trial of an undamaged log does not repeat here; "" if it does. `elsewhere` are
+    the differences between its host and this one."""
+    plant, result = log.experiment.plant, log.result
+    searches = (search for step in log.steps for search in step.plan.searches)
+    if not (log.start.plant.simulated and plant.simulated) or plant.real_time or result is None:
+        return "it is no simulation in virtual time"
+    if elsewhere or log.facts.get(CODE) != code_of(log.experiment):
+        return "another host, or other code, wrote it"
+    if result.outcome is Outcome.INTERRUPTED:
+        return "it was interrupted"
+    if any(search.stopped == StopReason.DEADLINE for search in searches):
+        return "a deadline ended a search"
+    return ""
+
+
+def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+    """Run the trial of a log again, and yield the differences between its records and those in the
+    log."""
+    start = log.start
+    spec = LoadedSpec(log.experiment, start.spec_text, start.spec_name, attached=start.attached)
+    sink = _Recorder(time.thread_time() + 2 * limits.seconds_limit())
+    try:
+        run_with([Encoder(sink)], spec, start.trial, (), sink.interrupt)
+    except (TetractlError, ValueError, OverflowError) as error:
+        why = str(error).partition("\n")[0]
+        yield Difference(None, "plant", f"cannot be simulated again: {why}")
+        return
+    if sink.late:
+        text = f"not compared: it would take over {2 * limits.seconds_limit():g} s"
+        yield Difference(None, "records", f"{text}; {limits.FACTOR}=2 allows twice as much")
+        return
+    again = RawLog(raw.path, records=sink.records, library=WRITER)
+    yield from log_differences(again, raw)

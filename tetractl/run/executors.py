@@ -8,20 +8,29 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from tetractl.core.children import WorkerPool, fresh_context, isolated, living_workers
+from tetractl.core.children import (
+    WorkerPool,
+    copying_context,
+    fresh_context,
+    isolated,
+    living_workers,
+)
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
+T = TypeVar("T")
+R = TypeVar("R")
+
 SAID = "printed in a trial's process"
 
 Ended = tuple[Task, Finished | Exception]
@@ -166,6 +175,20 @@ class Processes:
 def _tell(line: str) -> None:
     with suppress(OSError, ValueError):  # stderr may be closed
         print(line, file=sys.stderr, flush=True)
+
+
+def called(
+    call: Callable[[T], R], items: Sequence[T], jobs: int, tell: Callable[[str], object]
+) -> Iterator[R]:
+    """Yield what a call returns for each item, in the order in which they end, `jobs` at a time in
+    copies of this process; what these print is passed to `tell`."""
+    jobs = min(jobs, len(items))
+    if jobs < 2:
+        yield from map(call, items)
+        return
+    with WorkerPool(copying_context(), jobs, SAID, tell) as pool:
+        for ended in as_completed([pool.submit(call, item) for item in items]):
+            yield ended.result()
 
 
 def _work(task: Task, folder: Path) -> Finished:

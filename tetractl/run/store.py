@@ -5,12 +5,15 @@ its arms.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.files import save_whole
 from tetractl.core.plan import Outcome
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash
@@ -151,6 +154,57 @@ class Store:
     def add(self, arm: str, trial: int) -> None:
         """Read the log of a trial that has ended."""
         self.batches[arm].read_trial(trial)
+
+
+class RecordStore:
+    """The folder of what is computed by number and is no trial with a log, such as the days of a
+    rehearsal: a JSON file for each number, written whole.
+
+    `identity` says of what they are, and each record has at least `fields`. A file that cannot be
+    read does not count, as a damaged log does not: what it was of is computed again.
+    """
+
+    def __init__(self, folder: Path, identity: str, fields: Collection[str]) -> None:
+        self.folder, self._identity, self._fields = folder, identity, fields
+        self.records: dict[int, dict[str, Any]] = {}
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Create and lock the folder, and read its records.
+
+        Raises UsageError if the folder is a file or has records of another identity, and the errors
+        of `locked`.
+        """
+        if any(
+            place.exists() and not place.is_dir() for place in (self.folder, *self.folder.parents)
+        ):
+            raise UsageError(f"{self.folder}: not a folder", "name another with --out")
+        with locked(self.folder):
+            for path in self.folder.glob("record-*.json"):
+                if (record := self._read(path)) is not None:
+                    self.records[int(path.stem.removeprefix("record-"))] = record
+            yield
+
+    def _read(self, path: Path) -> dict[str, Any] | None:
+        """Return the record in a file; None if it cannot be read."""
+        try:
+            stated = json.loads(path.read_bytes())
+            identity, record = stated["of"], stated["record"]
+            known = record.keys() >= set(self._fields)
+        except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError):
+            return None
+        if identity != self._identity:
+            hint = (
+                "give another --out: a folder has records of one spec, with its --set, and one seed"
+            )
+            raise UsageError(f"{path}: is of another spec, seed or settings", hint)
+        return record if known else None
+
+    def add(self, number: int, record: Mapping[str, Any]) -> None:
+        """Write a record; LogError if that fails."""
+        text = json.dumps({"of": self._identity, "record": dict(record)})
+        save_whole(self.folder / f"record-{number:06d}.json", text.encode())
+        self.records[number] = dict(record)
 
 
 def set_aside(folder: Path, trial: int) -> None:

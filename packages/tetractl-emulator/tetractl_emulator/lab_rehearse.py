@@ -4,16 +4,14 @@ import gc
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
-from tetractl.core.children import WorkerPool, copying_context
 from tetractl.core.errors import AbortError, Exit
 from tetractl.core.files import save_whole
 from tetractl.run.interrupt import interrupted_once
@@ -60,12 +58,13 @@ def rehearse(
     from tetractl.core.plan import Outcome
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
+    from tetractl.run.executors import called
+    from tetractl.run.store import RecordStore
     from tetractl.run.task import run_trial
     from tetractl.view import style
     from tetractl_emulator.rehearsal.drawing import days_figure
-    from tetractl_emulator.rehearsal.kept_days import RESULTS, KeptDays
     from tetractl_emulator.rehearsal.participants import rehearsal_of
-    from tetractl_emulator.rehearsal.summary import broken, reasons, summary, table
+    from tetractl_emulator.rehearsal.summary import FIELDS, broken, reasons, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
     loaded.experiment.plant.require_devices()
@@ -82,20 +81,17 @@ def rehearse(
             raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
-    kept = KeptDays(folder, f"{loaded.hash} {seed} {faults}")
-    rows = kept.rows
-    for number in kept.unread:
-        ui.tell(f"{folder / RESULTS}, line {number}: cannot be read; its day is played again")
-    wanted = range(first, first + days)
-    waiting = [day for day in wanted if day not in rows]
+    kept = RecordStore(folder, f"{loaded.hash} {seed} {faults}", FIELDS)
+    rows, wanted = kept.records, range(first, first + days)
     play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults)
     began_s = time.monotonic()
     interrupted = False
     try:
-        with interrupted_once(), ui.progress("days") as show:
-            for done, row in enumerate(_played(play, waiting, jobs), start=1):
+        with kept.opened(), interrupted_once(), ui.progress("days") as show:
+            waiting = [day for day in wanted if day not in rows]
+            for done, row in enumerate(called(play, waiting, jobs, ui.tell), start=1):
                 # a violation counts and is reported before it is shrunk, which may be interrupted
-                kept.add(row)
+                kept.add(row["day"], row)
                 show(done, len(waiting))
                 if not sys.stderr.isatty():
                     left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
@@ -104,7 +100,8 @@ def rehearse(
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {found}")
                 if broken(row):
                     script = folder / script_name(seed, row["day"])
-                    kept.add(shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults))
+                    smaller = shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults)
+                    kept.add(row["day"], smaller)
     except KeyboardInterrupt:
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
@@ -116,17 +113,6 @@ def rehearse(
     said = table(played, kinds), reasons(played), summary(played), last
     print(*filter(None, said), sep="\n\n")
     return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
-
-
-def _played(play: Any, days: Sequence[int], jobs: int) -> "Iterator[DayRow]":
-    """Yield what becomes of each day, in the order in which they end."""
-    jobs = min(jobs, len(days))
-    if jobs < 2:
-        yield from map(play, days)
-        return
-    with WorkerPool(copying_context(), jobs, "a day's process", ui.tell) as pool:
-        for ended in as_completed([pool.submit(play, day) for day in days]):
-            yield ended.result()
 
 
 def _line_of(row: "DayRow", done: int, count: int, left_s: float) -> str:

@@ -3,12 +3,12 @@ from dataclasses import replace
 import pytest
 from support import random_trials as made
 
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
 from tetractl.run import store
 from tetractl.run.folder_lock import make_folder
-from tetractl.run.store import Store, set_aside
+from tetractl.run.store import RecordStore, Store, set_aside
 from tetractl.run.task import log_path
 
 
@@ -90,3 +90,59 @@ def test_a_folder_is_made_with_its_parents(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(LogError, match="cannot create the folder: Not a directory"):
         make_folder(tmp_path / "file" / "b")
+
+
+def records(folder, identity="spec 1"):
+    kept = RecordStore(folder, identity, ("day", "ended"))
+    with kept.opened():
+        return kept.records
+
+
+def keep(folder, number):
+    kept = RecordStore(folder, "spec 1", ("day", "ended"))
+    with kept.opened():
+        kept.add(number, {"day": number, "ended": "arrived"})
+
+
+def test_records_are_kept_from_one_command_to_the_next(tmp_path):
+    keep(tmp_path / "days", 3)
+    assert records(tmp_path / "days") == {3: {"day": 3, "ended": "arrived"}}
+
+
+def test_records_of_another_spec_are_refused(tmp_path):
+    keep(tmp_path, 3)
+    with pytest.raises(UsageError, match="is of another spec, seed or settings"):
+        records(tmp_path, "spec 2")
+
+
+@pytest.mark.parametrize(
+    "torn",
+    [
+        '{"of": "spec 1", "rec',
+        "[" * 100_000,
+        "\x00",
+        "[4]",
+        '{"of": "spec 1", "record": {"day": 3}}',
+    ],
+)
+def test_a_record_that_is_torn_does_not_count(torn, tmp_path):
+    """Regression: after a power cut, "a plug-in" was blamed."""
+    keep(tmp_path, 3)
+    keep(tmp_path, 4)
+    (tmp_path / "record-000003.json").write_text(torn)
+    assert [*records(tmp_path)] == [4]
+
+
+def test_a_file_in_place_of_the_folder_of_records_is_one_line(tmp_path):
+    """Regression: "a plug-in" was blamed."""
+    file = tmp_path / "file"
+    file.touch()
+    for folder in (file, file / "days"):
+        with pytest.raises(UsageError, match="not a folder"):
+            records(folder)
+
+
+def test_a_full_disk_is_one_line_that_names_the_record(tmp_path):
+    (tmp_path / "record-000001.json.part").symlink_to("/dev/full")
+    with pytest.raises(LogError, match=r"record-000001\.json: "):
+        keep(tmp_path, 1)

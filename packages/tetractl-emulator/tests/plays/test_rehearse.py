@@ -33,8 +33,8 @@ def rehearse(folder, *words):
 
 
 def rows(folder):
-    lines = (folder / "days" / "days.jsonl").read_text().splitlines()
-    return {row["day"]: row for row in map(json.loads, lines)}
+    found = [json.loads(file.read_text()) for file in (folder / "days").glob("record-*.json")]
+    return {one["record"]["day"]: one["record"] for one in found}
 
 
 @pytest.mark.long
@@ -55,7 +55,7 @@ def test_what_no_fault_causes_and_days_of_another_seed_are_refused(tmp_path):
     assert done.returncode == 1
     assert "on arrival" in done.stderr and "day" not in done.stdout
     (tmp_path / "days").mkdir()
-    (tmp_path / "days" / "days-of.txt").write_text("another spec")
+    (tmp_path / "days" / "record-000000.json").write_text('{"of": "another spec", "record": {}}')
     again = rehearse(tmp_path, "--days", "1")
     assert again.returncode == 2
 

@@ -13,7 +13,8 @@ from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
 from tetractl_emulator.rehearsal.truth import Truth
 
 DayRow = Mapping[str, Any]
-"""What is kept of a day: a line of `days.jsonl`."""
+"""What is kept of a day, by the names in FIELDS."""
+FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "violations"})
 NIGHT_S = 8 * 3600.0
 
 

@@ -1,6 +1,4 @@
-"""Films made to hang, crash or fill the memory of who reads them; more in
-benchmarks/hostile_films.py.
-"""
+"""Films made to hang, crash or fill the memory of who reads them."""
 
 import os
 import struct

@@ -4,9 +4,8 @@ import random
 
 import pytest
 from support.bounded_work import withstands
-from support.hostile import bytes_like
 from support.picture_targets import TARGETS
-from support.targets import only
+from support.targets import mutant, only
 from tetractl_microscope.film.field_file import read_field
 
 from tetractl.core.errors import TetractlError
@@ -22,6 +21,6 @@ def test_any_table_of_the_field_is_read_or_refused(tmp_path):
     path, rng = tmp_path / "field.csv", random.Random(1)
     good = "time_s,direction_rad,strength\n" + "".join(f"{k / 9},{k % 3},1\n" for k in range(60))
     for _ in range(30):
-        path.write_bytes(bytes_like(good.encode(), rng))
+        path.write_bytes(mutant([good.encode()], rng))
         with only(TetractlError, one_line=False):
             read_field(path)

@@ -194,7 +194,7 @@ def test_a_picture_is_measured_before_it_is_decoded(tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(set(BOMBS) - SLOW))
 def test_a_hostile_film_ends_with_one_line(tmp_path, name):
-    """Those that take seconds are among the films of `benchmarks/hostile_films.py`."""
+    """Those that take seconds are left out."""
     BOMBS[name](tmp_path / "film")
     how, said, _ = outcome(tmp_path, tmp_path / "film")
     assert how in ("ended with 1", "ended with 2"), said

@@ -96,20 +96,6 @@ def test_a_message_that_is_none_is_told_in_a_line(topic, contents, tmp_path):
         check(command, log, tmp_path / "out")
 
 
-def test_a_count_that_no_column_can_hold_is_told_in_a_line(contents, tmp_path):
-    """Regression: the sum of two such counts was an OverflowError of the Parquet file."""
-    entry = contents.by_topic[STEP][1]  # of the first, more is checked
-    step = ControllerStep.FromString(entry.data)
-    step.searches[0].evaluations = 2**64 // 4
-    step.searches.append(step.searches[0])
-    step.searches.append(step.searches[0])
-    spoilt = {entry: entry._replace(data=step.SerializeToString())}
-    log = rewrite(contents, tmp_path / "hostile.mcap", spoilt)
-    done = check("export --parquet", log, tmp_path / "out")
-    assert done.returncode == 1
-    assert "contains a value that tetractl does not write: evaluations" in done.stderr
-
-
 def test_too_few_addresses_are_one_line():
     """Regression: OpenBLAS asked for memory without end, in an import that no signal ends."""
     done = subprocess.run(

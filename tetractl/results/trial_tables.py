@@ -26,7 +26,6 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import result_of, trial_of, whole, written
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
-from tetractl.log.read.validate import check_counts
 from tetractl.results.describe import trial_items
 from tetractl.results.open_batch import Batch
 
@@ -69,7 +68,6 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     timings = {one.k: one for one in contents.messages(HOST_TIMING)}
     for step in contents.messages(STEP):
         sent, searches, timing = step.command, step.searches, timings.get(step.k, StepTiming())
-        check_counts("evaluations", (one.evaluations for one in searches))
         row = (
             step.k,
             sent.sent_ns,

@@ -263,5 +263,4 @@ def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
     """Decode the operator messages; unprintable characters in them are escaped."""
     for message in contents.messages(channels.LOG):
         note = decode_note(message, start_unix_ns)
-        validate.check_times([note.t_ns])
         yield replace(note, text=printable(note.text, channels.TEXT))

@@ -15,14 +15,13 @@ from support.mutate import chunk, rewrite, stating
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
-from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, HOST_TIMING, RESULT, RUN, STEP
+from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, RESULT, RUN, STEP
 from tetractl.log.format.codec import packed
 from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
     ControllerStep,
     MocapSample,
     Search,
-    StepTiming,
     WheelCommand,
 )
 from tetractl.log.read import limits, raw_log, salvage
@@ -154,12 +153,9 @@ def spoilt_step(**changes):
 @pytest.mark.parametrize(
     ("topic", "changes"),
     [
-        (HOST_END, {"solve_ns": [-1]}),
         (RESULT, {"total_error": INF}),
         (RESULT, {"robot_errors": [1.0, 2.0]}),
-        (RESULT, {"duration_s": -1.0}),
-        (RESULT, {"steps": -1}),
-        (RESULT, {"final_x": [1e300]}),
+        (RESULT, {"duration_s": NAN}),
         (RESULT, {"clearance": [NAN]}),
         (RESULT, {"outcome": "triumph"}),
         (RESULT, {"unit": "furlong"}),
@@ -184,7 +180,6 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
     [
         {"robots": ["a", "b"]},
         {"camera_rate_hz": NAN},
-        {"start_unix_ns": -1},
         {"format_version": -1},
     ],
 )
@@ -221,13 +216,9 @@ def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, 
         (STEP, ControllerStep(chosen=-1, signals=[1.0])),
         (FRAMES, spoilt_frames(poses=[(NAN, 1.0, 1.0)])),
         (FRAMES, spoilt_frames(poses=[(INF, 1.0, 1.0)], valid=[False])),
-        (FRAMES, spoilt_frames(times=[(0, 2**62, 0)])),
         (FRAMES, spoilt_frames(truth=[(INF, 1.0, 1.0)])),
         (COMMANDS, WheelCommand(direction=NAN, delivered=[True])),
-        (COMMANDS, WheelCommand(direction=1.0, delivered=[True], sent_ns=-(2**63))),
         (COMMANDS, WheelCommand(direction=1.0, delivered=[True], left=[1.0, 2.0])),
-        (HOST_TIMING, StepTiming(k=0, solve_ns=-1)),
-        (STEP, spoilt_step(k=-1)),
         (STEP, spoilt_step(cost=INF)),
         (STEP, spoilt_step(path_x=[1.0, NAN])),
         (STEP, spoilt_step(path_x=[1.0] * 3, path_y=[1.0] * 3)),

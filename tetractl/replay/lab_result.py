@@ -30,7 +30,7 @@ def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
     if log.stop is None:
         return
     yield from _lasted(log, result, log.stop)
-    yield from _errors(log, result)
+    yield from error_differences(log, result)
     if result.outcome.complete or not untold(result.verdict):
         if not _stands(log, result.verdict.final, log.stop):
             yield Difference(None, "result.final", "differs from the robots' last poses")
@@ -44,8 +44,8 @@ def untold(verdict: Verdict) -> bool:
     return not told and bool(np.isnan(verdict.final.array()).all())
 
 
-def _errors(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Check the errors, which follow from the final poses, and what the tour says of them."""
+def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Yield the first value of a result that contradicts its final poses or its tour."""
     again = Result.of(
         log.start.setup,
         result.verdict,

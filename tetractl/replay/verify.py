@@ -21,7 +21,7 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.replay import run_again
 from tetractl.replay.comparison import Difference
-from tetractl.replay.lab_result import lab_differences
+from tetractl.replay.lab_result import error_differences, lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 
 DECIDES_BITS = (
@@ -95,6 +95,7 @@ def verify(path: Path) -> Verification:
             others += lab_differences(log, log.result)
         elif why_not:
             notes = [*notes, f"the trial is not run again: {why_not}"]
+            others += [] if raw.brief else error_differences(log, log.result)
         else:
             others += run_again.differences(raw, log)
     return Verification(

@@ -271,6 +271,13 @@ def test_on_another_processor_a_history_has_to_fall(tmp_path, contents):
     assert found.problems[0].field == "searches.0.history"
 
 
+def test_on_another_processor_the_errors_have_to_follow_from_the_poses(tmp_path, contents):
+    changed = elsewhere(contents) | stating(contents, RESULT, total_error=1.0)
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", changed))
+    assert [one.field for one in found.problems] == ["result.total_error"]
+    assert found.notes == ("the trial is not run again: another host, or other code, wrote it",)
+
+
 def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     """Regression, found by benchmarks/fuzz.py: reading a trial does not decode it."""
     entry = next(e for e in contents.entries if e.topic == "/tf")

@@ -4,7 +4,7 @@
     python benchmarks/anywhere.py --undisturbed     the same, with nothing disturbed
     python benchmarks/anywhere.py --free            targets dealt out to the robots (assign: free)
     python benchmarks/anywhere.py --predict         with what `tetractl analyze` predicts of each
-    python benchmarks/anywhere.py --part crowd      first plans for many robots, undisturbed
+    python benchmarks/anywhere.py --part many       first plans for many robots, undisturbed
 
 Instance i has 2 + i mod 5 robots in 2.4 x 2.4 m: starts, headings and targets anywhere at least
 150 mm from the edge and 250 mm from each other, one to three rectangles at least 200 mm from all of
@@ -181,7 +181,7 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
         print(f"Predicted: rank correlation {rank:.2f} over {len(measured)}; no plan for {none}.")
 
 
-def crowd(robots: int, seed: int) -> Problem:
+def many(robots: int, seed: int) -> Problem:
     """Robots anywhere in 2 x 2 m; 1 m in one direction for all, and each 0.2 m or so by itself."""
     rng = np.random.default_rng([robots, seed])
     speed, starts = rng.uniform(150, 200, robots), rng.uniform(0, 2000, (robots, 2))
@@ -206,7 +206,7 @@ def good(search: Search) -> bool:
     return search.cost <= Multistart().tolerance
 
 
-def crowds(trials: int) -> None:
+def first_plans(trials: int) -> None:
     """First plans for many robots, each an instance of its own, up to 80 s long."""
     print("| robots | optimiser | solved to 1 mm | signals, median | first plan [s], p50 / p95 |")
     print("|---|---|---|---|---|")
@@ -215,10 +215,10 @@ def crowds(trials: int) -> None:
             ("grows", Multistart(rounds=2)),
             ("does not", Multistart(rounds=2, grows=False)),
         ):
-            optimizer.search(crowd(robots, trials), 10, None, 0, Limits())  # compile
+            optimizer.search(many(robots, trials), 10, None, 0, Limits())  # compile
             solved, signals, seconds = 0, [], []
             for seed in range(trials):
-                problem, begin = crowd(robots, seed), time.thread_time()
+                problem, begin = many(robots, seed), time.thread_time()
                 searcher = Searcher(optimizer, problem, seed)
                 searcher.spread(least_length(problem), 400, good)
                 seconds.append(time.thread_time() - begin)
@@ -232,15 +232,15 @@ def crowds(trials: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--part", choices=("drive", "crowd"), default="drive")
+    parser.add_argument("--part", choices=("drive", "many"), default="drive")
     parser.add_argument("--trials", type=int, default=50, help="instances")
     parser.add_argument("--seed", type=int, default=6200)
     parser.add_argument("--undisturbed", action="store_true")
     parser.add_argument("--free", action="store_true")
     parser.add_argument("--predict", action="store_true")
     chosen = parser.parse_args()
-    if chosen.part == "crowd":
-        crowds(chosen.trials)
+    if chosen.part == "many":
+        first_plans(chosen.trials)
         return
     world = "undisturbed" if chosen.undisturbed else "the plant of disturbed.py --part hurting"
     print(f"Simulated, seed {chosen.seed}, {chosen.trials} instances, {world}. {load()}.\n")

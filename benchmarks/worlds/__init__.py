@@ -10,7 +10,6 @@ Places and times are drawn for each trial.
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -282,10 +281,10 @@ def _robots(
     return tuple(found)
 
 
-def crowd(count: int, random: Random, spec: Experiment) -> dict[str, Any]:
-    """Robots as in anywhere.py, but so many in 3 x 3 m without obstacles."""
+def eight(random: Random, spec: Experiment) -> dict[str, Any]:
+    """Robots as in anywhere.py, but eight in 3 x 3 m without obstacles."""
     inside = EDGE_MM, 3000 - EDGE_MM
-    starts, targets = (scattered(random, count, inside, inside) for _ in range(2))
+    starts, targets = (scattered(random, 8, inside, inside) for _ in range(2))
     arena = {"left": 0, "bottom": 0, "width": 3000, "height": 3000}
     return {"arena": arena, "robots": robots(random, starts, targets), "obstacles": ()}
 
@@ -352,10 +351,7 @@ WORLDS = {
     "near-walls": World(layout=near_a_wall),
     "dead": World((*HURT, "on_lost=drop"), (("dead", 8.0),)),
     "gap": World((*CONTROLLER, *HURT), layout=through_a_gap),
-    "crowd-8": World((*CONTROLLER, *HURT, "controller.accept_error=40"), layout=partial(crowd, 8)),
-    "crowd-12": World(
-        (*CONTROLLER, *HURT, "controller.accept_error=60"), layout=partial(crowd, 12)
-    ),
+    "eight": World((*CONTROLLER, *HURT, "controller.accept_error=40"), layout=eight),
     # each robot late by its own, a floor that slopes, a strip of another floor, a lens
     "late": World(_radio("spread: 0.12")),
     "slide": _hurt("slide", 12.0),

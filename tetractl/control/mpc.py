@@ -7,7 +7,6 @@ a stop and a rest before plans are searched, with the least value that a plan ca
     rest     stop so, and search a new plan while the robots stand
     plan     the plan under way without its first signal, and plans one signal shorter and longer
     longer   longer plans, while they can be worth more and time allows
-    near     at rest: signals that bring a crowd nearer, if no plan brings it to its targets
     leave    at rest: a way out of a corner, then rest
     turn     at rest: turn on the spot, then search again
 
@@ -21,7 +20,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control import crowd
 from tetractl.control.corners import STILL, away
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
@@ -153,9 +151,7 @@ class Mpc:
         problem = self._with_margins(known, self.estimator.known)
         left = (self.time.left_s + phase * section.period) / problem.period
         spent_s = self.time.passed_s - self.leg.began_s
-        more = crowd.LEFT if self.leg.nears else 0.0
-        patience_s = section.patience_s(self.setup)
-        value = Worth(section.accept_error, spent_s, problem.period, patience_s, more)
+        value = Worth(section.accept_error, spent_s, problem.period, section.patience_s(self.setup))
         return StepStart(problem, warm, section.horizon_max, left, value)
 
     def _decide(self, step: StepStart, observation: Observation) -> Plan | Outcome | End:
@@ -183,24 +179,7 @@ class Mpc:
             return self._given(problem, State.LEAVING, step.warm)
         if self._state is State.PASSING and len(step.warm) > AHEAD:
             return self._passing(step, step.warm)
-        if self._state is State.NEARING:
-            return self._nearing(step, step.warm, crowd.STAGE_KEPT, crowd.NEAR)
         return self._under_way(step, step.warm, holds)
-
-    def _nearing(
-        self, step: StepStart, warm: Floats, kept: int, near: float, found: Sequence[Search] = ()
-    ) -> Plan:
-        """Bring a crowd nearer, by the signals `warm` left of a stage or by the next stage; rest
-        where less than `near` is left, or robots cannot keep clear."""
-        problem, steps = step.problem, self.k - self.began
-        due = not len(warm) or steps % (crowd.HELD * self.section.signal_periods) == 0
-        if due or self._enters(problem, warm):
-            warm, left = crowd.stage(problem, step.signals_max, mix(self.key, self.k), kept)
-            near *= step.warm is None or steps * self.section.period > RESTED_S
-            if not len(warm) or left < near or self._enters(problem, warm):
-                return self._given(problem, State.RESTING, before=found)
-        self.leg = replace(self.leg, nears=True)
-        return self._given(problem, State.NEARING, warm, found)
 
     def _passing(self, step: StepStart, warm: Floats) -> Plan:
         """Go on through a passage, with the signals `warm` left: the next AHEAD are searched again,
@@ -274,16 +253,12 @@ class Mpc:
         error, stood = float(gaps.sum()), self.k > 0 and not self._moving
         least, most = least_length(problem), max(1, step.signals_max)
         # with little time left robots may still come nearer to targets that they cannot reach
-        tight = stood and not step.allows(least, 0.0) and not self.leg.nears
+        tight = stood and not step.allows(least, 0.0)
         again = value.plan(0.0, min(least, most), True)
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)
         if stood and (error <= again or not step.signals_max):
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
-        many, none = self.stands and crowd.is_crowd(problem), np.empty(0)
-        at_rest = none, crowd.KEPT, crowd.NEAR
-        if self.leg.nears and not (near := self._nearing(step, *at_rest)).pauses:
-            return near
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         good_enough = self.section.optimizer.good_enough or 0.0
 
@@ -294,23 +269,10 @@ class Mpc:
         reached, passes = searcher.spread(least, most, good), False
         if not (reached or self._moving) and self.section.collision.walls:
             later = self._with_margins(problem, None)  # the motion will be identified by then
-            key = mix(self.key, self.k)
-            if many:
-                near = self._nearing(step, *at_rest, searcher.found)
-                if not near.pauses:
-                    return near
-                later = replace(later, depth_weight=crowd.DEPTH_WEIGHT)
-            starts = (
-                crowd.whole(later, most, key) if many else ways(later, self.setup.arena, most, key)
-            )
-            passes = searcher.onward(later, starts, good) and not many
+            starts = ways(later, self.setup.arena, most, mix(self.key, self.k))
+            passes = searcher.onward(later, starts, good)
             step = replace(step, problem=searcher.problem)
         plan, worth = self._best(searcher, step)
-        far = worth - again > crowd.LEFT * self.section.accept_error
-        if self.leg.nears and far and step.signals_max > crowd.WHOLE:
-            near = self._nearing(step, none, crowd.KEPT, 0.0, searcher.found)
-            if not near.pauses:
-                return near
         plan = replace(plan, state=State.PASSING) if passes and plan.search.length > AHEAD else plan
         out = self._out(searcher, plan)
         there = replace(problem, poses=Poses.of(plan.path[-1]))

@@ -23,14 +23,13 @@ KEPT = 0.2  # clearance while robots receive no command, as a fraction of their 
 class Leg:
     """The part of a trial up to way-point `index` or the targets, or, after it, the hold, with the
     time of the trial [s] and of the clock [ns] of its beginning, when the robots were `moving` or
-    not; `outcome` is how the leg before ended. A crowd `nears` if no plan led to its targets."""
+    not; `outcome` is how the leg before ended."""
 
     index: int
     began_s: float
     began_ns: int
     moving: bool
     outcome: Outcome
-    nears: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 A common direction moves all robots nearly alike, so that robots pass a gap one after the other, and
 hardly any random sequence of directions leads many robots, or several through a gap, to targets far
-apart. `ways` searches a tree: each branch holds a direction for a while. Of each level only the
+apart. `ways` searches a `Tree`: each branch holds a direction for HELD_S. Of each level only the
 best nodes are kept (beam search; Lowerre, The HARPY speech recognition system, 1976), which are
 those with the least sum of squares of the robots' ways to their targets round the obstacles. Of
 nodes with all robots at nearly the same places only the first is kept, so that the few that are
@@ -16,15 +16,19 @@ leads them as targets.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.branches import Integers, Tree
+from tetractl.control.evaluate import compiled_branches
 from tetractl.control.kernels import clearance
+from tetractl.control.rng import uniform
 from tetractl.core.plan import Problem
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.core.setup import Bounds
 
+DIRECTIONS = 16  # directions tried at each node
+PARTS = 2  # number of moments of a signal at which robots must keep clear
 CELLS = 90  # number of cells along the longer side of the arena
 HELD_S = 0.4  # time for which a branch is held [s]
 KEPT = 400  # number of nodes kept of each level, times that of the robots
@@ -37,6 +41,84 @@ AHEAD = 20  # number of signals that are searched again
 LOST = 4.0  # miss after them with which robots rest for a new plan, in units of `accept_error`
 FAR = 0.05  # of what they have to go then, which is added to this miss
 TRUSTED_S = 1.0  # least time that a plan is driven before
+
+
+class Level(NamedTuple):
+    """The nodes kept of one level: the node of the level before from which each grew, and the
+    direction of its branch [rad]."""
+
+    parents: Integers
+    directions: Floats
+
+
+class Tree:
+    """A tree of directions, of which the nodes of the last level can grow branches.
+
+    A node is where robots are, poses (N, 3), after the signals that lead to it. A branch is one
+    direction, held for `held` signals. Two nodes are alike if all their robots are in the same
+    squares, of which the side is ALIKE times the largest v / a. `key` seeds the first of the
+    directions of each level.
+    """
+
+    def __init__(self, problem: Problem, key: int, held: int) -> None:
+        count = len(problem.a)
+        self.levels: list[Level] = []
+        self._problem = problem
+        self._key = key
+        self._held = held
+        self._side = ALIKE * float((problem.speed / problem.a).max())
+        self._factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
+        self._one, self._other = np.triu_indices(count, 1)
+        self._nodes: Floats = problem.poses.array()[None]
+        self._taken = np.empty(0, dtype=np.int64)  # squares of all nodes kept
+        # of the branches grown last (B, ...): their directions, and where and in which squares
+        # robots are at their ends
+        self._directions: Floats = np.empty(0)
+        self._ends: Floats = self._nodes
+        self._squares: Integers = self._taken
+
+    def grow(self) -> Floats:
+        """Grow DIRECTIONS branches from each node of the last level; return the poses
+        (PARTS held, B, N, 3) along them."""
+        count = len(self._problem.a)
+        first = uniform(self._key, 2 * count + len(self.levels), 1)
+        around = wrap(2 * np.pi / DIRECTIONS * (np.arange(DIRECTIONS) + first))
+        starts = self._nodes.repeat(DIRECTIONS, axis=0)
+        self._directions = np.tile(around, len(self._nodes))
+        turns = np.zeros(PARTS * self._held)
+        part = self._problem.period / PARTS
+        path = compiled_branches(self._problem, starts, self._directions, turns, part)[1:]
+        self._ends = path[-1]
+        squares = np.floor(self._ends[..., :2].reshape(-1, 2 * count) / self._side)
+        self._squares = (squares.astype(np.int64) * self._factors).sum(axis=1)
+        return path
+
+    def unlike(self, order: Integers) -> Integers:
+        """Return those of the branches `order`, best first, whose ends are like neither a node nor
+        the end of a better branch."""
+        first = np.sort(np.unique(self._squares[order], return_index=True)[1])
+        best = order[first]
+        return best[~np.isin(self._squares[best], self._taken)]
+
+    def apart(self, x: Floats, y: Floats) -> Bools:
+        """Return along which branches robots at x, y (T, B, N) keep the separation."""
+        one, other = self._one, self._other
+        gaps = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
+        return np.asarray((gaps > self._problem.separation).all(axis=(0, 2)))
+
+    def keep(self, branches: Integers) -> None:
+        """Make the ends of branches the nodes of the next level."""
+        self._taken = np.append(self._taken, self._squares[branches])
+        self._nodes = self._ends[branches]
+        self.levels.append(Level(branches // DIRECTIONS, self._directions[branches]))
+
+    def sequence(self, node: int, levels: int | None = None) -> Floats:
+        """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""
+        directions = []
+        for level in reversed(self.levels[:levels]):
+            directions.append(level.directions[node])
+            node = int(level.parents[node])
+        return np.repeat(directions[::-1], self._held)
 
 
 class Squares:
@@ -89,7 +171,7 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     own = np.arange(count) * len(grid.centres)
     near = NEAR * float((problem.speed / problem.a).sum())
     held, kept = max(1, round(HELD_S / problem.period)), max(1, KEPT // count)
-    tree, tried, nearest = Tree(problem, key, held, ALIKE), 0, (np.inf, 0)
+    tree, tried, nearest = Tree(problem, key, held), 0, (np.inf, 0)
     for level in range(most // held):
         path = tree.grow()
         ways_left = left[grid.cells(path[..., :2]) + own]

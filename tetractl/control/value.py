@@ -23,14 +23,12 @@ PATIENCE_S = 80.0  # time in which `attempt` doubles
 @dataclass(frozen=True, slots=True)
 class Worth:
     """The values of the candidates of a control step `spent_s` after the leg began; each signal
-    lasts `period_s`. `attempt` doubles in `patience_s`, and is `left` larger in units of `accept`.
-    """
+    lasts `period_s`. `attempt` doubles in `patience_s`."""
 
     accept: float
     spent_s: float
     period_s: float
     patience_s: float = PATIENCE_S
-    left: float = 0.0
     price: ClassVar[float] = 0.02  # of a second, in units of `accept`
     touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
     unheard: ClassVar[float] = 1.5  # caution if robots that receive nothing might touch something
@@ -39,7 +37,7 @@ class Worth:
         self, error: float, length: int, new: bool, touches: bool = False, unheard: bool = False
     ) -> float:
         """Return the value of a plan of `length` signals that ends with the total `error`."""
-        attempt = 2 ** (self.spent_s / self.patience_s) + self.left if new else 0.0
+        attempt = 2 ** (self.spent_s / self.patience_s) if new else 0.0
         caution = self.touch * touches + self.unheard * unheard
         return error + self.accept * (attempt + self.price * self.period_s * length + caution)
 

@@ -89,7 +89,6 @@ class State(StrEnum):
     RESTING = "resting"  # they stand; the next plan is for standing robots
     LEAVING = "leaving a corner"  # they follow a way out of a corner
     PASSING = "passing"  # they follow a plan that leads them through a passage one by one
-    NEARING = "nearing"  # a crowd comes nearer, by signals that are searched again and again
     TURNING = "turning"  # they stand and turn on the spot
     HOLDING = "holding"  # they cannot stand, and stay near their targets
     STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
@@ -321,8 +320,7 @@ class Problem:
     to the direction that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift
     that carries it; None for no bias or flow. If `within` [length unit] is given, the robots are to
     stay within that distance of their targets. `side` and `saturation` (N,) are how robots turn
-    (`tetractl.model.motion.turn_rate`), None for robots that turn by (3). `depth_weight` is
-    that of a depth in an obstacle relative to a miss, in a polish. Problems are compared by
+    (`tetractl.model.motion.turn_rate`), None for robots that turn by (3). Problems are compared by
     identity, so that a problem can be the key of a cache.
     """
 
@@ -342,7 +340,6 @@ class Problem:
     within: float | None = None
     side: Floats | None = None
     saturation: Floats | None = None
-    depth_weight: float = 3.0
 
     def only(self, some: Bools) -> "Problem":
         """Return the problem of the robots for which `some` (N,) is true."""

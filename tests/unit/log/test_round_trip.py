@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_trials import trial, write
 
 from tetractl.core.commands import Command, Steer
-from tetractl.core.plan import Outcome
+from tetractl.core.plan import Outcome, State
+from tetractl.log.format import codec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
@@ -93,3 +95,11 @@ def test_an_outcome_that_logs_call_by_its_first_name_is_read_by_its_present_one(
     log = read_trial(path)
     assert log.notes[-1].text == "nothing better after 1 control steps"
     assert log.events[-1].text == "no better plan after 1 control steps"
+
+
+@pytest.mark.parametrize("former", ["nearing"])
+def test_a_state_of_an_earlier_version_is_read_as_driving(former):
+    step = trial(robots=2, steps=1).steps[0]
+    message = codec.encode_step(step, codec.encode_command(step.command))
+    message.state = former
+    assert codec.decode_step(message, None, robots=2).plan.state is State.DRIVING

@@ -35,6 +35,7 @@ Integers = NDArray[np.int64]
 _wrap = inlined(polynomials.wrap)
 
 LARGEST_STEP = DIRECTION.largest_step
+DEPTH_WEIGHT = 3.0  # weight of a depth relative to a miss
 PROGRESS = 0.8  # the merit must fall by this factor in `patience` iterations
 
 
@@ -77,7 +78,6 @@ class Polish(NamedTuple):
     separation: float  # least distance of two robots, 0 for robots that may meet
     weight: float  # of a hit in J
     swept: bool
-    depth_weight: float  # of a depth relative to a miss
     room: Scratch
 
 
@@ -102,7 +102,6 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         float(problem.separation),
         float(problem.obstacle_weight),
         problem.swept,
-        problem.depth_weight,
         _scratch(get_ident(), problem.a.size, obstacles.count, paired, length),
     )
 
@@ -142,7 +141,7 @@ def _trace(work, u):
 
 @compiled(**INLINE_FAST)
 def _merit(work, slack):
-    """Return the bound of f(u) plus the depth weight times the sum of all depths in obstacles and
+    """Return the bound of f(u) plus DEPTH_WEIGHT times the sum of all depths in obstacles and
     meetings; find the depths of positions that are within `slack` of an obstacle.
     """
     room = work.room
@@ -158,11 +157,11 @@ def _merit(work, slack):
     merit = math.sqrt(len(work.target) * merit)
     for i in range(len(work.target)):
         for o in range(room.depths.shape[1]):
-            merit += work.depth_weight * max(0.0, room.depths[i, o])
+            merit += DEPTH_WEIGHT * max(0.0, room.depths[i, o])
     if room.meetings.size:
         _find_meetings(work)
         for m in range(room.meetings.size):
-            merit += work.depth_weight * max(0.0, room.meetings[m])
+            merit += DEPTH_WEIGHT * max(0.0, room.meetings[m])
     return merit
 
 
@@ -217,7 +216,7 @@ def _linearise(work, floor, slack):
             if deepest > 0:
                 x, y = path[0, i, at], path[1, i, at]
                 east, north = outward(work.shapes, work.walls, o, x, y)
-                scale = work.depth_weight / math.sqrt(max(deepest, floor))
+                scale = DEPTH_WEIGHT / math.sqrt(max(deepest, floor))
                 residual[r] = scale * deepest
                 _pull(pulls, r, r, i, at, -scale * east, -scale * north)
                 r += 1
@@ -229,7 +228,7 @@ def _linearise(work, floor, slack):
             if depth > 0:
                 dx, dy = path[0, i, at] - path[0, k, at], path[1, i, at] - path[1, k, at]
                 apart = math.sqrt(dx * dx + dy * dy)
-                scale = work.depth_weight / math.sqrt(max(depth, floor))
+                scale = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 share = scale / apart if apart > 0 else 0.0
                 residual[r] = scale * depth
                 _pull(pulls, e, r, i, at, -share * dx, -share * dy)

@@ -19,6 +19,8 @@ from tetractl.log.format import tetractl_pb2 as pb
 OF_ESTIMATE = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
 OF_PLAN = ("cost", "target_cost", "obstacle_cost", "chosen", "generator", "leg", "delay_ns")
 """The numbers of a plan that are fields of `ControllerStep`."""
+FORMER_STATES = ("nearing",)
+"""States of earlier versions, in which robots followed signals; they are read as `driving`."""
 STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
 DIFFERENCES = 4  # how often a packed column is replaced by its differences
 DRAWN_PRECISION = 2.0**-14  # largest relative rounding error of `drawn`
@@ -241,7 +243,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         searches=tuple(_decode_search(search) for search in message.searches),
         estimate=_decode_estimate(message, robots),
         instead=None if isinstance(command.action, Steer) else command.action,
-        state=State(message.state),
+        state=_decode_state(message.state),
         **stated(message, *OF_PLAN),
     )
     return Step(
@@ -252,6 +254,11 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=bool(timing and timing.deadline_missed),
     )
+
+
+def _decode_state(text: str) -> State:
+    """Decode what the robots do; one of FORMER_STATES is `driving`."""
+    return State.DRIVING if text in FORMER_STATES else State(text)
 
 
 def encode_timing(step: Step) -> pb.StepTiming:

@@ -13,7 +13,7 @@ from support import problems
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.kernels import levenberg
 from tetractl.control.kernels import multistart as kernel
-from tetractl.control.kernels.levenberg import LARGEST_STEP, PROGRESS, lay_out_polish
+from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS, lay_out_polish
 from tetractl.control.kernels.rollout import lay_out
 from tetractl.core.kernels import kernel_cache as kernels
 
@@ -21,7 +21,6 @@ pytestmark = pytest.mark.slow
 
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
 TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
-DEPTH_WEIGHT = 3.0  # the problem's, if it says nothing else
 
 
 class Polished(NamedTuple):

@@ -25,8 +25,8 @@ class Collision(Model):
     """
     stop_before_collision: bool = True
     """Whether all robots rest if the best plan found leads one into an obstacle, or if a new plan
-    from rest is worth more. From rest, robots of which no plan keeps clear leave their corner or
-    turn on the spot first; the trial ends if that does not help either. Robots also end at rest,
+    from rest is worth more. From rest, robots of which no plan keeps clear turn on
+    the spot first; the trial ends if that does not help either. Robots also end at rest,
     and drive on if their total error is then too large. Only for robots that can stand still, which
     have `wheels`."""
     silence: NonNegative = 1.0

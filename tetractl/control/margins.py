@@ -164,11 +164,16 @@ class Margins:
         of a body to obstacles and walls, negative inside, and of all distances of two robots minus
         `apart`.
         """
-        nearest = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf).reshape(x.shape)
         one, other = np.triu_indices(x.shape[-1], 1)
         between = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
         least = between.min(axis=-1, initial=np.inf) - apart
-        return np.minimum(nearest.min(axis=-1) - self._radius, least)
+        return np.minimum(self.clearances(x, y).min(axis=-1), least)
+
+    def clearances(self, x: Floats, y: Floats) -> Floats:
+        """Return the least distance (...) of a body at x, y (...) to obstacles and walls, negative
+        inside."""
+        gaps = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf)
+        return gaps.reshape(x.shape) - self._radius
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: `wanted`, or the least present distance between two robots

@@ -7,7 +7,6 @@ a stop and a rest before plans are searched, with the least value that a plan ca
     rest     stop so, and search a new plan while the robots stand
     plan     the plan under way without its first signal, and plans one signal shorter and longer
     longer   longer plans, while they can be worth more and time allows
-    leave    at rest: a way out of a corner, then rest
     turn     at rest: turn on the spot, then search again
 
 What the robots do then is the plan's `State`. docs/reference/controllers/mpc.md draws the states.
@@ -20,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.corners import STILL, away
+from tetractl.control.corners import NOT_TURNING, next_facing
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
@@ -82,7 +81,7 @@ class Mpc:
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
         self.k, self.began, self._legs = 0, 0, setup.legs
-        self.turning = STILL
+        self.turning = NOT_TURNING
         self.last: Plan | None
         self._begin(Leg(0, 0.0, 0, False, Outcome.ARRIVED), setup.starts)
 
@@ -173,10 +172,6 @@ class Mpc:
             return self._circle(step)
         if step.warm is None:
             return self._at_rest(step, gaps, holds)
-        if self._state is State.LEAVING:
-            if not len(step.warm) or self._enters(problem, step.warm):
-                return self._given(problem, State.RESTING)
-            return self._given(problem, State.LEAVING, step.warm)
         if self._state is State.PASSING and len(step.warm) > AHEAD:
             return self._passing(step, step.warm)
         return self._under_way(step, step.warm, holds)
@@ -274,7 +269,7 @@ class Mpc:
             step = replace(step, problem=searcher.problem)
         plan, worth = self._best(searcher, step)
         plan = replace(plan, state=State.PASSING) if passes and plan.search.length > AHEAD else plan
-        out = self._out(searcher, plan)
+        out = self._turn(searcher, plan)
         there = replace(problem, poses=Poses.of(plan.path[-1]))
         if tight and (out or worth - again >= error or self._enters(there, plan.signals[-1:])):
             state = State.RESTING if holds else State.STUCK  # with its searches, for the log
@@ -292,20 +287,20 @@ class Mpc:
         best = min((self._valued(one, step) for one in searcher.found), key=lambda one: one.worth)
         return self._planned(searcher, best), best.worth
 
-    def _out(self, searcher: Searcher, best: Plan) -> Plan | None:
-        """Return a plan by which standing robots leave a corner, or turn so that they can next,
-        where the `best` plan found is not safe; None if there is none, or it is safe."""
+    def _turn(self, searcher: Searcher, best: Plan) -> Plan | None:
+        """Return a turn on the spot of standing robots in a corner, where the `best` plan found is
+        not safe; None if it is safe, or enough turns were in vain."""
         problem = searcher.problem
         known = self.section.period, self.estimator.dead_time_s, self.estimator.known
         touches = best.obstacle_cost > 0
         touches = touches and self.margins.cornered(problem, self.section.collision, *known)
         if not (self.stands and (touches or self._enters(problem, best.signals))):
             return None
-        out, facing = away(problem, self.margins, self.section.collision.separation, self.turning)
-        if out is not None:
-            return self._given(problem, State.LEAVING, out, searcher.found)
+        facing = next_facing(problem, self.margins, self.turning)
+        if facing is None:
+            return None
         turning = self._given(problem, State.TURNING, before=searcher.found)
-        return None if facing is None else replace(turning, instead=Turn(facing))
+        return replace(turning, instead=Turn(facing))
 
     def _planned(self, searcher: Searcher, candidate: Candidate) -> Plan:
         """Return the plan of a candidate."""

@@ -87,7 +87,6 @@ class State(StrEnum):
 
     DRIVING = "driving"  # they follow the plan
     RESTING = "resting"  # they stand; the next plan is for standing robots
-    LEAVING = "leaving a corner"  # they follow a way out of a corner
     PASSING = "passing"  # they follow a plan that leads them through a passage one by one
     TURNING = "turning"  # they stand and turn on the spot
     HOLDING = "holding"  # they cannot stand, and stay near their targets

@@ -10,7 +10,6 @@ import pytest
 from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
-from tetractl.control.corners import OUT
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.margins import Margins
@@ -243,9 +242,8 @@ def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_doe
     assert math.cos(turn.action.facing) < 0.1  # not towards the right wall
 
 
-def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
-    monkeypatch.setattr("tetractl.control.corners.turn_away", lambda *_: None)
-    monkeypatch.setattr("tetractl.control.corners.OUT", OUT._replace(vain=0))
+def test_a_trial_ends_after_a_step_where_no_turn_helps(monkeypatch):
+    monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
     stop, stuck, end = decisions_beside_a_wall(3)
     assert (stop.state, stuck.state) == (State.RESTING, State.STUCK)
     assert stuck.pauses
@@ -253,8 +251,8 @@ def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
     assert end is Outcome.NO_BETTER_PLAN
 
 
-def test_robots_in_a_corner_look_for_a_way_out_before_they_search_thoroughly():
-    """A search that hops a thousand times took twice the time of the way out, and found nothing."""
+def test_robots_in_a_corner_turn_before_they_search_thoroughly():
+    """A search that hops a thousand times takes long, and finds nothing."""
     _, turn = decisions_beside_a_wall(2)
     assert turn.evaluations < 10_000
 

@@ -97,7 +97,7 @@ def test_an_outcome_that_logs_call_by_its_first_name_is_read_by_its_present_one(
     assert log.events[-1].text == "no better plan after 1 control steps"
 
 
-@pytest.mark.parametrize("former", ["nearing"])
+@pytest.mark.parametrize("former", ["nearing", "leaving a corner"])
 def test_a_state_of_an_earlier_version_is_read_as_driving(former):
     step = trial(robots=2, steps=1).steps[0]
     message = codec.encode_step(step, codec.encode_command(step.command))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from tetractl.control.corners import OUT
 from tetractl.core.commands import Turn
 from tetractl.core.plan import PAUSE_S, Outcome
 from tetractl.core.poses import wrap
@@ -68,8 +67,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     tmp_path, monkeypatch
 ):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
-    monkeypatch.setattr("tetractl.control.corners.turn_away", lambda *_: None)
-    monkeypatch.setattr("tetractl.control.corners.OUT", OUT._replace(vain=0))
+    monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     result = run_trial(spec, tmp_path, 3)
     log = read_trial(log_path(tmp_path, 3))

@@ -19,7 +19,7 @@ from tetractl.log.format import tetractl_pb2 as pb
 OF_ESTIMATE = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
 OF_PLAN = ("cost", "target_cost", "obstacle_cost", "chosen", "generator", "leg", "delay_ns")
 """The numbers of a plan that are fields of `ControllerStep`."""
-FORMER_STATES = ("nearing",)
+FORMER_STATES = ("nearing", "leaving a corner")
 """States of earlier versions, in which robots followed signals; they are read as `driving`."""
 STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
 DIFFERENCES = 4  # how often a packed column is replaced by its differences

@@ -15,8 +15,6 @@ import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.fixed_sequence import given_search
-from tetractl.control.hold_one import hold_signals
 from tetractl.control.mpc_step import StepStart
 from tetractl.control.rng import normal
 from tetractl.control.search_progress import Progress
@@ -87,17 +85,12 @@ class CircleSearch(OptimizerSection):
 
 
 def held(
-    step: StepStart, setup: Setup, period: float, circler: Optimizer, key: int, limits: Limits
+    step: StepStart, setup: Setup, circler: Optimizer, key: int, limits: Limits
 ) -> tuple[Search, Foreseen]:
     """Return the search of the directions by which robots are held in a control step, and where
-    they lead: of one robot by `hold_one`, of several by `circler`."""
+    they lead."""
     assert setup.hold is not None
-    if len(setup.names) > 1:
-        problem = replace(step.problem, within=setup.hold.radius)
-        length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
-        found = circler.search(problem, length, step.warm, key, limits)
-        return found, compiled_foresee(problem, found.signals)
-    problem = replace(step.problem, period=period, first_period=period)
-    signals = hold_signals(problem, float(setup.a[0]), float(setup.speed[0]), setup.hold.radius)
-    seen = compiled_foresee(problem, signals)
-    return given_search(problem, signals, seen), seen
+    problem = replace(step.problem, within=setup.hold.radius)
+    length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
+    search = circler.search(problem, length, step.warm, key, limits)
+    return search, compiled_foresee(problem, search.signals)

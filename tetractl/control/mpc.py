@@ -327,7 +327,7 @@ class Mpc:
     def _circle(self, step: StepStart) -> Plan:
         """Return a plan that keeps robots near their targets if they cannot stand still."""
         key, limits = mix(self.key, self.k), Limits(None, self._expired())
-        found, seen = held(step, self.setup, self.section.period, self.circler, key, limits)
+        found, seen = held(step, self.setup, self.circler, key, limits)
         return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:

@@ -46,7 +46,7 @@ def turns(problem, margins):
 
 
 def test_robots_beside_a_wall_turn_straight_away_from_it():
-    """The lower wall is 60 mm off; to the left and to the right there is more room than they use."""
+    """The lower wall is 60 mm off; to the left and right there is room."""
     assert roomiest(*standing(in_a_row(700.0, 60.0))) == pytest.approx(math.pi / 2)
 
 

@@ -56,8 +56,6 @@ from tetractl.experiment.lab_section import REACTION_S
 
 RESTED_S = 2.0  # least time that a plan is driven before a rest for a better one [s]
 REST_S = 1.0  # time after which the searches of a step end for standing robots [s]
-SOON, RESTS = 0.7, 10
-"""Robots rest on, up to so many steps, while no plan found is worth so much of their error."""
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
@@ -67,8 +65,8 @@ class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
     Its state between two steps: the number `k` of the step, the `last` plan, the step `began` in
-    which robots began to follow plans or to rest, the direction they are `turning` to, and the
-    `leg`. `timer()`, the time [ns], is read for deadlines alone.
+    which robots began to follow plans, the direction they are `turning` to, and the `leg`.
+    `timer()`, the time [ns], is read for deadlines alone.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -112,8 +110,7 @@ class Mpc:
             step = self._step(known)
             decision = self._decide(step, observation)
             if isinstance(decision, Plan):
-                rests_on = decision.state is State.RESTING and self._state is State.RESTING
-                if step.warm is None and not rests_on:
+                if step.warm is None:
                     self.began = self.k
                 self.last, self.k = decision, self.k + 1
                 self.turning = self.turning.then(decision.facing)
@@ -247,12 +244,10 @@ class Mpc:
         problem, value = step.problem, step.value
         error, stood = float(gaps.sum()), self.k > 0 and not self._moving
         least, most = least_length(problem), max(1, step.signals_max)
-        # with little time left robots may still come nearer to targets that they cannot reach
-        tight = stood and not step.allows(least, 0.0)
         again = value.plan(0.0, min(least, most), True)
         if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
             return self._given(problem, State.RESTING)
-        if stood and (error <= again or not step.signals_max):
+        if stood and (error <= again or not step.allows(least, 0.0)):
             return self._given(problem, State.RESTING) if holds else Outcome.NO_BETTER_PLAN
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         good_enough = self.section.optimizer.good_enough or 0.0
@@ -267,25 +262,17 @@ class Mpc:
             starts = ways(later, self.setup.arena, most, mix(self.key, self.k))
             passes = searcher.onward(later, starts, good)
             step = replace(step, problem=searcher.problem)
-        plan, worth = self._best(searcher, step)
+        plan = self._best(searcher, step)
         plan = replace(plan, state=State.PASSING) if passes and plan.search.length > AHEAD else plan
         out = self._turn(searcher, plan)
-        there = replace(problem, poses=Poses.of(plan.path[-1]))
-        if tight and (out or worth - again >= error or self._enters(there, plan.signals[-1:])):
-            state = State.RESTING if holds else State.STUCK  # with its searches, for the log
-            return self._given(problem, state, before=searcher.found)
         if out is None and self.stands and self._enters(problem, plan.signals):
             return replace(plan, state=State.STUCK, instead=Stop())
-        stays = self.stands and not (reached or out) and worth > SOON * error
-        stays = stays and step.allows(least, PAUSE_S + self.section.period)  # time for it then
-        if stays and self.k - self.began < RESTS:
-            return self._given(problem, State.RESTING, before=searcher.found)
         return out or plan
 
-    def _best(self, searcher: Searcher, step: StepStart) -> tuple[Plan, float]:
-        """Return the plan of least value that was found, and its value."""
+    def _best(self, searcher: Searcher, step: StepStart) -> Plan:
+        """Return the plan of least value that was found."""
         best = min((self._valued(one, step) for one in searcher.found), key=lambda one: one.worth)
-        return self._planned(searcher, best), best.worth
+        return self._planned(searcher, best)
 
     def _turn(self, searcher: Searcher, best: Plan) -> Plan | None:
         """Return a turn on the spot of standing robots in a corner, where the `best` plan found is

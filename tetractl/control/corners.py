@@ -57,7 +57,7 @@ def next_facing(problem: Problem, margins: Margins, turning: Turning) -> float |
         return turning.facing
     if turns == TURNS:
         return None
-    return float(wrap(turning.facing + EVERY * 2 * np.pi / DIRECTIONS))
+    return float(wrap(np.array(turning.facing + EVERY * 2 * np.pi / DIRECTIONS)))
 
 
 def roomiest(problem: Problem, margins: Margins) -> float:

@@ -7,21 +7,15 @@ adds random normal changes to the best sequence so far: half of the changes are 
 signal to signal, half accumulate along the sequence. Each round's changes are smaller.
 """
 
-import math
-from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from tetractl.control.cost import Foreseen, evaluate
-from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.mpc_step import StepStart
+from tetractl.control.cost import evaluate
 from tetractl.control.rng import normal
 from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
-from tetractl.core.protocols import Optimizer
-from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection
 
 PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
@@ -82,15 +76,3 @@ class CircleSearch(OptimizerSection):
             tried = wrap(progress.best + self.spread * self.shrink**z * steps)
             progress.add(tried.T, evaluate(problem, tried).total)
         return progress.search()
-
-
-def held(
-    step: StepStart, setup: Setup, circler: Optimizer, key: int, limits: Limits
-) -> tuple[Search, Foreseen]:
-    """Return the search of the directions by which robots are held in a control step, and where
-    they lead."""
-    assert setup.hold is not None
-    problem = replace(step.problem, within=setup.hold.radius)
-    length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
-    search = circler.search(problem, length, step.warm, key, limits)
-    return search, compiled_foresee(problem, search.signals)

@@ -65,12 +65,17 @@ class Searcher:
 
     def search(self, length: int, start: Floats | None = None) -> Search | None:
         """Search sequences of one length; return None if the limits do not allow it."""
+        return self._search(self.problem, length, start)
+
+    def _search(self, problem: Problem, length: int, start: Floats | None) -> Search | None:
+        """Search sequences of one length for a problem, unless the limits do not allow it."""
         if self.found and self._expired(0):
             return None
-        limits, key = Limits(None, self._expired), mix(self._key, length)
-        found = self._optimizer.search(self.problem, length, start, key, limits)
-        self.found.append(found)
-        return found
+        limits = Limits(None, self._expired)
+        key = mix(self._key, length)
+        search = self._optimizer.search(problem, length, start, key, limits)
+        self.found.append(search)
+        return search
 
     def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
         """Search growing lengths, of which `least` is the shortest and `most` the longest that can
@@ -107,16 +112,13 @@ class Searcher:
         self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
     ) -> bool:
         """Search from each of `starts` until a plan is good; return whether the least cost of all
-        searches was found so.
-
-        The searches use `problem`, which has the same robots as the searcher's own problem, and is
-        the searcher's problem afterwards if the least cost was found in it.
+        searches was found so. The searches are for `problem`, which has the same robots as the
+        searcher's own.
         """
-        posed, self.problem, before = self.problem, problem, len(self.found)
+        before = len(self.found)
         for start in starts:
-            found = self.search(len(start), start)
+            found = self._search(problem, len(start), start)
             if found is None or good(found):
                 break
-        if min(range(len(self.found)), key=lambda i: self.found[i].cost) < before:
-            self.problem = posed
-        return self.problem is problem
+        costs = [search.cost for search in self.found]
+        return costs.index(min(costs)) >= before

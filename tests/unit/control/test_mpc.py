@@ -13,7 +13,7 @@ from support.trials import experiment
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.margins import Margins
-from tetractl.control.mpc_step import StepStart
+from tetractl.control.mpc import Leg, Progress, Step
 from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
@@ -40,12 +40,15 @@ def driving(costs, left=5, **fields):
     search = Scripted(dict.fromkeys(range(100), 500.0) | {left + 1: 0.0})
     controller = mpc(spec(**fields), 99, search)
     controller.time.seen(seen(STARTS), Command(Steer(0.0), 0, (True,) * 3))
-    controller.began, controller.last = 0, None
-    controller.last = first(controller, left + 1)
-    controller.k = 1
+    controller.progress = under_way(first(controller, left + 1))
     search.costs = dict.fromkeys(range(100), 500.0) | costs
     search.forget()
     return controller, search
+
+
+def under_way(plan, steps=1):
+    """What a controller keeps after so many steps by a plan on the only leg."""
+    return Progress(Leg(0, 0.0, 0, False, Outcome.ARRIVED), k=steps, last=plan, began=0)
 
 
 def first(controller, length):
@@ -140,7 +143,8 @@ def along_x(collision, time_limit=12.2, beyond=None):
     its target, so that all are there in 0.1 s. An obstacle may be `beyond` it."""
     controller, _ = driving({}, left=0, collision=collision, time_limit=time_limit)
     if beyond is not None:
-        controller.margins = Margins([beyond], None, TARGETS[:, :2], 47)
+        margins = Margins([beyond], None, TARGETS[:, :2], 47)
+        controller.course = replace(controller.course, margins=margins)
     controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = TARGETS.copy()
     poses[:, 0] -= [18, 20, 15]
@@ -190,7 +194,7 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, the
 @pytest.mark.parametrize(("steps", "state"), [(9, State.DRIVING), (11, State.RESTING)])
 def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(steps, state):
     controller, _ = driving({}, collision=RESTS)
-    controller.k = steps
+    controller.progress = under_way(controller.progress.last, steps)
     assert step(controller).state is state
 
 
@@ -204,11 +208,15 @@ def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
     controller.setup = replace(controller.setup, watchdog_s=watchdog_s)
     asked = []
     now = controller._step(controller.estimator.seen(seen()))
-    controller.margins = SimpleNamespace(clear_unheard=lambda *given: asked.append(given))
+
+    def clear_unheard(problem, path, signals, seconds, margin, apart):
+        asked.append((len(signals), pytest.approx(seconds)))
+
+    margins = SimpleNamespace(clear_unheard=clear_unheard)
+    controller.course = replace(controller.course, margins=margins)
     signals = np.zeros(length)
     controller._safe(now, signals, compiled_foresee(now.problem, signals))
-    found = [(len(given[2]), pytest.approx(given[3])) for given in asked]
-    assert found == ([] if tested is None else [(tested, seconds)])
+    assert asked == ([] if tested is None else [(tested, seconds)])
 
 
 def beside_a_wall(gap, stop=True, radius=0.0, **fields):
@@ -217,7 +225,7 @@ def beside_a_wall(gap, stop=True, radius=0.0, **fields):
     collision = POINTS | {"walls": True, "radius": radius, "stop_before_collision": stop}
     controller, _ = driving({}, collision=collision, **fields)
     controller.optimizer = controller.section.optimizer
-    controller.last = first(controller, 2)
+    controller.progress = under_way(first(controller, 2))
     controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = STARTS.copy()
     poses[0, 0] = controller.setup.arena.right - gap
@@ -319,8 +327,8 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
     search = Scripted()
     controller = mpc(spec(signal_periods=2, arrival_tolerance=5), 99, search)
     legs = np.stack([STARTS[:, :2], TARGETS[:, :2]])
-    controller._legs = replace(controller.setup, way_points=legs[:1]).legs
-    controller._begin(controller.leg, controller.setup.starts)
+    controller.legs = replace(controller.setup, way_points=legs[:1]).legs
+    controller._begin(controller.progress.leg, controller.setup.starts)
     away = STARTS - np.array([50.0, 0, 0])
     assert step(controller, away).leg == 0
     plan = step(controller)
@@ -332,14 +340,14 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
 @pytest.mark.parametrize(("wait_s", "allowed"), [(0.0, True), (0.4, True), (0.5, False)])
 def test_a_rest_leaves_time_for_the_plan_after_it(wait_s, allowed):
     problem = spec().controller.problem(spec().setup)
-    step = StepStart(problem, None, 30, 20.0, Worth(ACCEPT, 0.0, problem.period))
-    assert step.allows(18, wait_s) == allowed
+    now = Step(problem, None, 30, 20.0, Worth(ACCEPT, 0.0, problem.period))
+    assert now.allows(18, wait_s) == allowed
 
 
 def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
-    step = StepStart(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
-    assert step.allows(51, 0.0) and step.signals_max == 12
+    now = Step(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
+    assert now.allows(51, 0.0) and now.signals_max == 12
 
 
 @pytest.mark.parametrize(("look_s", "searches"), [(0.0, 3), (0.6, 2), (1.1, 1)])

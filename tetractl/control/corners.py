@@ -3,13 +3,13 @@
 A robot nearer to a wall than its turning circle, v / a, that faces the wall cannot drive away from
 it. But robots on wheels can turn on the spot: all turn to one direction u by (3) at speed 0, and
 then plans are searched again. Of DIRECTIONS directions u the first is the one in which robots have
-most room straight ahead: if all drive along u from where they stand, robot i at x_i(t), it is
+most room straight ahead: that for which the mean over t in (0, AHEAD_S] of
 
-    max over u of  the mean over t in [0, AHEAD_S] of  min over i of  gap(x_i(t)),
+    the least clearance of any robot at x_i + v_i t (cos u, sin u)   to obstacles, walls and robots
 
-with the clearance `gap` of a body to obstacles and walls, negative inside. Other robots do not
-count, since all drive in the same direction. After a turn in vain robots turn to the direction
-EVERY places on, because other headings and another picture allow other plans.
+is greatest (`Margins.room`). Robots in a row along a wall so drive away from it or, if the fastest
+is in front, also along it. After a turn in vain robots turn to the direction EVERY places on,
+because other headings and another picture allow other plans.
 """
 
 from typing import NamedTuple
@@ -43,15 +43,15 @@ class Turning(NamedTuple):
 NOT_TURNING = Turning()
 
 
-def next_facing(problem: Problem, margins: Margins, turning: Turning) -> float | None:
+def next_facing(problem: Problem, margins: Margins, apart: float, turning: Turning) -> float | None:
     """Return the direction [rad] to which standing robots turn in the next control step, None if
-    TURNS turns were in vain.
+    TURNS turns were in vain; `apart` is the least distance of two robots.
 
     A direction is kept for STEPS steps: if each step chose its own, a robot that stands opposite to
     them would turn to the left and to the right of that unstable point in turn.
     """
     if turning.facing is None:
-        return roomiest(problem, margins)
+        return roomiest(problem, margins, apart)
     turns, steps = divmod(turning.steps, STEPS)
     if steps > 0:
         return turning.facing
@@ -60,12 +60,13 @@ def next_facing(problem: Problem, margins: Margins, turning: Turning) -> float |
     return float(wrap(np.array(turning.facing + EVERY * 2 * np.pi / DIRECTIONS)))
 
 
-def roomiest(problem: Problem, margins: Margins) -> float:
-    """Return the direction [rad] in which all robots have most room straight ahead."""
+def roomiest(problem: Problem, margins: Margins, apart: float) -> float:
+    """Return the direction [rad] in which all robots have most room straight ahead, with `apart` as
+    the least distance of two robots."""
     directions = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
     seconds = AHEAD_S / MOMENTS * np.arange(1, MOMENTS + 1)
     way = seconds[:, None, None] * problem.speed  # (M, 1, N)
     x = problem.poses.x + way * np.cos(directions)[:, None]  # (M, U, N)
     y = problem.poses.y + way * np.sin(directions)[:, None]
-    clearances = margins.clearances(x, y).min(axis=-1)
-    return float(directions[np.argmax(clearances.mean(axis=0))])
+    rooms = margins.room(x, y, apart)
+    return float(directions[np.argmax(rooms.mean(axis=0))])

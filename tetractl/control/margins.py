@@ -92,19 +92,6 @@ class Margins:
         grown = self.obstacles(problem.poses, collision.margin + collision.radius + off)
         return grown, self.separation(problem.poses, apart)
 
-    def cornered(
-        self,
-        problem: Problem,
-        collision: Collision,
-        period_s: float,
-        dead_time_s: float,
-        known: Estimate | None,
-    ) -> bool:
-        """Return whether a robot stands within the margin of anything."""
-        off = off_course(problem.speed, period_s, dead_time_s, known) if collision.adaptive else 0.0
-        room = self.room(problem.poses.x, problem.poses.y, collision.separation)
-        return bool(room < collision.margin + off)
-
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no
         robot unless its body touches them."""
@@ -164,16 +151,11 @@ class Margins:
         of a body to obstacles and walls, negative inside, and of all distances of two robots minus
         `apart`.
         """
+        nearest = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf).reshape(x.shape)
         one, other = np.triu_indices(x.shape[-1], 1)
         between = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
         least = between.min(axis=-1, initial=np.inf) - apart
-        return np.minimum(self.clearances(x, y).min(axis=-1), least)
-
-    def clearances(self, x: Floats, y: Floats) -> Floats:
-        """Return the least distance (...) of a body at x, y (...) to obstacles and walls, negative
-        inside."""
-        gaps = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf)
-        return gaps.reshape(x.shape) - self._radius
+        return np.minimum(nearest.min(axis=-1) - self._radius, least)
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: `wanted`, or the least present distance between two robots

@@ -522,14 +522,13 @@ class Mpc:
         return Outcome.NO_BETTER_PLAN
 
     def _turn(self, found: Found, best: Plan) -> Plan | None:
-        """Turn on the spot if the best plan found would bring a body into something, or touches a
-        margin within which a robot stands; not after all turns were in vain."""
-        if not self.stands:
+        """Turn on the spot if the best plan found would bring a body into something before a stop
+        can act; not after all turns were in vain."""
+        if not (self.stands and self._enters(found.problem, best.signals)):
             return None
-        cornered = best.obstacle_cost > 0 and self._cornered(found.problem)
-        if not (cornered or self._enters(found.problem, best.signals)):
-            return None
-        facing = next_facing(found.problem, self.course.margins, self.progress.turning)
+        apart = self.section.collision.separation
+        turning = self.progress.turning
+        facing = next_facing(found.problem, self.course.margins, apart, turning)
         if facing is None:
             return None
         standing = self._standing(found.problem, State.TURNING, found.searches)
@@ -640,17 +639,6 @@ class Mpc:
             problem, self.section.collision, self.section.period, self.estimator.dead_time_s, known
         )
         return replace(problem, obstacles=grown, separation=apart)
-
-    def _cornered(self, problem: Problem) -> bool:
-        """Return whether a robot stands within the margin of anything."""
-        estimator = self.estimator
-        return self.course.margins.cornered(
-            problem,
-            self.section.collision,
-            self.section.period,
-            estimator.dead_time_s,
-            estimator.known,
-        )
 
     def _enters(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""

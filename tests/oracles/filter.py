@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.kernels import filter_state as kernel
-from tetractl.control.kernels.filter_motion import NOTHING
+from tetractl.control.kernels.filter_motion import NOTHING, UNKNOWN_TURN
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     BIAS,
@@ -86,8 +86,9 @@ class RobotFilter:
         stands = math.isnan(one.u)
         if stands and (self.lag == 0 or one.z[PACE] < ASSUMED.still):
             one.z[[SWING, PACE]] = 0.0
+        longest = max(ASSUMED.substep_s, seconds / ASSUMED.substeps)
         while seconds > 0 and (not stands or one.z[PACE] > 0):
-            t, z = min(seconds, ASSUMED.substep_s), one.z
+            t, z = min(seconds, longest), one.z
             seconds -= t
             a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
             rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[BIAS]
@@ -131,6 +132,10 @@ class RobotFilter:
             walk = self.walk**2 * t
             walk[[X, Y, HEADING]] *= self.scale[[0, 0, 1]]
             one.z, one.cov = moved, jacobian @ one.cov @ jacobian.T + np.diag(walk)
+            if one.cov[HEADING, HEADING] > UNKNOWN_TURN:
+                shares = np.ones(SIZE)
+                shares[HEADING] = math.sqrt(UNKNOWN_TURN / one.cov[HEADING, HEADING])
+                one.cov *= np.outer(shares, shares)
 
     def saturation(self, z: Floats) -> float:
         """Return the saturation of wheels; cells do not saturate."""

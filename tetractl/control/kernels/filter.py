@@ -369,7 +369,7 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
                     coming, acts = bank.next[b, i], math.inf
                     if coming < when.size:
                         acts = when[coming] + bank.tau[b, i]
-                    end = max(t, min(acts, until))
+                    end = max(t, acts) if acts <= until else until  # `until` for NaN, too
                     for s in range(bank.weight.shape[2]):
                         if bank.weight[b, i, s] > -math.inf:
                             z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]

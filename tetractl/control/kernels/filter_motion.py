@@ -34,6 +34,9 @@ rate, complete, scaled = inlined(turning), inlined(by_turning), inlined(times)
 NONE = (0.0, 0.0, 0.0)
 NOTHING = NONE, (0.0, 0.0, 1.0), NONE, (NONE,) * len(PARAMETERS + TURNING)
 """The step of a robot at rest."""
+UNKNOWN_TURN = math.pi**2 / 3
+"""Variance of a heading that may be any [rad2]. Linearised, that of a robot that drives against its
+direction grows without bound, until rounding makes the covariance none."""
 
 
 @compiled(**INLINE_FAST)
@@ -53,6 +56,7 @@ def advance(model, i, z, cov, u, scale, seconds, more):
     and the wheels its mean rate over a short step.
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
+    longest = max(ASSUMED.substep_s, seconds / ASSUMED.substeps)
     goal = 1.0 if drives else 0.0
     if not drives and (lag == 0 or z[PACE] < ASSUMED.still):
         z[SWING] = z[PACE] = 0.0
@@ -60,7 +64,7 @@ def advance(model, i, z, cov, u, scale, seconds, more):
     helix = model.helix * math.exp(z[LN_W]) if model.helix > 0 else 0.0
     cu, su = (math.cos(u + z[BIAS]), math.sin(u + z[BIAS])) if drives else (1.0, 0.0)
     while left > 0 and (drives or z[PACE] > 0):
-        t = min(left, ASSUMED.substep_s)
+        t = min(left, longest)
         left -= t
         ends = z[HEADING] + lag * own[0] * z[SWING]
         c, s = math.cos(ends), math.sin(ends)
@@ -85,6 +89,18 @@ def advance(model, i, z, cov, u, scale, seconds, more):
             for k in range(SIZE):
                 factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
                 cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
+            if cov[HEADING, HEADING] > UNKNOWN_TURN:
+                _bound(cov)
+
+
+@compiled(**INLINE_FAST)
+def _bound(cov):
+    """Lower the variance of the heading to that of one of which nothing is known, and what depends
+    on it with it."""
+    share = math.sqrt(UNKNOWN_TURN / cov[HEADING, HEADING])
+    for k in range(SIZE):
+        cov[HEADING, k] *= share
+        cov[k, HEADING] *= share
 
 
 @compiled(**INLINE_FAST)

@@ -37,6 +37,7 @@ class Assumed(NamedTuple):
 
     still: float = 1e-3  # pace below which a stopped robot counts as standing
     substep_s: float = 0.025  # longest step between two additions of random walks
+    substeps: int = 4000  # most of them: beyond 100 s without a command they are longer
     lost: float = 0.05  # probability that a command does not arrive
     alike: float = 0.1  # squared difference of two hypotheses' headings, over the variance
     gate: float = 30.0  # squared deviation above which a measurement is an outlier

@@ -1,6 +1,7 @@
 """The filter of swimming cells: it learns headings, turning rates and speeds, with their doubt."""
 
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -253,3 +254,13 @@ def test_a_row_may_be_any_of_several():
     assert bank.covariance[rows[0], 0, 0] == pytest.approx(width + 30.0**2 * 2 / 9)
     # both head to the right: angles a full turn apart are the same
     assert bank.mean[rows[0], HEADING] == pytest.approx(0.1 + (6.3 - 2 * np.pi - 0.1) / 3)
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, 1e18])
+def test_a_piece_of_any_length_ends(odd):
+    bank = HelixFilter()
+    bank.add(0.0, 0.0, 0.0, 300.0)
+    thread = threading.Thread(target=bank.predict, args=([(odd, 1.0, 0.0)],), daemon=True)
+    thread.start()
+    thread.join(60)  # before the loop counts as endless; nothing waits for it to pass
+    assert not thread.is_alive()

@@ -25,6 +25,7 @@ RESTING_HEADING, RESTING_SPEED, WALL_TURN = 0.5, 2.5, 1.0
 HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 STEP_S = 0.04  # longest step of the motion [s]
+STEPS_MAX = 10_000  # most steps of a piece: beyond 400 s they are longer
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 9.0  # squared distance, in standard deviations, above which a measurement gets less weight
 # squared distance above which a measurement counts as far, and number of successive ones that are
@@ -152,7 +153,7 @@ def forward(m, p, total, model, walled, before, pieces):
         last = pieces[i - 1] if i else before
         if not walled and (pieces[i, 1] != last[1] or pieces[i, 2] != last[2]):
             switch(m, p, total, m[SPEED] < model[SLOWEST], last, pieces[i])
-        steps = max(1, math.ceil(pieces[i, 0] / STEP_S))
+        steps = max(1, math.ceil(min(pieces[i, 0] / STEP_S, STEPS_MAX)))
         step[:] = pieces[i]
         step[0] /= steps
         for _ in range(steps):

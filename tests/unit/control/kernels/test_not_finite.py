@@ -1,0 +1,103 @@
+"""Compiled loops end whatever numbers they are given, and none arises that is not finite."""
+
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import problems
+from support.running import PATIENCE_S
+
+from tetractl.control.kernels import multistart
+from tetractl.control.kernels.filter import follow
+from tetractl.control.kernels.filter_state import (
+    HEADING,
+    LN_A,
+    LOG_FOLLOWS,
+    SIZE,
+    STATE,
+    Bank,
+    FilterModel,
+)
+from tetractl.control.kernels.levenberg import lay_out_polish
+from tetractl.control.kernels.rollout import lay_out
+from tetractl.model.motion.motion import PARAMETERS
+
+pytestmark = pytest.mark.slow
+
+ODD = [math.nan, math.inf, -math.inf, 1e18]
+PLACES = ("tau", "when", "time", "pose", "direction", "state", "until", "parameters")
+
+
+def ends(work):
+    """Return whether a function ends; kernels leave other threads of Python alone."""
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(PATIENCE_S)
+    return not thread.is_alive()
+
+
+def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
+    """Regression: a hypothesis of a quick robot that drove against its direction had a covariance
+    of 1e19, which the next pose made none: then every likelihood of `identify` was NaN."""
+    model = FilterModel(
+        parameters=np.ones((1, len(PARAMETERS))),
+        noise=np.full((3, 1), 0.2),
+        walk=np.zeros((SIZE, 1)),
+        helix=0.0,
+        lag=0.0,
+        watchdog=math.inf,
+    )
+    model.walk[HEADING] = 0.06
+    mean, std = np.zeros((1, 1, STATE)), np.zeros((1, SIZE))
+    mean[..., LN_A] = math.log(330.0)
+    std[:, [HEADING, LN_A]] = 0.8, 0.6
+    bank = Bank.start(np.zeros(1), mean, std, np.zeros(1, dtype=np.int64), LOG_FOLLOWS)
+    bank.u[...], bank.next[...] = math.pi, 1
+    times = 0.04 * np.arange(6.0)[:, None]
+    poses = np.zeros((6, 1, 3))
+    poses[:, 0, 0] = times[:, 0]
+    seen = np.arange(6)[:, None] > 3
+    sent = np.array([0.0]), np.array([math.pi])
+    found = follow(bank, model, 0.0, *sent, times, poses, seen, False)
+    assert np.isfinite(found).all()
+    cov = bank.cov[0, 0, int(bank.weight[0, 0].argmax())]
+    assert np.linalg.eigvalsh(cov).min() > -1e-9 * np.trace(cov)
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("place", PLACES)
+def test_the_filter_ends(odd, place):
+    noise, walk = np.ones((3, 1)), np.ones((SIZE, 1))
+    model = FilterModel(np.ones((1, len(PARAMETERS))), noise, walk, 0.0, 0.0, math.inf)
+    start = np.zeros((1, 1, STATE)), np.ones((1, SIZE)), np.zeros(1, dtype=np.int64)
+    bank = Bank.start(np.array([0.1]), *start)
+    bank.u[...] = 0.0
+    time = np.array([[0.0], [0.1], [0.2]])
+    poses = np.zeros((3, 1, 3))
+    when = np.array([0.0, 0.05])
+    u = np.array([0.0, 1.0])
+    numbers = {"tau": bank.tau, "when": when, "time": time, "pose": poses, "direction": u}
+    numbers |= {"state": bank.state, "until": bank.until, "parameters": model.parameters}
+    numbers[place][-1:] = odd
+    seen = np.ones((3, 1), dtype=np.bool_)
+    assert ends(lambda: follow(bank, model, 0.0, when, u, time, poses, seen, False))
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("place", ["targets", "a", "signals"])
+def test_the_polish_ends(odd, place):
+    problem = problems.problem(problems.world(2))
+    start = np.zeros(20)
+    if place == "signals":
+        start[3] = odd
+    else:
+        numbers = getattr(problem, place).copy()
+        numbers[0] = odd
+        problem = replace(problem, **{place: numbers})
+    rounds = multistart.workspace.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
+    rounds.begin(start[None])
+    laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
+    limits = 1e-3, 0.5, 6, 10_000, 0
+    assert ends(lambda: multistart.search(*laid, np.uint64(0), np.empty(0), 0, *limits, rounds))

@@ -7,9 +7,12 @@ a program fault, such as SIGSEGV, nor for SIGPIPE and SIGXFSZ, which Python turn
 
 import os
 import signal
+import socket
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from types import FrameType
 from typing import Any
 
@@ -116,15 +119,46 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
     """End the process at the next signal, at once: call `say`, exit with `code`.
 
     Used by code that has nothing to stop or to close, where a KeyboardInterrupt during an import
-    could be printed as a traceback and then ignored.
+    could be printed as a traceback and then ignored. Main thread only.
     """
+    _install(dict.fromkeys(STOP_SIGNALS, _Leave(code, say)))
+    _listen_to_signals()
 
-    def leave(number: int, frame: FrameType | None) -> None:
-        ignore_signals()
-        say()
-        os._exit(code)
 
-    _install(dict.fromkeys(STOP_SIGNALS, leave))
+class _Leave:
+    """Ends the process, once: a handler of signals."""
+
+    def __init__(self, code: int, say: Callable[[], object]) -> None:
+        self._code, self._say = code, say
+        self._once = threading.Lock()
+
+    def __call__(self, number: int, frame: FrameType | None = None) -> None:
+        if self._once.acquire(blocking=False):
+            self._say()
+            os._exit(self._code)
+
+
+@cache
+def _listen_to_signals() -> None:
+    """Start a thread that ends the process at a signal whose handler does; main thread only.
+
+    Python calls a handler once the main thread is back from compiled code, which may take minutes.
+    A process that is forked would tell its parent's thread of its own signals: it tells nobody.
+    """
+    hears, tells = socket.socketpair()
+    tells.setblocking(False)
+    signal.set_wakeup_fd(tells.detach(), warn_on_full_buffer=False)
+    if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+        os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
+
+    def listen() -> None:
+        while True:
+            (number,) = hears.recv(1)
+            handler = signal.getsignal(number)
+            if isinstance(handler, _Leave):
+                handler(number)
+
+    threading.Thread(target=listen, name="signals", daemon=True).start()
 
 
 def ignore_signals() -> None:

@@ -1,7 +1,10 @@
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
+from support.running import PATIENCE_S
 
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt, interrupted_once
 
@@ -109,3 +112,47 @@ def test_an_interruption_lost_in_a_finaliser_is_silent_and_raised_at_the_next(ca
             assert interrupt.count == 2
             signal.raise_signal(signal.SIGINT)
     assert capsys.readouterr().err == ""
+
+
+COMPILED = """
+import sys
+from numba import njit
+import tetractl.cli.app
+
+
+@njit(nogil=True)
+def endless(x):
+    while x > 0:
+        x = x + 1 if x < 1e9 else 1.0
+    return x
+
+
+def run_app():
+    endless(-1.0)
+    print("compiled", flush=True)
+    endless(1.0)
+
+
+tetractl.cli.app.run_app = run_app
+from tetractl.cli import main
+main()
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_process_in_compiled_code(number):
+    """Regression: `track` did not obey SIGTERM, as Python calls no handler meanwhile."""
+    command = [sys.executable, "-c", COMPILED]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "compiled\n"
+        process.send_signal(number)
+        try:
+            assert process.wait(PATIENCE_S) == 130
+        finally:
+            process.kill()
+        assert process.stderr.read() == "error: interrupted\n"

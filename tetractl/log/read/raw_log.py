@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from google.protobuf.message import DecodeError
+from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from tetractl.core.errors import LogError, UsageError, printable
@@ -89,6 +90,12 @@ class RawLog:
         stated = {item.name: item.metadata for item in self.metadata}
         if "format_version" in (before := stated.get("tetractl.run", {})):  # formats 1 and 2
             raise self._of_format(before["format_version"], stated.get("tetractl.host", {}))
+        if not self.by_topic[channels.RUN] and Opcode.MESSAGE in self.strange:
+            raise LogError(
+                f"{self.path}: was written again without chunks by another program: its messages "
+                "are not read",
+                "use the log that tetractl wrote, or a copy with chunks",
+            )
         if not self.by_topic[channels.RUN]:
             lost = "damaged: the record of the run is lost"
             other = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"

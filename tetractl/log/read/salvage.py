@@ -34,6 +34,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
 _TOPICS = dict(enumerate(CHANNELS, start=1))  # by the number of a channel
 _SUMMARY = {number for number, topic in _TOPICS.items() if topic in SUMMARY}
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _MARKS = (
     (Opcode.CHUNK, re.compile(b"\x04\0\0\0zstd"), -28),
     (Opcode.ATTACHMENT, re.compile(rb"\x09(?=.{3}\0{5})", re.DOTALL), _HEAD.size),
@@ -112,7 +113,7 @@ class _Scan:
         return result
 
     def summary(self) -> RawLog | None:
-        """Read what `peek` returns; None for a damaged file."""
+        """Read what `peek` returns; None for a damaged file, or one that others wrote."""
         wanted, chunk = dict[int, int](), 0
         for opcode, begin in self._walk():
             if opcode == Opcode.CHUNK:
@@ -121,6 +122,8 @@ class _Scan:
                 wanted[chunk] = Opcode.CHUNK
             elif opcode == Opcode.ATTACHMENT:
                 wanted[begin] = opcode
+            elif opcode == Opcode.MESSAGE:  # outside a chunk
+                return None
         self._read_index()
         if self._problems or not self._sealed:
             return None
@@ -204,7 +207,7 @@ class _Scan:
             self._result.metadata.append(Metadata.read(stream))
         elif opcode == Opcode.HEADER:
             self._result.library = printable(Header.read(stream).library, 200)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) or opcode > max(Opcode):
+        elif opcode in _IN_CHUNKS or opcode > max(Opcode):
             self._result.strange.add(opcode)
 
     def _inside(self, data: bytes) -> list[RawMessage]:

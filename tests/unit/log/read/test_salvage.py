@@ -217,6 +217,14 @@ def test_a_log_of_the_first_formats_is_named(tmp_path, version):
             read(path)
 
 
+def test_a_log_that_was_written_again_without_chunks_is_told(log, tmp_path):
+    """Regression: it was "not a log of tetractl in format 4"."""
+    again = rewritten(log, tmp_path / "again.mcap", use_chunking=False)
+    for read in (read_trial, read_result, overview):
+        with pytest.raises(LogError, match="was written again without chunks by another program"):
+            read(again)
+
+
 @pytest.mark.parametrize("how", [CompressionType.LZ4, CompressionType.NONE])
 def test_chunks_of_other_writers_are_read(tmp_path, log, how):
     again = rewritten(log, tmp_path / "again.mcap", True, compression=how, chunk_size=3000)

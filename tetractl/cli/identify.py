@@ -160,19 +160,21 @@ def identify(
 
     Example: tetractl identify tables/poses.csv tables/steps.csv
     """
+    from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import csv_tracks, track_of, wheels_of
+    from tetractl.replay.identification.tracks import track_of, wheels_of
 
     ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
-    if tables and (driven := csv_tracks(tables))[0].twists.size:
-        return _show_response(driven, out, as_json)
+    tracks: list[Track] = csv_tracks(tables) if tables else []
+    tell_remarks(tracks)
+    if tables and tracks[0].twists.size:
+        return _show_response(tracks, out, as_json)
     if tables:
-        show_found(found_in(csv_tracks(tables), None), out, as_json)
+        show_found(found_in(tracks, None), out, as_json)
         return Exit.DONE
-    tracks: list[Track] = []
     expected, dead_time, damaged = None, 0.0, False
     for path in find_logs(logs):
         log = ui.open_trial(path)
@@ -208,6 +210,12 @@ def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> in
     title = f"{sum(len(track.sent) for track in tracks)} commands: {origin}; 95 % intervals"
     ui.show(as_json, found, [response_table(found, title, tracks[0].unit)])
     return Exit.DONE
+
+
+def tell_remarks(tracks: "list[Track]") -> None:
+    """Print what is to be said of the data, on stderr."""
+    for track in tracks:
+        ui.tell(*(f"warning: {remark}" for remark in track.remarks))
 
 
 def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:

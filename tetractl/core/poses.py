@@ -74,6 +74,16 @@ def wrap(angles: Floats) -> Floats:
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
+def turn_problem(angle: float) -> tuple[str, str] | None:
+    """Return what is wrong with an angle [rad] of more than a whole turn, which is probably in
+    degrees, and a hint; None for others.
+    """
+    if not abs(angle) > 2 * math.pi:
+        return None
+    said = "is more than a whole turn, 6.283 rad"
+    return said, f"if these are degrees, write {math.radians(angle):.4g}"
+
+
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
     """A camera system's poses of N robots at one instant, in the spec's coordinates.

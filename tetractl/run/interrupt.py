@@ -143,7 +143,7 @@ def _listen_to_signals() -> None:
     """Start a thread that ends the process at a signal whose handler does; main thread only.
 
     Python calls a handler once the main thread is back from compiled code, which may take minutes.
-    A process that is forked would tell its parent's thread of its own signals: it tells nobody.
+    A process that is forked would send its own signals to its parent's thread: it sends none.
     """
     hears, tells = socket.socketpair()
     tells.setblocking(False)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from pydantic import BaseModel
 
-from tetractl.core.poses import Floats, wrap
+from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import nearest
 from tetractl.experiment.experiment import Experiment
@@ -98,9 +98,9 @@ class CheckContext:
 def angles(spec: CheckContext) -> Found:
     """Warn of angles of more than a whole turn, which are probably degrees."""
     for loc, value in _radians(spec.experiment, ()):
-        if abs(value) > 2 * math.pi:
-            hint = f"if these are degrees, write {math.radians(value):.4g}"
-            yield loc, "is more than a whole turn, 6.283 rad", hint
+        problem = turn_problem(value)
+        if problem is not None:
+            yield loc, *problem
 
 
 def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:

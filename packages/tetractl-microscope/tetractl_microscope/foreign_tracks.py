@@ -1,6 +1,8 @@
 """Tracks of other programs as poses: the tables of napari and trackpy, and GEFF graphs."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -8,65 +10,125 @@ import numpy as np
 
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import read_csv
-from tetractl.replay.identification.tracks import POSES_MAX
+from tetractl.core.table.csv_rows import CsvRow, columns_of, read_csv
+from tetractl.core.table.quantities import SECONDS, NumberColumn, factor
+from tetractl.replay.identification.csv_tracks import POSES_MAX
 from tetractl_microscope.film.kinematics import TURN_S
 from tetractl_microscope.film.track_log import CELL
 from tetractl_microscope.number_columns import read_numbers
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")
+TRACKMATE = ("track_id", "position_x", "position_y", "frame")
+"""Columns of a table of TrackMate's spots, below whose header stand their names in words, twice,
+and units; `position_t` has times."""
 
-PoseRow = dict[str, str]
+
+MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6}
+"""Units of lengths [um]."""
+POSE_COLUMNS = ("time_s", "x_um", "y_um", "heading_rad")
+ROUNDING = 1e-6  # share of a window by which a time within it may seem outside
 
 
-def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterator[PoseRow]:
+@dataclass(frozen=True, slots=True)
+class SpotTable:
+    """Spots of tracks: rows (R, 4) of track, picture or time, x and y, downwards; `um` of a unit of
+    length and `hz`, pictures per unit of time, are None if the table does not state them.
+    """
+
+    rows: Floats
+    um: float | None = None
+    hz: float | None = None
+
+
+def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterator[CsvRow]:
     """Yield the rows of a table of poses or of the field; cells as robots, tracks of other programs
     as rows of poses.
 
     These are given in pixels, y downwards, and pictures, so that they need a scale `um_px` and a
-    rate, unless a graph states them; headings are the directions of motion.
+    rate, unless the table states them; headings are the directions of motion.
     """
-    if path.is_dir():
-        yield from _poses(path, *_graph(path, um_px, rate_hz))
+    spots = _graph(path) if path.is_dir() else _spot_table(path)
+    if spots is not None:
+        yield from _poses(path, spots, um_px, rate_hz)
         return
-    names = {name.strip().lower(): name for name in next(read_csv(path), {})}
+    for row in read_csv(path):
+        cell = row.cells.get("cell")
+        yield row if cell is None else replace(row, cells=row.cells | {"robot": CELL + cell})
+
+
+def _spot_table(path: Path) -> SpotTable | None:
+    """Return the spots of a table of napari, trackpy or TrackMate; None if it is another table."""
+    names = {name.lower(): name for name in columns_of(path)}
+    if set(TRACKMATE) <= set(names):
+        return _trackmate(path, names)
     number = next((names[name] for name in NUMBERS if name in names), None)
     frame = next((names[name] for name in FRAMES if name in names), None)
     if number is None or frame is None or not {"x", "y"} <= set(names):
-        for row in read_csv(path):
-            yield row | {"robot": CELL + row["cell"]} if "cell" in row else row
-        return
-    kept = (number, frame, names["x"], names["y"])
-    yield from _poses(path, read_numbers(path, kept, {}), um_px, rate_hz)
+        return None
+    return SpotTable(read_numbers(path, (number, frame, names["x"], names["y"])))
+
+
+def _trackmate(path: Path, names: Mapping[str, str]) -> SpotTable:
+    """Return the spots of a table of TrackMate that belong to tracks.
+
+    The rows below the header that name columns and units have no number in the frame's column.
+    """
+    track, x, y, frame = (NumberColumn(names[name]) for name in TRACKMATE)
+    timed = NumberColumn(names.get("position_t", frame.key))
+    units: dict[str, str] = {}
+    rows: list[list[float]] = []
+    for row in read_csv(path):
+        if not row.cells[frame.key].isdecimal():
+            units = {key: text.strip("()") for key, text in row.cells.items()}
+        elif not math.isnan(track.optional(path, row)):  # else a spot of no track
+            columns = (track, frame, timed, x, y)
+            rows.append([column.number(path, row) for column in columns])
+    if not rows:
+        raise UsageError(f"{path}: has no spot of a track")
+    tracks, frames, times, *places = np.array(rows).T
+    seconds = factor(units.get(timed.key, ""), SECONDS)
+    um = factor(units.get(x.key, ""), MICROMETRES)
+    counted = frames if seconds is None else times * seconds
+    return SpotTable(
+        np.column_stack([tracks, counted, *places]), um, None if seconds is None else 1.0
+    )
 
 
 def _poses(
-    path: Path, table: Floats, um_px: float | None, rate_hz: float | None
-) -> Iterator[PoseRow]:
-    """Yield the poses of rows (R, 4) of track, picture, x and y [pixels]."""
-    if um_px is None or rate_hz is None:
+    path: Path, spots: SpotTable, um_px: float | None, rate_hz: float | None
+) -> Iterator[CsvRow]:
+    """Yield the poses of the spots of tracks."""
+    um = um_px or spots.um
+    hz = rate_hz or spots.hz
+    if um is None or hz is None:
         said = f"{path}: its tracks are in pixels and pictures"
         raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")
-    if not np.isfinite(table).all():
+    if not np.isfinite(spots.rows).all():
         raise UsageError(f"{path}: has a value that is not finite")
-    half = max(1, round(TURN_S * rate_hz / 2))
-    for number in np.unique(table[:, 0]):
-        track = table[table[:, 0] == number]
+    for number in np.unique(spots.rows[:, 0]):
+        track = spots.rows[spots.rows[:, 0] == number]
         _, frame, x, y = track[np.argsort(track[:, 1], kind="stable")].T
-        index = np.arange(len(x))
-        begin, end = np.maximum(index - half, 0), np.minimum(index + half, len(x) - 1)
-        heading = np.unwrap(np.arctan2(y[begin] - y[end], x[end] - x[begin]))
-        columns = (frame / rate_hz, um_px * x, -um_px * y, heading)
-        for time, *pose in zip(*(column.tolist() for column in columns), strict=True):
-            values = dict(zip(("x_um", "y_um", "heading_rad"), map(repr, pose), strict=True))
-            yield {"time_s": repr(time), "robot": f"{CELL}{number:g}"} | values
+        time = frame / hz
+        columns = (time, um * x, -um * y, _courses(time, x, -y))
+        for line, numbers in enumerate(zip(*(c.tolist() for c in columns), strict=True), 1):
+            cells = dict(zip(POSE_COLUMNS, map(repr, numbers), strict=True))
+            yield CsvRow(line, {"robot": f"{CELL}{number:g}"} | cells)
 
 
-def _graph(
-    path: Path, um_px: float | None, rate_hz: float | None
-) -> tuple[Floats, float | None, float | None]:
-    """Return rows (R, 4) as `_poses` takes them of a GEFF graph, and its scale and rate.
+def _courses(time: Floats, x: Floats, y: Floats) -> Floats:
+    """Return the directions of motion (K,) [rad] over TURN_S around each of the times (K,) [s], or
+    from the place before to the next one if these are farther apart."""
+    index = np.arange(len(time))
+    reach = TURN_S / 2 * (1 + ROUNDING)
+    begin = np.minimum(np.searchsorted(time, time - reach), np.maximum(index - 1, 0))
+    last = np.searchsorted(time, time + reach, side="right") - 1
+    end = np.maximum(last, np.minimum(index + 1, len(time) - 1))
+    return np.unwrap(np.arctan2(y[end] - y[begin], x[end] - x[begin]))
+
+
+def _graph(path: Path) -> SpotTable:
+    """Return the spots of a GEFF graph, by the types of its axes.
 
     A track begins where a node has no predecessor, or one with several successors.
     """
@@ -80,8 +142,9 @@ def _graph(
 
     try:
         graph: Mapping[str, Any] = read_to_memory(path)
-        axes = {axis.name: axis for axis in graph["metadata"].axes or ()}
-        nodes = {name: graph["node_props"][name]["values"].astype(float) for name in "txy"}
+        axes = _axes(graph["metadata"].axes or ())
+        properties = graph["node_props"]
+        nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
         said = f"{type(error).__name__}: {error}".splitlines()[0]
         raise UsageError(f"{path}: cannot be read as a GEFF graph of t, x, y: {said}") from error
@@ -93,14 +156,41 @@ def _graph(
     single = np.bincount(first, minlength=len(ids))[first] == 1
     links = coo_array((np.ones(single.sum()), (first[single], last[single])), [len(ids)] * 2)
     _, track = connected_components(links, directed=False)
-    step, size = _unit(axes.get("t"), "second"), _unit(axes.get("x"), "micrometer")
-    rate_hz = rate_hz or (1 / step if step else None)
-    rows = np.column_stack([track + 1, nodes["t"], nodes["x"], nodes["y"]])
-    return rows, um_px or size, rate_hz
+    time, x, _ = axes
+    step = _step(time, SECONDS)
+    hz = None if step is None else 1 / step
+    return SpotTable(np.column_stack([track + 1, *nodes]), _step(x, MICROMETRES), hz)
 
 
-def _unit(axis: Any, unit: str) -> float | None:
+@dataclass(frozen=True, slots=True)
+class _NamedAxis:
+    """An axis of a graph without metadata: a name alone."""
+
+    name: str
+    unit: str = ""
+    scale: float | None = None
+    scaled_unit: str = ""
+
+
+def _axes(stated: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Return the axes of time, x and y; without metadata they are t, x and y.
+
+    In space, x and y are those whose names end so, or else the last two: a picture's are y, x.
+    """
+    times = [axis for axis in stated if axis.type == "time"]
+    places = [axis for axis in stated if axis.type == "space"]
+    if not times or len(places) < 2:
+        return _NamedAxis("t"), _NamedAxis("x"), _NamedAxis("y")
+    ends = {axis.name.lower()[-1:]: axis for axis in places}
+    if "x" in ends and "y" in ends:
+        return times[0], ends["x"], ends["y"]
+    *_, y, x = places
+    return times[0], x, y
+
+
+def _step(axis: Any, units: Mapping[str, float]) -> float | None:
     """Return the length of one step of an axis in a unit, None if it states none."""
-    if axis is None:
-        return None
-    return axis.scale if axis.scaled_unit == unit else 1.0 if axis.unit == unit else None
+    scaled = factor(axis.scaled_unit or "", units)
+    if scaled is not None and axis.scale:
+        return axis.scale * scaled
+    return factor(axis.unit or "", units)

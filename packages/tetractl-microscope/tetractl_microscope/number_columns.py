@@ -1,30 +1,38 @@
 """Reads columns of numbers from CSV files."""
 
-import math
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import read_csv
+from tetractl.core.table.csv_rows import columns_of, read_csv
+from tetractl.core.table.quantities import NumberColumn, find_time
 
 
-def read_numbers(path: Path, names: Sequence[str], defaults: Mapping[str, float]) -> Floats:
-    """Return the columns `names` (R, N) of a CSV file with at least one row. UsageError if one is
-    missing, or has a text or an infinite number; an empty entry may have a default.
+def read_numbers(path: Path, names: Sequence[str]) -> Floats:
+    """Return the columns `names` (R, N) of a CSV file with at least one row. UsageError if one has
+    a text or no finite number.
     """
-    table = []
-    for line, row in enumerate(read_csv(path), 2):
-        for name in names:
-            with suppress(KeyError, ValueError):
-                value = float(row.get(name) or defaults[name])
-                if math.isfinite(value):
-                    table.append(value)
-                    continue
-            raise UsageError(f"{path}, line {line}: has no finite number in column {name}")
-    if not table:
-        raise UsageError(f"{path}: has no rows")
+    columns = [NumberColumn(name) for name in names]
+    table = [[column.number(path, row) for column in columns] for row in read_csv(path)]
     return np.array(table).reshape(-1, len(names))
+
+
+def read_times(path: Path) -> Floats:
+    """Return the column of times (R,) [s] of a CSV file with at least one row; UsageError if it has
+    none."""
+    headers = columns_of(path)
+    column = find_time(path, headers)
+    if column is None:
+        raise no_column(path, "time_s", headers)
+    return np.array([column.number(path, row) for row in read_csv(path)])
+
+
+def no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
+    """Return the error that a table has no column of a name."""
+    if not headers:
+        return UsageError(f"{path}: has no rows")
+    has = printable(", ".join(headers[:8]))
+    return UsageError(f"{path}: has no column {name}: its columns are {has}")

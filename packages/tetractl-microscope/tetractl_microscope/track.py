@@ -70,9 +70,10 @@ def track(
     Of a folder that it wrote, or of the log in it, it prints the tables again, and -o draws all
     figures.
 
-    Of tracks of another program, in GEFF or in a CSV file with the columns of napari or trackpy
-    (particle or track_id, frame or t, y and x in pixels), or of the poses.csv of `track`, it
-    identifies the cells as `tetractl identify` does robots; -o names the YAML file of their values.
+    Of tracks of another program, in GEFF or in a CSV file with the columns of TrackMate, napari or
+    trackpy (particle or track_id, frame or t, y and x in pixels), or of the poses.csv of `track`,
+    it identifies the cells as `tetractl identify` does robots; -o names the YAML file of their
+    values.
     Headings of such tracks are directions of motion over 0.4 s, which lowers a by some 15 %.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
@@ -86,7 +87,7 @@ def track(
     """
     import numpy as np
 
-    from tetractl_microscope.film.field_file import read_field, side_remarks
+    from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.film.film_tables import as_items
     from tetractl_microscope.film.fit_cell import fit_cells
     from tetractl_microscope.film.follow import follow
@@ -115,7 +116,9 @@ def track(
         found = follow(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
-    if directions is not None:
+    if directions is not None and field is not None:
+        ends = pictures.seconds(0), pictures.seconds(found.pictures - 1)
+        ui.tell(*clock_remarks(directions, str(field), str(film), *ends))
         paths = [np.column_stack([path.times, path.places]) for path in found.paths]
         found = replace(found, remarks=(*found.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
@@ -168,9 +171,9 @@ def _identify(
     as_json: bool,
 ) -> int:
     """Identify cells from their tracks and the field's direction, and print what was found."""
-    from tetractl.cli.identify import show_found
+    from tetractl.cli.identify import show_found, tell_remarks
+    from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify
-    from tetractl.replay.identification.tracks import csv_tracks
     from tetractl_microscope.film.fit_cell import SHORTEST_S
     from tetractl_microscope.foreign_tracks import pose_rows
 
@@ -178,5 +181,6 @@ def _identify(
     found = csv_tracks([tracks, field], partial(pose_rows, um_px=scale, rate_hz=rate), SHORTEST_S)
     if left_out := [name for track in found for name in track.left_out]:
         ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")
+    tell_remarks(found)
     show_found(identify(found, None), out, as_json)
     return Exit.DONE

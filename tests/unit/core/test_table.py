@@ -14,8 +14,9 @@ from rich.console import Console
 from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
+from tetractl.core.table.csv_rows import read_csv
 from tetractl.core.table.table import Column, Table, fixed
-from tetractl.core.table.table_files import csv_text, flat, json_text, read_csv, table_files
+from tetractl.core.table.table_files import csv_text, flat, json_text, table_files
 from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, print_tables
 
 LONG = "words " * 60
@@ -87,7 +88,7 @@ def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path, kind):
     found = read(path)
     assert found.speed_mm_s.isna().tolist() == [False, True] * 2
     if kind == "csv":
-        assert [row["note"] for row in read_csv(path)] == ["a | b", "<b>"] * 2
+        assert [row.cells["note"] for row in read_csv(path)] == ["a | b", "<b>"] * 2
     else:
         assert str(parquet.read_schema(path).field("speed_mm_s").type) == "double"
 
@@ -144,11 +145,12 @@ EXTRA = '"pyarrow": ("pyarrow", "parquet")'  # of the table of extras, which imp
 
 
 def test_no_other_module_writes_tables():
-    """CSV, tables of rich and of HTML are written in one room."""
+    """CSV is read, CSV, tables of rich and of HTML are written in one package."""
     writers = r"\bcsv\.(reader|writer|Dict)|import csv\n|rich\.table|pyarrow|<table"
     found = {
         str(path.relative_to(ROOT))
         for path in (ROOT / "tetractl").rglob("*.py")
         if re.search(writers, path.read_text("utf-8").replace(EXTRA, ""))
     }
-    assert found == {"tetractl/core/table/table_files.py", "tetractl/core/table/terminal_table.py"}
+    names = ("csv_rows", "table_files", "terminal_table")
+    assert found == {f"tetractl/core/table/{name}.py" for name in names}

@@ -22,7 +22,7 @@ from tetractl.replay.identification.identify import (
     stated,
     tables,
 )
-from tetractl.replay.identification.tracks import SETTLED_S, Track, csv_tracks, track_of
+from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
 
 pytestmark = pytest.mark.slow
 
@@ -168,6 +168,17 @@ def test_robots_that_are_seen_at_times_of_their_own_have_one_dead_time():
     assert not any(one.misfits for one in found.robots)
 
 
+def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
+    """Regression: logs of the bench gave a dead time 0.03 s too long, and a 6 % too low."""
+    wheels = "plant.drive={rate: 40, lead: 0.0, lag: 0.04}"
+    delay = "plant.disturbances=[{type: radio, delay: 0.01, jitter: 0.0, loss: 0.0}]"
+    _, track = drive(2, "plant.camera_rate=120", "wheels.lag=0.04", wheels, delay, *NOISY)
+    found = identify([replace(track, lag=0.04)], EXPECTED)
+    assert found.dead_time.value == pytest.approx(0.01, abs=0.005)
+    for robot, a in zip(found.robots, EXPECTED, strict=True):
+        assert robot.a.value == pytest.approx(a, rel=0.1)
+
+
 def test_lost_commands_are_counted():
     _, track = drive(8, *NOISY, "plant.dead_time=0.06", "plant.lost_commands=0.1")
     found = identify([track], EXPECTED)
@@ -233,46 +244,6 @@ def test_a_design_stays_clear_and_tells_much():
     assert (design.a_std < 0.02).all()
     short, again = (propose(experiment, 2.0, 1).directions.tolist() for _ in range(2))
     assert short == again
-
-
-POSES = "time_s,robot,x_mm,y_mm,heading_rad,valid\n0,one,1,2,0.1,True\n0.1,one,3,2,0.2,False\n"
-COMMANDS = "time_s,direction_rad\n0,0.5\n0.2,0.7\n"
-
-
-def test_csv_files_are_read(tmp_path):
-    (tmp_path / "p.csv").write_text(POSES)
-    (tmp_path / "c.csv").write_text(COMMANDS)
-    (track,) = csv_tracks([tmp_path / "c.csv", tmp_path / "p.csv"])
-    assert (track.unit, track.names, track.origin) == ("mm", ("one",), "CSV")
-    assert track.valid.ravel().tolist() == [True, False]
-    assert track.poses[0, 0].tolist() == [1, 2, 0.1]
-    assert (track.u.tolist(), track.until) == ([0.5, 0.7], pytest.approx(0.4))
-
-
-def test_poses_and_commands_of_one_path_are_a_trial(tmp_path):
-    paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
-    for path, text in zip(paths, (POSES, COMMANDS), strict=True):
-        head, *rows = text.splitlines()
-        named = [f"{log},{row}" for log in ("a.mcap", "b.mcap") for row in rows]
-        path.write_text("\n".join([f"path,{head}", *named]))
-    found = csv_tracks(paths)
-    assert [track.poses.shape for track in found] == [(2, 1, 3)] * 2
-
-
-@pytest.mark.parametrize(
-    ("poses", "commands", "says"),
-    [
-        (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
-        (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
-        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
-        (POSES, "time_s,direction_rad,path\n0,0.5,a\n", "poses and commands are needed"),
-    ],
-)
-def test_what_is_wrong_with_a_csv_file_is_told(tmp_path, poses, commands, says):
-    (tmp_path / "p.csv").write_text(poses)
-    (tmp_path / "c.csv").write_text(commands)
-    with pytest.raises(UsageError, match=says):
-        csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
 
 
 def test_poses_of_a_pause_are_not_used():

@@ -1,6 +1,5 @@
-"""Writes tables as data: JSON, CSV after RFC 4180, and Parquet by pyarrow; reads CSV."""
+"""Writes tables as data: JSON, CSV after RFC 4180, and Parquet by pyarrow."""
 
-import csv
 import io
 import json
 import math
@@ -8,9 +7,9 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, is_dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib.util import find_spec
-from itertools import chain, groupby, repeat
+from itertools import groupby
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -18,8 +17,6 @@ from tetractl.core.errors import LogError, UsageError, entry
 from tetractl.core.table.table import Array, Column, Table
 
 PART = ".part"
-CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
-"""Largest size of a CSV file to read, its largest number of rows, and their largest length."""
 _NUMBERS = {float, int, bool, type(None)}
 UNSIGNED = ("seed",)
 """Columns of integers from 0 to 2**64 - 1."""
@@ -64,34 +61,6 @@ def _text(value: Any) -> str:
         return next(_cells([[value]]))[0] if type(value) in _NUMBERS else str(value)
     text = entry(value)
     return '"{}"'.format(text.replace('"', '""')) if re.search('[",\r\n]', text) else text
-
-
-def read_csv(path: Path) -> Iterator[dict[str, str]]:
-    """Yield each row of a CSV file as {column: text}; empty lines are left out.
-
-    Raises UsageError if the file is not CSV, or larger than the limits above.
-    """
-    if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is not a regular file")
-    most = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
-    too_large = UsageError(f"{path}: has more than {most}", "split it into several files")
-    if path.stat().st_size > CSV_BYTES:
-        raise too_large
-    header: list[str] = []
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), "")):
-                if number > CSV_ROWS or len(line) == CSV_LINE:
-                    raise too_large
-                # line by line, since a quoted field with line breaks may have any length
-                entries = next(csv.reader([line]), [])
-                if number == 0:
-                    header = entries
-                elif entries:
-                    found = zip(header, chain(entries, repeat("")), strict=False)
-                    yield {key: value for key, value in found if key}
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: is not a CSV file: {error}") from None
 
 
 def _typed(column: Column) -> Any:

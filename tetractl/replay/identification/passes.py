@@ -44,7 +44,8 @@ class TrackFrames:
 
     `time` (M, N) are the times of the poses [s]. `used` (M, N) is which of the poses (M, N, 3) the
     filter is updated by; at those with `placed` (M, N) it starts from the camera's pose. Robots
-    that receive nothing for `watchdog` [s] stop.
+    that receive nothing for `watchdog` [s] stop; they follow a direction with the time constant
+    `lag` [s].
     """
 
     time: Floats
@@ -54,6 +55,7 @@ class TrackFrames:
     when: Floats
     u: Floats
     watchdog: float
+    lag: float
 
     @classmethod
     def of(cls, track: Track) -> "TrackFrames":
@@ -83,7 +85,14 @@ class TrackFrames:
         if most > DIRECTIONS_MAX:
             raise UsageError(f"{most} directions were sent between two frames", "log more frames")
         return cls(
-            track.exposed[kept], poses, seen & ~placed, placed, track.sent, track.u, track.watchdog
+            time=track.exposed[kept],
+            poses=poses,
+            used=seen & ~placed,
+            placed=placed,
+            when=track.sent,
+            u=track.u,
+            watchdog=track.watchdog,
+            lag=track.lag,
         )
 
 
@@ -153,7 +162,7 @@ def run(
         bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
         bank.u[...], bank.next[:] = track.u[0], 1  # the first direction also acts before its time
         bank.until[...] = bank.tau[..., None] + track.when[0] + track.watchdog
-        model = first._replace(watchdog=track.watchdog)
+        model = first._replace(watchdog=track.watchdog, lag=track.lag)
         of_all = track.poses, track.used, track.placed
         poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
         missed = np.zeros((len(track.u), len(rows)))

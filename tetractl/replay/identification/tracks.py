@@ -1,14 +1,7 @@
-"""The data of identification: tracked poses of robots and the directions sent to them, from logs or
-from the CSV files of `tetractl export`, poses in one file and commands in another.
-"""
+"""The data of identification: tracked poses of robots and the directions sent to them, of logs."""
 
 import math
-import re
-from array import array
-from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import chain
-from pathlib import Path
 
 import numpy as np
 
@@ -16,13 +9,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
-from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.log.read.validate import VALUE_MAX
 from tetractl.model.wheels import body_velocity
 
-Row = dict[str, str]
-POSES_MAX = 2_000_000  # largest number of poses of a trial
 SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
 
 
@@ -35,11 +24,12 @@ class Track:
     sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
     command decided on it, None if unknown. `left_out` are robots that were seen too briefly. Robots
-    that receive nothing for `watchdog` [s] stop. `strength` is that of the field in
+    that receive nothing for `watchdog` [s] stop; their wheels follow with the time constant `lag`
+    [s]. `strength` is that of the field in
     `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are speed
     [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent none;
     without any, C is 0. `own` (M, N) are the times of robots' poses [s], `time` for all if it is
-    empty.
+    empty. `remarks` are lines for the user on the data.
     """
 
     source: str
@@ -55,10 +45,12 @@ class Track:
     frame_age: float | None = None
     left_out: tuple[str, ...] = ()
     watchdog: float = math.inf
+    lag: float = 0.0
     strength: float | None = None
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     own: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    remarks: tuple[str, ...] = ()
 
     @property
     def exposed(self) -> Floats:
@@ -92,6 +84,7 @@ def track_of(log: TrialLog) -> Track:
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
         watchdog=setup.watchdog_s,
+        lag=setup.lag_s,
         strength=setup.strength,
         strength_unit=setup.strength_unit,
     )
@@ -158,175 +151,3 @@ def require_same(tracks: list[Track]) -> None:
                 f"{other.source}: robots or length unit differ from those of {first.source}",
                 "identify them separately",
             )
-
-
-ORIGIN = "CSV"
-POSE_COLUMNS = ("time_s", "robot", "heading_rad")
-COMMAND_COLUMNS = ("time_s", "direction_rad")
-_POSITION = re.compile(r"x_(um|mm|cm|m)$")
-_SPEED = re.compile(r"(v|left|right|radius)_(um|mm|cm|m)(_s)?$")
-
-ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
-"""Largest numbers of robots and trials in CSV files."""
-
-Trial = tuple[str, str]
-
-
-@dataclass(slots=True)
-class _Numbers:
-    """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
-    direction and time of observation of each command; time, speed and turning rate of each of the
-    `twists` of a robot, "" for all. NaN is an unknown number.
-    """
-
-    path: Path
-    robots: dict[str, int] = field(default_factory=dict)
-    poses: "array[float]" = field(default_factory=lambda: array("d"))
-    commands: "array[float]" = field(default_factory=lambda: array("d"))
-    twists: "dict[str, array[float]]" = field(default_factory=dict)
-
-
-def csv_tracks(
-    paths: list[Path],
-    rows_of: Callable[[Path], Iterator[Row]] = read_csv,
-    shortest_s: float = 0.0,
-) -> list[Track]:
-    """Return the tracks in some CSV files, each of poses or of commands.
-
-    Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s, or of time_s, v_UNIT_s and w_rad_s, or of time_s,
-    left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Columns path and trial, if
-    present, assign poses and commands to tracks. `rows_of` reads the rows of a file; robots that
-    are seen for less than `shortest_s` [s] are left out. Raises UsageError if data are missing, or
-    very many.
-    """
-    trials: dict[Trial, _Numbers] = {}
-    unit = ""
-    for path in paths:
-        rows = rows_of(path)
-        first = next(rows, {})
-        commands = all(name in first for name in COMMAND_COLUMNS)
-        speeds = {m[1]: name for name in first if (m := _SPEED.match(name))}
-        if not commands and not speeds:
-            unit = _unit(first, unit, path)
-        for row in chain([first], rows):
-            trial = row.get("path", ""), row.get("trial", "")
-            one = trials.setdefault(trial, _Numbers(path))
-            if commands:
-                one.commands.extend(_number(row, column, path) for column in COMMAND_COLUMNS)
-                one.commands.append(_number(row, "observed_s", path, True))
-            elif speeds:
-                sent = one.twists.setdefault(row.get("robot", ""), array("d"))
-                sent.extend((_number(row, "time_s", path), *_twist(row, speeds, path)))
-            else:
-                known = row.get("valid", "True").strip().lower() in ("true", "1", "")
-                keys = (f"x_{unit}", f"y_{unit}", "heading_rad")
-                robot = one.robots.setdefault(row["robot"], len(one.robots))
-                one.poses.extend((_number(row, "time_s", path), robot))
-                one.poses.extend(_number(row, k, path, True) if known else math.nan for k in keys)
-            if len(one.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
-                raise UsageError(
-                    f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
-                )
-    lonely = sorted(
-        trial for trial, one in trials.items() if not (one.poses and (one.commands or one.twists))
-    )
-    if lonely:
-        raise UsageError(
-            f"{trials[lonely[0]].path}: both poses and commands are needed for each trial",
-            "name both files, such as poses.csv steps.csv of `tetractl export`",
-        )
-    return [_track(one, unit, trial, shortest_s) for trial, one in trials.items()]
-
-
-def _unit(columns: Collection[str], unit: str, path: Path) -> str:
-    """Return the length unit of a file of poses by its columns, which must be the given one."""
-    if not all(name in columns for name in POSE_COLUMNS):
-        raise UsageError(
-            f"{path}: contains neither poses nor commands",
-            f"poses have the columns {', '.join(POSE_COLUMNS)}, x_mm, y_mm; commands "
-            f"{' and '.join(COMMAND_COLUMNS)}, or time_s, v_mm_s and w_rad_s",
-        )
-    found = next((m[1] for name in columns if (m := _POSITION.match(name))), None)
-    if found is None or (unit and unit != found):
-        raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
-    return found
-
-
-def _track(trial: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
-    rows = np.array(trial.poses).reshape(-1, 5)
-    brief = {
-        robot: number
-        for robot, number in trial.robots.items()
-        if np.ptp(rows[rows[:, 1] == number, 0]) < shortest_s
-    }
-    rows = rows[~np.isin(rows[:, 1], list(brief.values()))]
-    names = [robot for robot in trial.robots if robot not in brief]
-    if not names:
-        raise UsageError(f"{trial.path}: has no robot that is seen for {shortest_s:g} s")
-    _, rows[:, 1] = np.unique(rows[:, 1], return_inverse=True)
-    time, frame = np.unique(rows[:, 0], return_inverse=True)
-    if len(time) * len(names) > POSES_MAX:
-        what = f"{len(names)} robots at {len(time)} times"
-        raise UsageError(f"{trial.path}: has {what}; at most {POSES_MAX} poses are read of a trial")
-    found = np.full((len(time), len(names), 3), np.nan)
-    found[frame, rows[:, 1].astype(int)] = rows[:, 2:]
-    valid: Bools = ~np.isnan(found[..., 0] + found[..., 1] + found[..., 2])
-    commands = np.array(trial.commands).reshape(-1, 3)
-    ages = (commands[:, 0] - commands[:, 2])[1:]
-    ages = ages[np.isfinite(ages)]
-    sent, u, _ = commands[np.argsort(commands[:, 0], kind="stable")].T
-    gap = float(np.median(np.diff(sent))) if len(sent) > 1 else 0.0
-    twists = np.zeros((0, 0, 2))
-    if trial.twists:
-        each = {robot: np.array(rows).reshape(-1, 3) for robot, rows in trial.twists.items()}
-        sent = np.unique(np.concatenate([rows[:, 0] for rows in each.values()]))
-        twists = np.full((len(sent), len(names), 2), np.nan)
-        for i, robot in enumerate(names):
-            own = each.get(robot, each.get("", np.zeros((0, 3))))
-            twists[np.searchsorted(sent, own[:, 0]), i] = own[:, 1:]
-        u = np.full(len(sent), np.nan)
-    return Track(
-        source=name[0] or str(trial.path),
-        origin=ORIGIN,
-        unit=unit,
-        names=tuple(names),
-        time=time,
-        poses=np.where(valid[..., None], found, 0.0),
-        valid=valid,
-        sent=sent,
-        u=u,
-        until=float(sent[-1]) + gap,
-        frame_age=max(0.0, float(np.median(ages))) if ages.size else None,
-        left_out=tuple(brief),
-        twists=twists,
-    )
-
-
-def _twist(row: Row, columns: dict[str, str], path: Path) -> tuple[float, float]:
-    """Return speed and turning rate of a row with columns of either, or of wheels."""
-    if "v" in columns:
-        return _number(row, columns["v"], path), _number(row, "w_rad_s", path)
-    try:
-        left, right, radius = (_number(row, columns[k], path) for k in ("left", "right", "radius"))
-    except KeyError:
-        hint = "commands have v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm"
-        raise UsageError(f"{path}: a column of the wheels is missing", hint) from None
-    if radius <= 0:
-        raise UsageError(f"{path}: {columns['radius']} must be above 0")
-    return (left + right) / 2, (right - left) / (2 * radius)
-
-
-def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
-    """Return the number in a column of a row; NaN if it is `optional` and missing."""
-    text = row.get(column, "").strip()
-    if not text and optional:
-        return math.nan
-    try:
-        found = float(text)
-    except ValueError:
-        found = math.inf
-    if abs(found) > VALUE_MAX or (math.isnan(found) and not optional):
-        wrong = f"{text[:60]!r} is not a number of at most {VALUE_MAX:g}"
-        raise UsageError(f"{path}: {column}: {wrong}") from None
-    return found

@@ -50,7 +50,31 @@ def test_tracks_of_others_are_identified(dish, header):
         assert one["speed"]["value"] == pytest.approx(SPEED, rel=0.02)
 
 
-def test_a_graph_states_its_scale_and_rate(dish):
+TRACKMATE = """\
+LABEL,TRACK_ID,QUALITY,POSITION_X,POSITION_Y,POSITION_Z,POSITION_T,FRAME
+Label,Track ID,Quality,X,Y,Z,T,Frame
+Label,Track ID,Quality,X,Y,Z,T,Frame
+,,(quality),(micron),(micron),(micron),(sec),
+"""
+
+
+def test_a_table_of_trackmate_states_its_scale_and_rate(dish):
+    folder, rows = dish
+    lines = [
+        f"ID{i},{cell:g},1.5,{UM_PX * x},{UM_PX * y},0.0,{k / RATE_HZ},{k:g}\n"
+        for i, (cell, k, y, x) in enumerate(rows.tolist())
+    ]
+    spot_of_no_track = "ID0,,1.5,10,10,0.0,0.0,0\n"
+    (folder / "spots.csv").write_text("".join([TRACKMATE, spot_of_no_track, *lines]))
+    done = tetractl(folder, "track", "spots.csv", "--field", "field.csv", "--json").ok()
+    found = json.loads(done.stdout)["robots"]
+    assert [one["a"]["value"] for one in found] == pytest.approx(A, rel=0.1)
+    assert [one["speed"]["value"] for one in found] == pytest.approx([SPEED, SPEED], rel=0.02)
+
+
+@pytest.mark.parametrize("names", [("t", "y", "x"), ("time", "POSITION_Y", "POSITION_X")])
+def test_a_graph_states_its_scale_and_rate(dish, names):
+    """Regression: a graph whose axis of type "time" is named "time" was no graph of t, x, y."""
     core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
     from geff import GeffMetadata
     from geff_spec import Axis
@@ -58,20 +82,18 @@ def test_a_graph_states_its_scale_and_rate(dish):
     folder, rows = dish
     space = {"type": "space", "unit": "pixel", "scale": UM_PX, "scaled_unit": "micrometer"}
     time = {"type": "time", "unit": "frame", "scale": 1 / RATE_HZ, "scaled_unit": "second"}
-    axes = [Axis(name="t", **time), Axis(name="y", **space), Axis(name="x", **space)]
+    axes = [Axis(name=name, **how) for name, how in zip(names, (time, space, space), strict=True)]
     ids, same = np.arange(len(rows), dtype=np.uint64), np.diff(rows[:, 0]) == 0
+    path = folder / f"{names[0]}.geff"
     core_io.write_arrays(
-        folder / "theirs.geff",
+        path,
         ids,
-        {
-            name: {"values": rows[:, k], "missing": None}
-            for name, k in (("t", 1), ("y", 2), ("x", 3))
-        },
+        {name: {"values": rows[:, k], "missing": None} for k, name in enumerate(names, 1)},
         np.column_stack([ids[:-1], ids[1:]])[same],
         {},
         GeffMetadata(directed=True, axes=axes, node_props_metadata={}, edge_props_metadata={}),
     )
-    done = tetractl(folder, "track", "theirs.geff", "--field", "field.csv", "--json").ok()
+    done = tetractl(folder, "track", path.name, "--field", "field.csv", "--json").ok()
     found = json.loads(done.stdout)["robots"]
     assert [one["a"]["value"] for one in found] == pytest.approx(A, rel=0.1)
 

@@ -1,5 +1,6 @@
 """The field's direction over time, from a CSV file."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +10,20 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
+from tetractl.core.table.csv_rows import columns_of, read_csv
+from tetractl.core.table.quantities import (
+    RADIANS,
+    NumberColumn,
+    direction,
+    find_column,
+    find_time,
+)
+from tetractl.replay.identification.clocks import Span, clock_remark
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import handedness, wrong_sides
-from tetractl_microscope.number_columns import read_numbers
+from tetractl_microscope.number_columns import no_column
 
-TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
+STRENGTH = "strength"
 STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
 
 
@@ -56,6 +66,17 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
     return tuple(f"warning: {line}" for line in lines)
 
 
+def clock_remarks(
+    field: FieldRecord, source: str, film: str, begin: float, end: float
+) -> tuple[str, ...]:
+    """Return a warning if the field's times are hardly those of a film from `begin` to `end` [s];
+    UsageError if none is."""
+    seen = Span(film, begin, end)
+    sent = Span(source, float(field.times[0]), math.inf)
+    remark = clock_remark(seen, field.times, sent)
+    return () if remark is None else (f"warning: {remark}",)
+
+
 def no_field(start: float, end: float) -> Sequence[Piece]:
     """Return one piece from `start` to `end` [s] without a field."""
     return ((end - start, 0.0, 0.0),)
@@ -68,15 +89,26 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     fractions of the reference field, 1 by default. UsageError if a column or a valid value is
     missing.
     """
-    names, defaults = (TIME, DIRECTION, STRENGTH), {STRENGTH: 1.0}
-    times, direction, strength = read_numbers(path, names, defaults).T
-    (earlier,) = np.nonzero(np.diff(times) < 0)
-    if len(earlier):
-        said = f"{path}, line {earlier[0] + 3}: the time is earlier than in the line before"
-        raise UsageError(said)
-    (strong,) = np.nonzero(np.abs(strength) > STRONGEST)
-    if len(strong):
-        said = f"{path}, line {strong[0] + 2}: {STRENGTH}: {strength[strong[0]]:g} is too large"
-        raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
-    y = strength * np.sin(direction)
-    return FieldRecord(times, strength * np.cos(direction), -y if upside_down else y)
+    headers = columns_of(path)
+    time = find_time(path, headers)
+    angle = find_column(path, headers, ("direction",), RADIANS)
+    if time is None or angle is None:
+        raise no_column(path, "time_s" if time is None else "direction_rad", headers)
+    strong = NumberColumn(STRENGTH) if STRENGTH in headers else None
+    times: list[float] = []
+    fields: list[tuple[float, float]] = []
+    towards = 0.0
+    for row in read_csv(path):
+        times.append(time.number(path, row))
+        if len(times) > 1 and times[-1] < times[-2]:
+            said = f"{path}, line {row.line}: the time is earlier than in the line before"
+            raise UsageError(said)
+        strength = 1.0 if strong is None else strong.optional(path, row)
+        strength = 1.0 if math.isnan(strength) else strength
+        if abs(strength) > STRONGEST:
+            said = f"{path}, line {row.line}: {STRENGTH}: {strength:g} is too large"
+            raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
+        towards = direction(path, row, angle, towards)
+        fields.append((strength * math.cos(towards), strength * math.sin(towards)))
+    x, y = np.array(fields).T
+    return FieldRecord(np.array(times), x, -y if upside_down else y)

@@ -20,14 +20,14 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
 from tetractl_microscope.film.film_source import DIFFERENT
 from tetractl_microscope.film.picture_times import PictureTimes, mean_rate_hz, stated_times
-from tetractl_microscope.number_columns import read_numbers
+from tetractl_microscope.number_columns import read_times
 
 RATES_HZ = (0.1, 2000.0)
 SCALES_UM = (0.05, 100.0)
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 ONE_PICTURE = "is one picture, and no film"
 ONE_PICTURE_HINT = "give the film, or the folder of its pictures"
-TIMES_FILE, TIME = "times.csv", "time_s"
+TIMES_FILE = "times.csv"
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -189,7 +189,7 @@ def _possible(value: float, span: tuple[float, float]) -> bool:
 
 def _times(path: Path, count: int) -> list[float]:
     """Return the times of a folder's pictures [s] from its file of times."""
-    times = read_numbers(path, (TIME,), {})[:, 0].tolist()
+    times = read_times(path).tolist()
     for line, (before, after) in enumerate(itertools.pairwise(times), 3):
         if after <= before:
             raise UsageError(f"{path}, line {line}: the time is not after that before")

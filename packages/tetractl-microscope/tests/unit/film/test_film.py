@@ -10,7 +10,7 @@ from support.film_rows import recorded, seen_cell
 from support.needs_opencv import cv2, video
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.kernels.helix_steps import HEADING
-from tetractl_microscope.film.field_file import read_field
+from tetractl_microscope.film.field_file import FieldRecord, clock_remarks, read_field
 from tetractl_microscope.film.film_tables import LISTED, as_items, notes
 from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
 from tetractl_microscope.film.follow import _faded_line, follow
@@ -240,14 +240,59 @@ def test_the_field_is_that_of_the_last_row_before(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "time_s, direction_rad\n1.5, 1.5707963\n",
+        "time_ms;direction_deg\n1500;90,0\n",
+        "Time (s)\tDirection [deg]\n1,5\t90\n",
+        "# made by hand\ntime_s direction_rad\n1.5 1.5707963\n",
+    ],
+)
+def test_a_field_is_read_however_it_is_written(tmp_path, text):
+    path = tmp_path / "field.csv"
+    path.write_text(text)
+    field = read_field(path)
+    assert field.times.tolist() == [1.5]
+    assert field.at(np.array([2.0])) == pytest.approx(np.array([1j]), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        ((1764000000.0, 1764000001.5), "no time is among those of film.mp4, 0 to 12 s"),
+        ((20.0, 30.0), "no time is among those of film.mp4"),
+    ],
+)
+def test_a_field_of_another_clock_is_refused(times, says):
+    field = FieldRecord(np.array(times), np.ones(2), np.zeros(2))
+    with pytest.raises(UsageError, match=says):
+        clock_remarks(field, "field.csv", "film.mp4", 0.0, 12.0)
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        ((0.0, 1500.0, 3000.0), "only 1 of the 3 times of field.csv is among the 12 s"),
+        ((9.0, 10.0), "field.csv covers 3 s of the 12 s of film.mp4"),
+    ],
+)
+def test_a_field_that_hardly_meets_a_film_is_said(times, says):
+    field = FieldRecord(np.array(times), np.ones(len(times)), np.zeros(len(times)))
+    (remark,) = clock_remarks(field, "field.csv", "film.mp4", 0.0, 12.0)
+    assert says in remark
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("a,b\n1,2\n", "line 2: has no finite number in column time_s"),
-        ("time_s,direction_rad\n1,north\n", "line 2: has no finite number in column direction_rad"),
-        ("time_s,direction_rad\n1,nan\n", "line 2: has no finite number in column direction_rad"),
+        ("a,b\n1,2\n", "has no column time_s: its columns are a, b"),
+        ("time_s,direction_rad\n1,north\n", "line 2: direction_rad: 'north' is not a number"),
+        ("time_s,direction_rad\n1,nan\n", "line 2: direction_rad: states no number"),
+        ("time_s,direction_rad\n0,0\n1,90\n", "line 3: direction_rad: 90 is more than a whole"),
+        ("time,direction_rad\n1,0\n", "column time states no unit"),
         ("time_s,direction_rad\n2,0\n1,0\n", "line 3: the time is earlier"),
         ("time_s,direction_rad\n", "has no rows"),
-        ("time_s,direction_rad,strength\n0,0,1\n1,0,-1e38\n", "line 3: strength: -1e\\+38 is too"),
+        ("time_s,direction_rad,strength\n0,0,1\n1,0,-1e8\n", "line 3: strength: -1e\\+08 is too"),
     ],
 )
 def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):

@@ -1,0 +1,170 @@
+"""Reads CSV files as spreadsheets and other programs write them.
+
+The encoding is UTF-8, UTF-16 with a byte order mark, or Windows' Latin-1. Entries are separated by
+commas, semicolons, tabs or blanks; a decimal comma is read where commas do not separate. Spaces
+around entries, lines of comments (#) above the header and a line such as `sep=;` are left out.
+"""
+
+import codecs
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain, islice, zip_longest
+from pathlib import Path
+from typing import TextIO
+
+from tetractl.core.errors import UsageError, printable
+
+CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
+"""Largest size of a CSV file to read, its largest number of rows, and their largest length."""
+CHUNK = 1 << 20
+"""Number of bytes that are decoded at a time, to find the encoding."""
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+SEPARATORS = (",", ";", "\t")
+BLANKS = " "
+"""The separator of entries between which there are only blanks."""
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?|[+-]?\d+,")
+_SEPARATOR_LINE = re.compile(r"sep=(.)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class CsvRow:
+    """A row of a CSV file: the number of its line, and its entries by column; "" where none is."""
+
+    line: int
+    cells: dict[str, str]
+
+
+def read_csv(path: Path) -> Iterator[CsvRow]:
+    """Yield the rows of a CSV file; empty lines are left out.
+
+    Raises UsageError if the file is not CSV, has no header, or is larger than the limits above.
+    """
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path}: is not a regular file")
+    if path.stat().st_size > CSV_BYTES:
+        raise _too_large(path)
+    try:
+        with path.open(newline="", encoding=_encoding(path)) as stream:
+            yield from _rows(path, _lines(path, stream))
+    except (UnicodeError, csv.Error) as error:
+        raise UsageError(f"{path}: is not a CSV file: {error}", "save it as UTF-8") from None
+
+
+def columns_of(path: Path) -> tuple[str, ...]:
+    """Return the names of the columns of a CSV file with at least one row; none if it has none."""
+    first = next(read_csv(path), None)
+    return () if first is None else tuple(first.cells)
+
+
+def _too_large(path: Path) -> UsageError:
+    most = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
+    return UsageError(f"{path}: has more than {most}", "split it into several files")
+
+
+def _encoding(path: Path) -> str:
+    """Return the encoding of a file, by its first bytes or by what it can be decoded from."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    with path.open("rb") as file:
+        if file.read(2) in UTF_16:
+            return "utf-16"
+        file.seek(0)
+        try:
+            while chunk := file.read(CHUNK):
+                decoder.decode(chunk)
+            decoder.decode(b"", final=True)
+        except UnicodeDecodeError:
+            return "cp1252"
+    return "utf-8-sig"
+
+
+def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
+    """Yield the lines that are not empty with their numbers."""
+    for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), ""), 1):
+        if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
+            raise _too_large(path)
+        if "\0" in line:
+            raise UsageError(f"{path}, line {number}: is not a CSV file: has a null character")
+        if line.strip():
+            yield number, line
+
+
+def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
+    """Yield the rows below the header, which may be a comment if numbers follow, as of NumPy."""
+    comments: list[str] = []
+    stated = ""
+    for top in lines:
+        text = top[1].strip()
+        match = _SEPARATOR_LINE.match(text)
+        if match:
+            stated = match[1]
+        elif text.startswith("#"):
+            comments.append(text.lstrip("# "))
+        else:
+            break
+    else:
+        return
+    below = list(islice(lines, 1))
+    separator = stated or _separator(text, below[0][1] if below else "")
+    header = _entries(text, separator)
+    if comments and any(map(_is_number, header)):
+        below.insert(0, top)
+        header = _entries(comments[-1], separator)
+    _check_header(path, header)
+    for number, line in chain(below, lines):
+        entries = _entries(line, separator)
+        if any(entries):
+            yield CsvRow(number, _cells(path, number, header, entries))
+
+
+def _separator(header: str, row: str) -> str:
+    """Return the separator that makes the most entries of a header; blanks, if none makes two of
+    it and blanks make as many of the row below."""
+    best = max(SEPARATORS, key=lambda separator: len(_entries(header, separator)))
+    if len(_entries(header, best)) == 1 and 1 < len(header.split()) == len(row.split()):
+        return BLANKS
+    return best
+
+
+def _entries(line: str, separator: str) -> list[str]:
+    """Return the entries of a line. A quoted entry with line breaks ends at the line's end."""
+    if separator == BLANKS:
+        return line.split()
+    # line by line, since a quoted entry with line breaks may have any length
+    entries = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    stripped = [entry.strip() for entry in entries]
+    if separator == ",":
+        return stripped
+    return [e.replace(",", ".") if _DECIMAL_COMMA.fullmatch(e) else e for e in stripped]
+
+
+def _is_number(entry: str) -> bool:
+    try:
+        float(entry)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    """Raise UsageError for a header of numbers, or one that has a name twice."""
+    if any(map(_is_number, header)):
+        raise UsageError(
+            f"{path}: has no header: its first line has numbers",
+            "write the names of the columns above them, such as time_s",
+        )
+    for name in header:
+        if name and header.count(name) > 1:
+            raise UsageError(f"{path}: has two columns {printable(name)}")
+
+
+def _cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict[str, str]:
+    """Return the entries of a row by column."""
+    if any(entries[len(header) :]):
+        raise UsageError(
+            f"{path}, line {line}: has {len(entries)} entries, the header has {len(header)}",
+            "a decimal comma needs semicolons or tabs between entries",
+        )
+    return {name: entry for name, entry in zip_longest(header, entries, fillvalue="") if name}

@@ -1,0 +1,161 @@
+"""Columns of a table by what they measure: names end in units, as in `time_ms`, `direction (deg)`
+or `x [um]`, and numbers are returned in the unit that is asked for.
+"""
+
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from tetractl.core.errors import UsageError, printable
+from tetractl.core.poses import turn_problem
+from tetractl.core.table.csv_rows import CsvRow
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+"""Units of times [s]."""
+RADIANS = {"rad": 1.0, "deg": math.pi / 180}
+"""Units of angles [rad]."""
+RADIANS_S = {"rad_s": 1.0, "deg_s": math.pi / 180}
+"""Units of turning rates [rad/s]."""
+LENGTHS = ("um", "mm", "cm", "m")
+"""Units of lengths, which are returned as they are."""
+SPELLINGS = {
+    "sec": "s",
+    "seconds": "s",
+    "second": "s",
+    "msec": "ms",
+    "milliseconds": "ms",
+    "millisecond": "ms",
+    "µs": "us",
+    "microsecond": "us",
+    "nanosecond": "ns",
+    "minute": "min",
+    "minutes": "min",
+    "radians": "rad",
+    "degrees": "deg",
+    "degree": "deg",
+    "°": "deg",
+    "µm": "um",
+    "μm": "um",
+    "micron": "um",
+    "microns": "um",
+    "micrometer": "um",
+    "nanometer": "nm",
+    "millimeter": "mm",
+    "centimeter": "cm",
+    "meter": "m",
+    "rad_per_s": "rad_s",
+    "deg_per_s": "deg_s",
+}
+"""Other spellings of units."""
+_UNITS = {unit: unit for unit in (*SECONDS, *RADIANS, *RADIANS_S, *LENGTHS)} | SPELLINGS
+_UNITS |= {f"{unit}_s": f"{unit}_s" for unit in LENGTHS}
+_BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
+_UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+"""Entries that state no number."""
+_TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
+NUMBER_MAX = 1e9
+"""Largest number but a time, of which only differences matter."""
+TIME_MAX = 1e19
+"""Largest time, in any unit: that of nanoseconds since 1970 is 1.8e18."""
+
+
+@dataclass(frozen=True, slots=True)
+class NumberColumn:
+    """A column of numbers: its name in the table, the factor from the table's unit to the one asked
+    for, and the largest number.
+    """
+
+    key: str
+    factor: float = 1.0
+    largest: float = NUMBER_MAX
+
+    def number(self, path: Path, row: CsvRow) -> float:
+        """Return the number in a row; UsageError if it is missing, none, or too large."""
+        value = self.optional(path, row)
+        if math.isnan(value):
+            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: states no number")
+        return value
+
+    def optional(self, path: Path, row: CsvRow) -> float:
+        """Return the number in a row, NaN if it states none."""
+        text = row.cells[self.key]
+        if text.lower() in _UNKNOWN:
+            return math.nan
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.inf
+        if not abs(value) <= self.largest:
+            wrong = f"{text[:60]!r} is not a number of at most {self.largest:g}"
+            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {wrong}")
+        return value * self.factor
+
+
+def name_and_unit(header: str) -> tuple[str, str]:
+    """Return the name of a column in lower case and its unit, "" if it states none."""
+    text = re.sub(r"[ _]+", "_", header.strip().lower())
+    if match := _BRACKETS.fullmatch(text):
+        unit = match[2].replace("/", "_")
+        return match[1], _UNITS.get(unit, unit)
+    for unit in sorted(_UNITS, key=len, reverse=True):
+        if text.endswith(f"_{unit}"):
+            return text.removesuffix(f"_{unit}"), _UNITS[unit]
+    return text, ""
+
+
+def factor(unit: str, units: Mapping[str, float]) -> float | None:
+    """Return the factor of a unit, however it is spelled; None if it is none of some units."""
+    text = unit.strip().lower()
+    return units.get(SPELLINGS.get(text, text))
+
+
+def find_column(
+    path: Path, headers: Collection[str], names: Collection[str], units: Mapping[str, float]
+) -> NumberColumn | None:
+    """Return the column with one of some names in one of some units, None if no column has such a
+    name; UsageError if all that do are in other units, or state none.
+    """
+    found = {header: name_and_unit(header) for header in headers}
+    matching = {header: unit for header, (name, unit) in found.items() if name in names}
+    for header, unit in matching.items():
+        if unit in units:
+            largest = TIME_MAX if units is SECONDS else NUMBER_MAX
+            return NumberColumn(header, units[unit], largest)
+    for header, unit in matching.items():
+        said = f"is in {printable(unit)}" if unit else "states no unit"
+        named = " or ".join(f"{found[header][0]}_{one}" for one in list(units)[:2])
+        raise UsageError(f"{path}: column {printable(header)} {said}", f"name it {named}")
+    return None
+
+
+def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
+    """Return the column of times [s], None if there is none."""
+    return find_column(path, headers, ("time", "t", "timestamp"), SECONDS)
+
+
+def direction(path: Path, row: CsvRow, column: NumberColumn, before: float) -> float:
+    """Return a direction [rad], that in the row before being `before`, 0 in the first row.
+
+    UsageError for more than a turn, which is probably in degrees, unless the field has turned there
+    by steps of at most half a turn.
+    """
+    value = column.number(path, row)
+    problem = turn_problem(value)
+    if column.factor == 1 and problem is not None and abs(value - before) > math.pi:
+        said, hint = problem
+        name = name_and_unit(column.key)[0]
+        where = f"{path}, line {row.line}: {printable(column.key)}"
+        raise UsageError(f"{where}: {value:g} {said}", f"{hint}, or name the column {name}_deg")
+    return value
+
+
+def truth(path: Path, row: CsvRow, key: str) -> bool:
+    """Return the truth value in a column, True without one."""
+    text = row.cells.get(key, "")
+    try:
+        return _TRUTH[text.lower()]
+    except KeyError:
+        said = f"{printable(text[:60])} is neither true nor false"
+        raise UsageError(f"{path}, line {row.line}: {printable(key)}: {said}") from None

@@ -1,0 +1,48 @@
+"""Whether times of two files are those of one clock: what is seen and what is sent must overlap."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+
+COVERED = 0.9
+"""Share of the time seen in which commands act, below which it is said."""
+WITHIN = 2
+"""Number of commands in the time seen, below which it is said: the direction hardly changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """The times of a file, from `begin` to `end` [s]."""
+
+    source: str
+    begin: float
+    end: float
+
+    def __str__(self) -> str:
+        return f"{self.source}, {self.begin:.12g} to {self.end:.12g} s"
+
+
+def clock_remark(seen: Span, sent: Floats, commands: Span) -> str | None:
+    """Return what to say of commands that do not act in most of the time seen, or most of which do
+    not; `sent` (C,) are their times [s], in order. UsageError if none acts in it.
+    """
+    covered = min(seen.end, commands.end) - max(seen.begin, commands.begin)
+    if covered <= 0:
+        last = Span(commands.source, commands.begin, float(sent[-1]))
+        raise UsageError(
+            f"{last}: no time is among those of {seen}",
+            "both files need times of one clock",
+        )
+    length = seen.end - seen.begin
+    within = int(np.count_nonzero((sent >= seen.begin) & (sent < seen.end)))
+    if covered < COVERED * length:
+        return f"{commands.source} covers {covered:.3g} s of the {length:.3g} s of {seen.source}"
+    if within < WITHIN < len(sent):
+        return (
+            f"only {within} of the {len(sent)} times of {commands.source} is among the "
+            f"{length:.3g} s of {seen.source}: are they in s, as they say?"
+        )
+    return None

@@ -1,0 +1,338 @@
+"""Tracks from CSV files, of `tetractl export` or of other programs: poses in one file, the
+directions or speeds that robots were sent in another.
+"""
+
+import math
+from array import array
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.core.errors import UsageError, printable
+from tetractl.core.poses import Bools, Floats, turn_problem
+from tetractl.core.table.csv_rows import CsvRow, read_csv
+from tetractl.core.table.quantities import (
+    LENGTHS,
+    RADIANS,
+    RADIANS_S,
+    SECONDS,
+    NumberColumn,
+    direction,
+    find_column,
+    find_time,
+    name_and_unit,
+    truth,
+)
+from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.tracks import Track
+
+POSES_MAX = 2_000_000  # largest number of poses of a trial
+ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
+"""Largest numbers of robots and trials in CSV files."""
+ORIGIN = "CSV"
+WHEELS = ("v", "left", "right", "radius")
+"""Names of the columns of speeds, before their units."""
+COLUMNS_SAID = 8
+"""Largest number of columns that a message names."""
+
+Trial = tuple[str, str]
+
+
+@dataclass(slots=True)
+class _Numbers:
+    """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
+    direction and time of observation of each command; time, speed and turning rate of each of the
+    `twists` of a robot, "" for all. NaN is an unknown number. The paths are of the files.
+    """
+
+    robots: dict[str, int] = field(default_factory=dict)
+    poses: "array[float]" = field(default_factory=lambda: array("d"))
+    poses_path: Path | None = None
+    commands: "array[float]" = field(default_factory=lambda: array("d"))
+    twists: "dict[str, array[float]]" = field(default_factory=dict)
+    commands_path: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _PoseColumns:
+    path: Path
+    unit: str
+    time: NumberColumn
+    x: NumberColumn
+    y: NumberColumn
+    heading: NumberColumn
+
+    def add(self, numbers: _Numbers, row: CsvRow) -> None:
+        """Add the pose in a row; it is unknown if it is not valid, or a number is missing."""
+        numbers.poses_path = self.path
+        robot = numbers.robots.setdefault(row.cells["robot"], len(numbers.robots))
+        valid = truth(self.path, row, "valid")
+        pose = [c.optional(self.path, row) for c in (self.x, self.y, self.heading)]
+        numbers.poses.extend((self.time.number(self.path, row), robot))
+        numbers.poses.extend(pose if valid else [math.nan] * len(pose))
+
+
+@dataclass(frozen=True, slots=True)
+class _DirectionColumns:
+    path: Path
+    time: NumberColumn
+    direction: NumberColumn
+    observed: NumberColumn | None
+
+    def add(self, numbers: _Numbers, row: CsvRow) -> None:
+        """Add the direction in a row; a row without one is a step at which nothing was sent."""
+        numbers.commands_path = self.path
+        if math.isnan(self.direction.optional(self.path, row)):
+            return
+        observed = self.observed.optional(self.path, row) if self.observed else math.nan
+        before = numbers.commands[-2] if numbers.commands else 0.0
+        numbers.commands.append(self.time.number(self.path, row))
+        numbers.commands.append(direction(self.path, row, self.direction, before))
+        numbers.commands.append(observed)
+
+
+@dataclass(frozen=True, slots=True)
+class _TwistColumns:
+    path: Path
+    time: NumberColumn
+    speed: NumberColumn
+    rate: NumberColumn
+
+    def add(self, numbers: _Numbers, row: CsvRow) -> None:
+        """Add the speed and turning rate in a row."""
+        numbers.commands_path = self.path
+        twists = numbers.twists.setdefault(row.cells.get("robot", ""), array("d"))
+        twists.extend(c.number(self.path, row) for c in (self.time, self.speed, self.rate))
+
+
+@dataclass(frozen=True, slots=True)
+class _WheelColumns:
+    path: Path
+    time: NumberColumn
+    left: NumberColumn
+    right: NumberColumn
+    radius: NumberColumn
+
+    def add(self, numbers: _Numbers, row: CsvRow) -> None:
+        """Add the speed and turning rate of the wheels in a row."""
+        numbers.commands_path = self.path
+        left = self.left.number(self.path, row)
+        right = self.right.number(self.path, row)
+        radius = self.radius.number(self.path, row)
+        if radius <= 0:
+            raise UsageError(f"{self.path}, line {row.line}: {self.radius.key} must be above 0")
+        twists = numbers.twists.setdefault(row.cells.get("robot", ""), array("d"))
+        time = self.time.number(self.path, row)
+        twists.extend((time, (left + right) / 2, (right - left) / (2 * radius)))
+
+
+_Columns = _PoseColumns | _DirectionColumns | _TwistColumns | _WheelColumns
+
+
+def csv_tracks(
+    paths: list[Path],
+    rows_of: Callable[[Path], Iterator[CsvRow]] = read_csv,
+    shortest_s: float = 0.0,
+) -> list[Track]:
+    """Return the tracks in some CSV files, each of poses or of commands.
+
+    Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
+    time_s, direction_rad and perhaps observed_s, or of time_s, v_UNIT_s and w_rad_s, or of time_s,
+    left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other units and
+    count from anywhere, angles may be in degrees. Columns path and trial, if present, assign poses
+    and commands to tracks. `rows_of` reads the rows of a file; robots that are seen for less than
+    `shortest_s` [s] are left out. Raises UsageError if data are missing, very many, or of clocks
+    that do not meet.
+    """
+    trials: dict[Trial, _Numbers] = {}
+    unit = ""
+    for path in paths:
+        rows = rows_of(path)
+        first = next(rows, None)
+        if first is None:
+            raise UsageError(f"{path}: has no rows")
+        columns = _columns(path, first.cells)
+        if isinstance(columns, _PoseColumns):
+            if unit and unit != columns.unit:
+                raise UsageError(f"{path}: its lengths are in {columns.unit}, others in {unit}")
+            unit = columns.unit
+        for row in chain([first], rows):
+            trial = row.cells.get("path", ""), row.cells.get("trial", "")
+            numbers = trials.setdefault(trial, _Numbers())
+            columns.add(numbers, row)
+            if len(numbers.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
+                raise UsageError(
+                    f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
+                )
+    return [_track(numbers, unit, trial, shortest_s) for trial, numbers in trials.items()]
+
+
+def _columns(path: Path, headers: Collection[str]) -> _Columns:
+    """Return the columns of a file of poses or of commands; UsageError if it is neither."""
+    time = find_time(path, headers)
+    if time is not None:
+        sent = find_column(path, headers, ("direction",), RADIANS)
+        if sent is not None:
+            observed = find_column(path, headers, ("observed",), SECONDS)
+            return _DirectionColumns(path, time, sent, observed)
+        speeds = {name: header for header in headers if (name := _speed_name(header))}
+        if speeds:
+            return _speed_columns(path, headers, time, speeds)
+        heading = find_column(path, headers, ("heading",), RADIANS)
+        if heading is not None and "robot" in headers:
+            unit, x, y = _position_columns(path, headers)
+            return _PoseColumns(path, unit, time, x, y, heading)
+    has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SAID])
+    raise UsageError(
+        f"{path}: contains neither poses nor commands: its columns are {has}",
+        "poses have the columns time_s, robot, x_mm, y_mm, heading_rad; commands time_s and "
+        "direction_rad, or time_s, v_mm_s and w_rad_s",
+    )
+
+
+def _speed_name(header: str) -> str:
+    """Return what a column of speeds of wheels states, "" if it is none."""
+    name, unit = name_and_unit(header)
+    return name if name in WHEELS and unit.removesuffix("_s") in LENGTHS else ""
+
+
+def _speed_columns(
+    path: Path, headers: Collection[str], time: NumberColumn, speeds: dict[str, str]
+) -> _TwistColumns | _WheelColumns:
+    """Return the columns of speeds, by what they state; UsageError if one is missing."""
+    rate = find_column(path, headers, ("w",), RADIANS_S)
+    if "v" in speeds and rate is not None:
+        return _TwistColumns(path, time, NumberColumn(speeds["v"]), rate)
+    if {"left", "right", "radius"} <= set(speeds):
+        wheels = [NumberColumn(speeds[name]) for name in ("left", "right", "radius")]
+        return _WheelColumns(path, time, *wheels)
+    hint = "commands have v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm"
+    raise UsageError(f"{path}: a column of the wheels is missing", hint)
+
+
+def _position_columns(
+    path: Path, headers: Collection[str]
+) -> tuple[str, NumberColumn, NumberColumn]:
+    """Return the unit of positions, and the columns of x and y in it."""
+    named = {name_and_unit(header): header for header in headers}
+    for unit in LENGTHS:
+        if ("x", unit) in named and ("y", unit) in named:
+            x, y = NumberColumn(named["x", unit]), NumberColumn(named["y", unit])
+            return unit, x, y
+    raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
+
+
+def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
+    """Return the track of a trial, its times counted from its first pose."""
+    poses_path, commands_path = numbers.poses_path, numbers.commands_path
+    if poses_path is None or commands_path is None:
+        raise UsageError(
+            f"{poses_path or commands_path}: both poses and commands are needed for each trial",
+            "name both files, such as poses.csv steps.csv of `tetractl export`",
+        )
+    rows = np.array(numbers.poses).reshape(-1, 5)
+    begin = float(rows[:, 0].min())
+    rows[:, 0] -= begin
+    brief = {
+        robot: number
+        for robot, number in numbers.robots.items()
+        if np.ptp(rows[rows[:, 1] == number, 0]) < shortest_s
+    }
+    rows = rows[~np.isin(rows[:, 1], list(brief.values()))]
+    names = tuple(robot for robot in numbers.robots if robot not in brief)
+    if not names:
+        raise UsageError(f"{poses_path}: has no robot that is seen for {shortest_s:g} s")
+    time, poses, valid = _frames(poses_path, rows, len(names))
+    _check_headings(poses_path, poses, valid)
+    sent = _twists(numbers, names, begin) if numbers.twists else _directions(numbers, begin)
+    if not len(sent.when):
+        raise UsageError(f"{commands_path}: states no direction")
+    gap = float(np.median(np.diff(sent.when))) if len(sent.when) > 1 else 0.0
+    until = float(sent.when[-1]) + gap
+    seen = Span(str(poses_path), begin, begin + float(time[-1]))
+    acts = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
+    remark = clock_remark(seen, begin + sent.when, acts)
+    return Track(
+        source=name[0] or str(poses_path),
+        origin=ORIGIN,
+        unit=unit,
+        names=names,
+        time=time,
+        poses=np.where(valid[..., None], poses, 0.0),
+        valid=valid,
+        sent=sent.when,
+        u=sent.u,
+        until=until,
+        frame_age=sent.frame_age,
+        left_out=tuple(brief),
+        twists=sent.twists,
+        remarks=() if remark is None else (remark,),
+    )
+
+
+def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools]:
+    """Return times (M,), poses (M, N, 3) and which of these are known (M, N), of rows (R, 5) of
+    time, robot, x, y and heading."""
+    _, robots = np.unique(rows[:, 1], return_inverse=True)
+    time, frames = np.unique(rows[:, 0], return_inverse=True)
+    if len(time) * count > POSES_MAX:
+        what = f"{count} robots at {len(time)} times"
+        raise UsageError(f"{path}: has {what}; at most {POSES_MAX} poses are read of a trial")
+    poses = np.full((len(time), count, 3), np.nan)
+    poses[frames, robots] = rows[:, 2:]
+    return time, poses, np.logical_not(np.isnan(poses[..., 0] + poses[..., 1] + poses[..., 2]))
+
+
+def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
+    """Raise UsageError for headings in degrees: beyond a turn, and along the motion as degrees.
+
+    Headings in radians may be beyond a turn, too: those of `tetractl export` count whole turns.
+    """
+    beyond = np.nanmax(np.abs(np.where(valid, poses[..., 2], 0.0)))
+    problem = turn_problem(float(beyond))
+    if problem is None:
+        return
+    moved = np.where(valid[1:] & valid[:-1], 1.0, 0.0)[..., None] * np.nan_to_num(
+        np.diff(poses[..., :2], axis=0)
+    )
+    heading = np.nan_to_num(poses[:-1, :, 2])
+    as_degrees = np.radians(heading)
+    ahead = np.sum(moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading))
+    by_degrees = np.sum(moved[..., 0] * np.cos(as_degrees) + moved[..., 1] * np.sin(as_degrees))
+    if by_degrees > ahead:
+        said, hint = problem
+        raise UsageError(f"{path}: a heading of {beyond:g} {said}", f"{hint}: heading_deg")
+
+
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    """What was sent at times `when` (C,) [s], as `u`, `twists` and `frame_age` of a track."""
+
+    when: Floats
+    u: Floats
+    twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    frame_age: float | None = None
+
+
+def _directions(numbers: _Numbers, begin: float) -> _Sent:
+    """Return the directions in order, their times counted from `begin`."""
+    commands = np.array(numbers.commands).reshape(-1, 3)
+    ages = (commands[:, 0] - commands[:, 2])[1:]
+    ages = ages[np.isfinite(ages)]
+    when, u, _ = commands[np.argsort(commands[:, 0], kind="stable")].T
+    age = max(0.0, float(np.median(ages))) if ages.size else None
+    return _Sent(when - begin, u, frame_age=age)
+
+
+def _twists(numbers: _Numbers, names: tuple[str, ...], begin: float) -> _Sent:
+    """Return the speeds and turning rates in order, their times counted from `begin`."""
+    of_robot = {robot: np.array(rows).reshape(-1, 3) for robot, rows in numbers.twists.items()}
+    when = np.unique(np.concatenate([rows[:, 0] for rows in of_robot.values()]))
+    twists = np.full((len(when), len(names), 2), np.nan)
+    for i, robot in enumerate(names):
+        rows = of_robot.get(robot, of_robot.get("", np.zeros((0, 3))))
+        twists[np.searchsorted(when, rows[:, 0]), i] = rows[:, 1:]
+    return _Sent(when - begin, np.full(len(when), np.nan), twists)

@@ -2,11 +2,13 @@
 
     nice python benchmarks/identify_coverage.py --logs 500 --jobs 2
     nice python benchmarks/identify_coverage.py --logs 40 --trials 20
+    nice python benchmarks/identify_coverage.py --logs 40 --first 20261100 --bench
 
 Each log is of three robots that drive ten seconds in random directions or, with --trials, of a
 trial in which the controller steers them to their targets at that rate. a, speeds and a dead time
 are drawn for each log; there is camera noise, a random walk of the headings, and 5 % of the
-commands are lost.
+commands are lost. With --bench the logs are of trials of experiments/three_m3pi_bench.yaml: true
+is the a that a robot's gains and wheel base make of the spec's, and the radio's dead time.
 """
 
 import argparse
@@ -21,13 +23,17 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tetractl import api
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.plant.simulation import SimPlant
 from tetractl.replay.identification.design import sequence_spec
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
 from tetractl.results.estimate import proportion_interval
+from tetractl.run.task import trial_seeds
 
-SPEC = Path(__file__).parent.parent / "experiments" / "three_m3pi.yaml"
+EXPERIMENTS = Path(__file__).parent.parent / "experiments"
+SPEC, BENCH = EXPERIMENTS / "three_m3pi.yaml", EXPERIMENTS / "three_m3pi_bench.yaml"
+RADIO_S = 0.0077  # mean delay of the bench's radio [s]
 STEPS, PERIOD = 50, 0.2
 POSITION, HEADING, WALK = 0.5, 0.01, 0.03
 NOISE = [
@@ -88,6 +94,23 @@ def coverage(number: int, rate: float | None = None):
     return hits
 
 
+def bench_coverage(number: int):
+    """Return which intervals of the log of a trial of the bench hold the truth."""
+    spec = api.load_spec(BENCH, f"trials.seed={number}")
+    with TemporaryDirectory() as folder:
+        log = api.run_trial(spec, folder=folder)
+    experiment = spec.experiment
+    plant = SimPlant(experiment.plant, experiment.setup, VirtualClock(), trial_seeds(number, 0)[1])
+    drive = plant.drive
+    _, count, _, true_count, *_ = drive.host.trains[0]
+    gains = (true_count / count).mean(axis=0)
+    a = plant.a * gains * experiment.setup.wheel_radius / drive.radius
+    found = identify([track_of(log)], experiment.setup.a, experiment.controller.dead_time)
+    hits = _hits(found, {"a": a})
+    hits["dead_time"].append(found.dead_time.low <= RADIO_S <= found.dead_time.high)
+    return hits
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -95,12 +118,18 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=500)
     parser.add_argument("--first", type=int, default=0, help="number of the first log, its seed")
     parser.add_argument("--trials", type=float, metavar="HZ", help="logs of trials, at this rate")
+    parser.add_argument("--bench", action="store_true", help="logs of trials of the bench")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.logs)
     total: dict[str, list[bool]] = defaultdict(list)
     with ProcessPoolExecutor(options.jobs) as pool:
-        for done, hits in enumerate(pool.map(coverage, numbers, repeat(options.trials))):
+        found = (
+            pool.map(bench_coverage, numbers)
+            if options.bench
+            else pool.map(coverage, numbers, repeat(options.trials))
+        )
+        for done, hits in enumerate(found):
             for name, each in hits.items():
                 total[name] += each
             if done % 50 == 49:

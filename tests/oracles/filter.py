@@ -31,7 +31,7 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.core.poses import Floats, wrap
 from tetractl.model.motion.exact import EXACT
-from tetractl.model.motion.turn_rate import by_turning, turning
+from tetractl.model.motion.turn_rate import by_turning, held, turning
 
 
 @dataclass
@@ -58,6 +58,7 @@ class RobotFilter:
         follows: int = kernel.FOLLOWS,
     ) -> None:
         (self.a, self.v), self.helix, self.lag = model.parameters[i], model.helix, model.lag
+        self.hold = model.hold
         self.watchdog, self.sticks = model.watchdog, model.sticks
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)
@@ -94,6 +95,9 @@ class RobotFilter:
             rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[BIAS]
             cos_sin = math.cos(rest), math.sin(rest), math.cos(towards), math.sin(towards)
             rate, slopes = turning(*cos_sin, (a, v, z[SIDE], self.saturation(z)), t)
+            if self.hold:
+                cosine = math.cos(towards - rest)
+                rate, slopes = held(rate, slopes, cosine, math.sin(towards - rest), self.hold)
             step = EXACT.lanes.differentiate(*cos_sin, (rate, v), t)
             step = NOTHING if stands else by_turning(step, slopes)
             (*way, turn), (*by_heading, keep), (*by_bias, _), ((*by_a, turn_a), *_) = step

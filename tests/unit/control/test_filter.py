@@ -418,6 +418,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
     sticks = Sticks(6, 1, 60, 1)
     bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1, sticks=sticks))
     model, made = bank._model, bank._bank
+    model = model._replace(hold=0.03 if lag else 0.0)
     if not helix:  # wheels that saturate
         made.state[..., LN_W], made.cov[..., LN_W, LN_W] = math.log(0.6), 0.3**2
         made = made._make(np.concatenate([column, column]) for column in made)

@@ -176,7 +176,7 @@ def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     found = identify([replace(track, lag=0.04)], EXPECTED)
     assert found.dead_time.value == pytest.approx(0.01, abs=0.005)
     for robot, a in zip(found.robots, EXPECTED, strict=True):
-        assert robot.a.value == pytest.approx(a, rel=0.1)
+        assert robot.a.value == pytest.approx(a, rel=0.04)
 
 
 def test_lost_commands_are_counted():

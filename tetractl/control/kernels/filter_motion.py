@@ -26,10 +26,11 @@ from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.model.motion import exact, rolling
 from tetractl.model.motion.motion import PARAMETERS
-from tetractl.model.motion.turn_rate import TURNING, by_turning, times, turning
+from tetractl.model.motion.turn_rate import TURNING, by_turning, held, times, turning
 
 differentiate, rolled = inlined(exact.differentiate), inlined(rolling.rolled)
-rate, complete, scaled = inlined(turning), inlined(by_turning), inlined(times)
+rate, kept = inlined(turning), inlined(held)
+complete, scaled = inlined(by_turning), inlined(times)
 
 NONE = (0.0, 0.0, 0.0)
 NOTHING = NONE, (0.0, 0.0, 1.0), NONE, (NONE,) * len(PARAMETERS + TURNING)
@@ -69,6 +70,8 @@ def advance(model, i, z, cov, u, scale, seconds, more):
         ends = z[HEADING] + lag * own[0] * z[SWING]
         c, s = math.cos(ends), math.sin(ends)
         a, slopes = rate(c, s, cu, su, own, t)
+        if model.hold > 0:
+            a, slopes = kept(a, slopes, cu * c + su * s, su * c - cu * s, model.hold)
         found = complete(differentiate(c, s, cu, su, (a, own[1]), t), slopes)
         if lag > 0:
             rest, slopes = (found, slopes) if drives else (NOTHING, NONE)

@@ -90,6 +90,7 @@ class FilterModel(NamedTuple):
     lag: float  # time constant with which turning rate and speed follow a direction [s]
     watchdog: float  # time without a command after which a robot stops, or inf [s]
     sticks: Sticks = Sticks()
+    hold: float = 0.0  # time for which wheels keep a turning rate that they were sent [s]
     coarse: bool = False  # whether poses of robots that drive may be equal
 
 

@@ -55,6 +55,20 @@ def turning(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Any
     return most / middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
 
 
+def held(a: float, slopes: Any, cosine: float, sine: float, hold: float) -> Any:
+    """Return what `turning` does for wheels that are sent the rate of a heading, a sin(phi), and
+    keep it for `hold` [s], which is Euler's method. By its modified equation (Hairer, Lubich and
+    Wanner, Geometric Numerical Integration, section IX.1), phi follows to the second order in
+    x = a hold
+
+        phi' = -a sin(phi) (1 + x / 2 cos(phi) + x^2 (cos(phi)^2 / 3 - sin(phi)^2 / 12)).
+    """
+    x = min(a * hold, 1.0)  # beyond, the series says nothing
+    grown = 1 + x * (0.5 * cosine + x * (cosine * cosine / 3 - sine * sine / 12))
+    slope = -x * sine * (0.5 + x * cosine * 5 / 6) / grown
+    return a * grown, (slopes[0] + slope, slopes[1], slopes[2])
+
+
 def times(by: Any, factor: float) -> Any:
     """Return derivatives of x, y and heading times a factor."""
     return by[0] * factor, by[1] * factor, by[2] * factor

@@ -44,8 +44,8 @@ class TrackFrames:
 
     `time` (M, N) are the times of the poses [s]. `used` (M, N) is which of the poses (M, N, 3) the
     filter is updated by; at those with `placed` (M, N) it starts from the camera's pose. Robots
-    that receive nothing for `watchdog` [s] stop; they follow a direction with the time constant
-    `lag` [s].
+    that receive nothing for `watchdog` [s] stop; their wheels follow with the time constant `lag`
+    [s], and keep a rate for `hold` [s].
     """
 
     time: Floats
@@ -56,6 +56,7 @@ class TrackFrames:
     u: Floats
     watchdog: float
     lag: float
+    hold: float
 
     @classmethod
     def of(cls, track: Track) -> "TrackFrames":
@@ -93,7 +94,17 @@ class TrackFrames:
             u=track.u,
             watchdog=track.watchdog,
             lag=track.lag,
+            hold=_hold(track),
         )
+
+
+def _hold(track: Track) -> float:
+    """Return for how long lagging wheels keep the rate of a heading, in the mean over time [s]: the
+    host sends them a new one with each command."""
+    apart = np.diff(track.sent[track.sent <= track.until])
+    if track.lag == 0 or not apart.any():
+        return 0.0
+    return float(np.sum(apart**2) / np.sum(apart))
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
@@ -162,7 +173,7 @@ def run(
         bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
         bank.u[...], bank.next[:] = track.u[0], 1  # the first direction also acts before its time
         bank.until[...] = bank.tau[..., None] + track.when[0] + track.watchdog
-        model = first._replace(watchdog=track.watchdog, lag=track.lag)
+        model = first._replace(watchdog=track.watchdog, lag=track.lag, hold=track.hold)
         of_all = track.poses, track.used, track.placed
         poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
         missed = np.zeros((len(track.u), len(rows)))

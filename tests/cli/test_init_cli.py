@@ -119,3 +119,9 @@ def test_every_file_that_a_help_or_a_hint_names_is_an_example():
     sources = "".join(path.read_text() for path in (ROOT / "tetractl").rglob("*.py"))
     found = {one or other for one, other in named.findall(sources)}
     assert {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= found <= {*examples(), "NAME"}
+
+
+def test_a_name_that_ends_in_yml_is_kept(tetractl, tmp_path):
+    """Regression: `init mine.yml` wrote mine.yaml."""
+    tetractl("init", "mine.yml").ok()
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yml"]

@@ -119,7 +119,7 @@ def init(
     if (camera or robots) and not lab:
         raise UsageError("--camera and --robots are of a lab", "add --lab")
     name = "experiment" if name is None else name
-    path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
+    path = Path(name if re.search(r"\.ya?ml$", name) else f"{name}.yaml")
     if not NAME.fullmatch(path.stem):
         raise UsageError(
             f"'{printable(name, 80)}' cannot be the name of an experiment",

@@ -1,5 +1,6 @@
 """Turns pydantic's errors in a spec into plain messages with their location in the YAML."""
 
+import re
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
@@ -153,7 +154,9 @@ def words(details: ErrorDetails, value: Any) -> str:
     kind, context = details["type"], details.get("ctx", {})
     if kind in MESSAGES:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
-        return MESSAGES[kind].format(**numbers) + _quotes(kind, value)
+        message = MESSAGES[kind].format(**numbers) + _quotes(kind, value)
+        hint = (_with_space(value) or _with_point(value)) if isinstance(value, str) else ""
+        return f"{message}; {hint}" if hint else message
     if kind == "unknown_color":
         known = context["known"]
         guess = did_you_mean(str(value), known)
@@ -163,6 +166,8 @@ def words(details: ErrorDetails, value: Any) -> str:
 
 
 def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str:
+    if spaced := _with_space(key):
+        return f"unknown key; {spaced}"
     if told := retired_hint(key, _at(data, parent)):
         return f"unknown key; {told}"
     known = list(describe(parent, data, schema).get("properties", ()))
@@ -173,6 +178,19 @@ def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str
         if home.startswith(inside):
             return f"unknown key here; did you mean '{home}'?"
     return f"unknown key; known here: {', '.join(known)}"
+
+
+def _with_space(text: str) -> str:
+    """Return a hint for a key and its value without a space between, which YAML reads as one text;
+    "" for other texts."""
+    match = re.fullmatch(r"([A-Za-z_]\w*):([^\s/:].*)", text)
+    return f"a space is missing after the colon: {match[1]}: {match[2]}" if match else ""
+
+
+def _with_point(text: str) -> str:
+    """Return a hint for a number with a decimal comma; "" for other texts."""
+    match = re.fullmatch(r"([+-]?\d+),(\d+)", text)
+    return f"a decimal number has a point: {match[1]}.{match[2]}" if match else ""
 
 
 def _quotes(kind: str, value: Any) -> str:

@@ -39,3 +39,18 @@ def test_an_unknown_colour_is_told_what_is_known():
     assert "known are #rrggbb and aliceblue, antiquewhite, " in said
     for color in ("teal", "green", "'#00ff00'"):
         parse_spec(SPEC, "x.yaml", [f"robots.r.color={color}"])
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("trials: {count:5}", "trials.count:5: unknown key; a space is missing after the colon"),
+        ("trials: count:5", "a space is missing after the colon: count: 5"),
+        ("units: {time: 0,5}", "a decimal number has a point, not a comma"),
+        ("controller: {type: mpc, period: '0,5'}", "a decimal number has a point: 0.5"),
+    ],
+)
+def test_a_slip_of_typing_is_told_how_to_be_written(line, says):
+    with pytest.raises(InvalidSpecError) as error:
+        parse_spec(f"{SPEC}{line}\n", "x.yaml", [])
+    assert says in str(error.value)

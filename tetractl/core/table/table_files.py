@@ -80,10 +80,23 @@ AddRows = Callable[[Table], None]
 
 
 @contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file in an error of writing it, such as of a full disk."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
 def _csv_file(path: Path) -> Iterator[AddRows]:
     """Write a table as CSV: UTF-8, a header, empty entries for unknown values."""
-    with path.open("w", encoding="utf-8", newline="") as file:
+    file = path.open("w", encoding="utf-8", newline="")
+    try:
         yield lambda table: _write_csv(table, file, header=not file.tell())
+    finally:
+        with _naming(path):
+            file.close()
 
 
 @contextmanager
@@ -147,7 +160,8 @@ def table_files(
                 f"{source}: the columns of {name} differ from earlier ones: {', '.join(odd[:4])}",
                 "export the logs of each experiment separately",
             )
-        files[name](table)
+        with _naming(parts[name]):
+            files[name](table)
 
     try:
         try:

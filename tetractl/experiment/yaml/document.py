@@ -214,7 +214,10 @@ class _Builder:
         for key, value in node.value:
             place = self.place(key)
             if not isinstance(key, ScalarNode) or key.tag != STR:
-                problem = place.problem(loc, "a key must be text, or in quotes", place.text)
+                said = "a key must be text, or in quotes"
+                if (place.text or "").isdecimal():
+                    said += "; a decimal number has a point, not a comma"
+                problem = place.problem(loc, said, place.text)
                 self.document.problems.append(problem)
             elif (*loc, key.value) in keys:
                 first = keys[*loc, key.value].line

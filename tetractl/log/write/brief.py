@@ -3,11 +3,13 @@ running the trial again writes.
 """
 
 from collections.abc import Iterable
+from io import BytesIO
 from pathlib import Path
 
 from mcap.records import Attachment
 
 from tetractl.core.commands import Command
+from tetractl.core.files import save_whole
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import (
     DIGESTS,
@@ -22,7 +24,7 @@ from tetractl.log.format.channels import (
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.encoder import Encoder
-from tetractl.log.write.sink import Sink
+from tetractl.log.write.sink import new_writer
 
 TOPICS = (RUN, HOST, HOST_END, RESULT, DIGESTS)
 """The channels of a brief log, which has no other schemas."""
@@ -52,16 +54,26 @@ class _KeptRecords:
     def flush(self) -> None:
         """Do nothing: the attachments alone divide a brief log."""
 
-    def write(self, sink: Sink, end_ns: int) -> None:
-        """Give a sink the records kept, and their digests at the end of the trial [Unix ns]."""
+    def file(self, end_ns: int) -> bytes:
+        """Return the brief log's file, with the digests at the end of the trial [Unix ns]."""
+        stream, brief = BytesIO(), LogDigests()
+        writer, channels = new_writer(stream, TOPICS)
         for record in self._records:
             if isinstance(record, Entry):
-                sink.messages([record])
+                brief.messages([record])
+                writer.add_message(
+                    channels[record.topic], record.log_ns, record.data, record.publish_ns
+                )
             else:
-                sink.attachment(record.name, record.media_type, record.log_time, record.data)
-        own, whole = sink.digests.stated(), self._whole.stated()
+                attached = (record.log_time, record.name, record.media_type, record.data)
+                brief.attachment(record.name, record.media_type, record.log_time, record.data)
+                writer.flush()
+                writer.add_attachment(0, *attached)
+        own, whole = brief.stated(), self._whole.stated()
         stated = Digests(content=whole.content, host=own.host, brief=own.content)
-        sink.messages([Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString())])
+        writer.add_message(channels[DIGESTS], end_ns, stated.SerializeToString(), end_ns)
+        writer.finish()
+        return stream.getvalue()
 
 
 class BriefLog(Encoder):
@@ -78,7 +90,6 @@ class BriefLog(Encoder):
         self._end_ns = self._start_ns + stop.sent_ns
 
     def save(self, path: Path) -> None:
-        """Write the brief log of a trial that has ended; LogError if that fails."""
-        sink = Sink(path, topics=TOPICS)
-        self._kept.write(sink, self._end_ns)
-        sink.close(complete=True)
+        """Write the brief log of a trial that has ended; LogError if that fails. Nothing waits for
+        the disk: a trial whose log a power cut damages is run again."""
+        save_whole(path, self._kept.file(self._end_ns))

@@ -62,12 +62,10 @@ class Sink:
     second error.
 
     If `part` is not ".part", the file is a copy of a log: an unfinished earlier copy is replaced,
-    unless a process is still writing it. The file has the channels of `topics` only.
+    unless a process is still writing it.
     """
 
-    def __init__(
-        self, path: Path, part: str = TRIAL_PART, topics: Collection[str] = CHANNELS
-    ) -> None:
+    def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
         self.digests = LogDigests()
@@ -82,7 +80,7 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap, self._channels = new_writer(self._file, topics)
+            self._mcap, self._channels = new_writer(self._file, CHANNELS)
         except OSError as error:
             self.fail(error)
 

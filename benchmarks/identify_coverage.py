@@ -102,8 +102,8 @@ def bench_coverage(number: int):
     experiment = spec.experiment
     plant = SimPlant(experiment.plant, experiment.setup, VirtualClock(), trial_seeds(number, 0)[1])
     drive = plant.drive
-    _, count, _, true_count, *_ = drive.host.trains[0]
-    gains = (true_count / count).mean(axis=0)
+    trains = drive.host.trains
+    gains = (trains[3] / trains[1]).mean(axis=0)  # of true speed to that sent, of both wheels
     a = plant.a * gains * experiment.setup.wheel_radius / drive.radius
     found = identify([track_of(log)], experiment.setup.a, experiment.controller.dead_time)
     hits = _hits(found, {"a": a})

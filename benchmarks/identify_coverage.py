@@ -25,7 +25,6 @@ import numpy as np
 from tetractl import api
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.design import sequence_spec
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
 from tetractl.results.estimate import proportion_interval
@@ -52,9 +51,13 @@ def _log(number: int, sets: list[str], rate: float | None):
         with TemporaryDirectory() as folder:
             return api.run_trial(spec, folder=folder), spec
     rng = np.random.default_rng([number, 1])
-    timing = (f"controller.period={PERIOD}", "controller.signal_periods=1", "wheels.watchdog=null")
-    loaded = api.load_spec(SPEC, f"trials.seed={number}", *timing, *sets, *NOISE)
-    spec = sequence_spec(loaded, rng.uniform(-2, 2, STEPS))
+    directions = rng.uniform(-2, 2, STEPS).tolist()
+    limit = (STEPS + 1) * PERIOD
+    times = f"period: {PERIOD}, time_limit: {limit}"
+    controller = f"controller={{type: sequence, {times}, directions: {directions}}}"
+    spec = api.load_spec(
+        SPEC, f"trials.seed={number}", controller, "wheels.watchdog=null", *sets, *NOISE
+    )
     with TemporaryDirectory() as folder:
         return api.run_trial(spec, folder=folder), spec
 

@@ -1,4 +1,4 @@
-"""`tetractl identify` and `design`, as they are called."""
+"""`tetractl identify`, as it is called."""
 
 import json
 
@@ -49,18 +49,6 @@ def test_exported_tables_say_the_same(folder):
     assert tables["dead_time"]["value"] == pytest.approx(logs["dead_time"]["value"], abs=1e-4)
     for one, two in zip(logs["robots"], tables["robots"], strict=True):
         assert one["a"]["value"] == pytest.approx(two["a"]["value"], rel=1e-3)
-
-
-@pytest.mark.long
-def test_a_design_is_proposed_as_a_spec_and_driven(folder):
-    words = ("design", "quick.yaml", "--seconds", "6")
-    done = tetractl(folder, *words, "-o", "motion.yaml").ok()
-    assert "predicted standard deviations" in done.stdout
-    assert tetractl(folder, "validate", "motion.yaml").returncode == 0
-    driven = tetractl(folder, *words, "--plant", "sim", "--logs", "design", "--json").ok()
-    found = json.loads(driven.stdout)
-    assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.005)
-    assert tetractl(folder, "verify", "design").returncode == 0
 
 
 def test_logs_of_a_field_of_known_strength_say_the_rate_per_strength(folder):

@@ -82,9 +82,9 @@ export logs -o x.csv --table steps --format parquet | ends in .csv
 export missing -o x | missing: no such file or folder
 identify | LOG
 identify logs --yes | No such option
+run lab.yaml --plant lab | there is no terminal at which to ask | add --yes
+design spec.yaml | 'design' is no longer there | run any trials
 identify logs poses.csv | logs and CSV files cannot be combined
-design spec.yaml --yes | --logs and --yes need --plant
-design lab.yaml --plant lab | there is no terminal at which to ask | add --yes
 rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
 analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures

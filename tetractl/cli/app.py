@@ -22,6 +22,7 @@ from tetractl.core.errors import UNIX_MODULES, Exit, TetractlError, UsageError, 
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
+from tetractl.core.retired import refuse_retired
 from tetractl.experiment.packages import not_installed
 
 PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
@@ -88,8 +89,11 @@ class _Group(TyperGroup):
         return _placeholders(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command with this name; UsageError if its package is not installed."""
+        """Return the command with this name; UsageError if its package is not installed, or if
+        only earlier versions have it."""
         found = super().get_command(ctx, cmd_name)
+        if found is None:
+            refuse_retired(self.registry.group, cmd_name)
         if found is None and (missing := not_installed(self.registry.group, cmd_name)):
             raise UsageError(f"'{ctx.command_path} {cmd_name}' {missing[0]}", missing[1])
         return found

@@ -103,35 +103,6 @@ def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
         yield [ServedRun(viewers, MonotonicClock())]
 
 
-def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
-    """Run a trial, write its log to a folder, and return the path of the log.
-
-    In the lab, robots move only once the operator has agreed, or with `yes`, and once all checks of
-    a run have passed; the space bar and Esc stop them. Raises TetractlError for a trial that was
-    aborted, KeyboardInterrupt for one that was interrupted.
-    """
-    from tetractl.core.plan import Outcome
-    from tetractl.run.store import Store
-    from tetractl.run.task import log_path
-    from tetractl.run.trial_limits import check
-
-    check(loaded.experiment)
-    lab, store = loaded.experiment.plant.real_time, Store.of_batch(folder, loaded.experiment)
-    if lab:
-        ui.require_confirmation(yes)
-    options = RunOptions(quiet=not lab, yes=yes)
-    with store.opened(False), _stoppable(loaded, options) as interrupt:
-        report = _run_trials(loaded, store, [trial], options, interrupt)
-    for error in report.errors.values():
-        raise error
-    result = next(iter(report.results.values()), None)
-    if result is None or result.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    if result.outcome is Outcome.ABORTED:
-        raise TetractlError(f"the robots were stopped: {result.reason}", f"log in {folder}")
-    return log_path(folder, trial)
-
-
 @contextmanager
 def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an `Interrupt` that counts each signal during the `with`

@@ -182,7 +182,6 @@ COMMANDS = Registry(
         "analyze": "tetractl.cli.stats:analyze",
         "study": "tetractl.cli.study:study",
         "reproduce": "tetractl.cli.reproduce:reproduce",
-        "design": "tetractl.cli.identify:design",
         "identify": "tetractl.cli.identify:identify",
     },
 )

@@ -12,7 +12,6 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.design import propose
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.replay.identification.identify import (
     IdentifiedRobots,
@@ -233,17 +232,6 @@ def test_a_model_that_does_not_fit_is_told():
     wrong = identify([track], EXPECTED)
     assert "heading" in wrong.robots[1].misfits
     assert "the model does not fit" in tables(wrong)[0].note
-
-
-@pytest.mark.long
-def test_a_design_stays_clear_and_tells_much():
-    experiment = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
-    design = propose(experiment, 6.0, 1)
-    assert design.seconds == pytest.approx(6.0, abs=0.2)
-    assert design.clearance >= 100
-    assert (design.a_std < 0.02).all()
-    short, again = (propose(experiment, 2.0, 1).directions.tolist() for _ in range(2))
-    assert short == again
 
 
 def test_poses_of_a_pause_are_not_used():

@@ -77,7 +77,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
         if count < INTERVALS_MIN:
             raise UsageError(
                 f"robot {name} drives in only {count} intervals between frames",
-                f"{INTERVALS_MIN} intervals are needed; `tetractl design` proposes a motion",
+                f"{INTERVALS_MIN} intervals are needed; give more logs, or longer ones",
             )
     expected = np.full(len(counts), UNKNOWN_A) if a is None else a
     fitted = fit(frames, expected, speeds(frames), dead_time)

@@ -1,4 +1,4 @@
-"""Robots of an emulated lab driven open loop, by a design to identify them."""
+"""Robots of an emulated lab driven open loop by a sequence, and identified from it."""
 
 import json
 
@@ -11,21 +11,26 @@ from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.long
 
+PERIOD_S = 0.2
+DIRECTIONS = [1.5 * PERIOD_S * step for step in range(20)]  # rad: a circle, clear of obstacles
+SEQUENCE = f"controller={{type: sequence, period: {PERIOD_S}, directions: {DIRECTIONS}}}"
 
-def test_a_design_is_driven_and_its_robots_are_identified(tmp_path):
+
+def test_a_sequence_is_driven_and_its_robots_are_identified(tmp_path):
     def call(*words):
         done = tetractl(tmp_path, *words).ok()
         return done.stdout
 
-    sets = (*SMALL, "lab.limits.placing=30")
+    of_the_lab = (setting for setting in SMALL if not setting.startswith("controller."))
+    sets = (*of_the_lab, SEQUENCE, "lab.limits.placing=30")
     with virtual_lab(tmp_path, *sets, spec=SPEC, replace_after=0.2, ahead_s=0.5) as lab:
-        design = ("design", SPEC, "--seconds", "4", "--plant", "lab", "--yes")
-        said = call(*design, "--logs", "design", "--json", *flags(lab.settings))
-        found = json.loads(said)
-        assert found["origin"] == "emulated lab"
-        log = read_trial(next((tmp_path / "design").glob("*.mcap")))
+        run = ("run", SPEC, "--plant", "lab", "--yes", "--quiet", "--out", "driven")
+        call(*run, *flags(lab.settings))
+        log = read_trial(next((tmp_path / "driven").glob("*.mcap")))
         assert log.result.outcome.complete
         assert log.result.verdict.entered == (False,) * 3
+        found = json.loads(call("identify", "driven", "--json"))
+        assert found["origin"] == "emulated lab"
         for robot, a, speed in zip(found["robots"], (6, 4, 3), (180, 200, 150), strict=True):
             assert robot["a"]["value"] == pytest.approx(a, rel=0.3)
             assert robot["speed"]["value"] == pytest.approx(speed, rel=0.05)

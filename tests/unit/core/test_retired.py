@@ -1,0 +1,8 @@
+from tetractl.core.registries import COMMANDS, LAB_COMMANDS, all_registries
+from tetractl.core.retired import INSTEAD
+
+
+def test_no_retired_name_is_a_kind():
+    groups = {one.group: one for one in (*all_registries(), COMMANDS, LAB_COMMANDS)}
+    for group, name in INSTEAD:
+        assert name not in groups[group]

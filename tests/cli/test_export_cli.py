@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pandas
 import pytest
-from pyarrow import parquet
 from support.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
@@ -12,14 +11,12 @@ from tetractl.log.read.reader import read_trial
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_tables_hold_what_the_logs_hold(folder, kind):
-    done = tetractl(folder, "export", "logs", "-o", kind, "--format", kind)
+def test_tables_hold_what_the_logs_hold(folder):
+    done = tetractl(folder, "export", "logs", "-o", "csv")
     names = ("trials", "steps", "poses", "estimates", "events")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [f"{kind}/{name}.{kind}" for name in names]
-    read = pandas.read_csv if kind == "csv" else pandas.read_parquet
-    tables = {name: read(folder / kind / f"{name}.{kind}") for name in names}
+    assert done.stdout.split() == [f"csv/{name}.csv" for name in names]
+    tables = {name: pandas.read_csv(folder / "csv" / f"{name}.csv") for name in names}
     logs = [read_trial(path) for path in sorted((folder / "logs").glob("*.mcap"))]
     assert all(list(table.columns[:2]) == ["path", "trial"] for table in tables.values())
     assert len(tables["trials"]) == 2
@@ -36,13 +33,6 @@ def test_tables_hold_what_the_logs_hold(folder, kind):
         assert poses["x_mm"].tolist() == pytest.approx(log.mocap[:, 1, 0].tolist(), rel=1e-15)
         row = tables["trials"].query(f"trial == {log.start.trial}").iloc[0]
         assert row["total_error_mm"] == log.result.total_error
-
-
-def test_parquet_keeps_the_types(folder):
-    tetractl(folder, "export", "logs", "-o", "poses.parquet", "--table", "poses")
-    schema = parquet.read_schema(folder / "poses.parquet")
-    types = {name: str(schema.field(name).type) for name in ("frame", "robot", "x_mm", "valid")}
-    assert types == {"frame": "int64", "robot": "string", "x_mm": "double", "valid": "bool"}
 
 
 def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_path):

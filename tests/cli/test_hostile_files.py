@@ -83,19 +83,6 @@ def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
     refused(done, "log.mcap", "true_a", code=1)
 
 
-def test_seeds_are_the_same_numbers_in_every_table(tmp_path):
-    """A first log with a small seed does not decide the type for a later one."""
-    from pyarrow import parquet
-
-    for seed in (3, 2**64 - 1):
-        (tmp_path / f"{seed}.yaml").write_text(QUICK)
-        words = ("run", f"{seed}.yaml", "--seed", seed, "--out", f"logs/{seed}", "--quiet")
-        assert tetractl(tmp_path, *words).returncode == 0
-    tetractl(tmp_path, "export", "logs", "-o", "out", "--format", "parquet").ok()
-    found = parquet.read_table(tmp_path / "out" / "trials.parquet")["seed"].to_pylist()
-    assert set(found) == {3, 2**64 - 1}
-
-
 def test_the_unit_of_identified_values_is_shown_as_a_terminal_may(tmp_path):
     """Regression: a change of the writing direction came to the terminal."""
     value = "{value: 1}"

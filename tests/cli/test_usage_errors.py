@@ -77,8 +77,8 @@ plot logs --kind video | a video shows one trial, not 3
 plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
 export logs -o x.csv | one file holds one table
 export logs -o x --table no | there is no table 'no'
-export logs -o x --format xls | cannot write 'xls' tables
-export logs -o x.csv --table steps --format parquet | ends in .csv
+export logs -o x --format csv | No such option: --format | tables are CSV
+export logs -o x.parquet --table steps | 'parquet' is no longer there | tables are CSV; in Python
 export missing -o x | missing: no such file or folder
 identify | LOG
 identify logs --yes | No such option
@@ -178,7 +178,6 @@ sys.exit(run_app())
 @pytest.mark.parametrize(
     ("module", "words", "hinted"),
     [
-        ("pyarrow", "export logs/trial-000.mcap --format parquet -o out", "'.[parquet]'"),
         ("distributed", "study study.yaml --cluster tcp://localhost:1", "'.[dask]'"),
     ],
 )

@@ -22,7 +22,7 @@ from tetractl.core.errors import UNIX_MODULES, Exit, TetractlError, UsageError, 
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
-from tetractl.core.retired import refuse_retired
+from tetractl.core.retired import INSTEAD, refuse_retired
 from tetractl.experiment.packages import not_installed
 
 PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
@@ -43,7 +43,6 @@ EXTRAS = {
     "dask_jobqueue": ("dask-jobqueue", "dask"),
     "distributed": ("Dask's distributed", "dask"),
     "pandas": ("pandas", "dataframe"),
-    "pyarrow": ("pyarrow", "parquet"),
     "websockets": ("websockets", "serve"),
 }
 """For each optional module, the package's name and the extra of tetractl that installs it."""
@@ -218,6 +217,10 @@ def _plainly(message: str) -> str:
 
 def _usage_hint(error: TyperException) -> str | None:
     match error:
+        case object(ctx=context, option_name=option) if context and (
+            instead := INSTEAD.get((context.info_name, option))
+        ):
+            return instead
         case object(ctx=context) if context:  # typer's UsageError, which has no public name
             return f"try '{context.command_path} --help'"
     return None

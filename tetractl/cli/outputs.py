@@ -9,7 +9,8 @@ from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.children import open_in_browser
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
-from tetractl.core.table.table_files import FORMATS, check_format, table_files
+from tetractl.core.retired import refuse_retired
+from tetractl.core.table.table_files import table_files
 from tetractl.log.read.find import find_logs
 
 TRAJECTORY, VIDEO = "trajectory", "video"
@@ -137,29 +138,26 @@ def export(
         Path,
         out_option(
             "DIR|FILE",
-            "Folder for all tables; or a .csv or .parquet file for the one named by --table.",
+            "Folder for all tables; or a .csv file for the one named by --table.",
         ),
     ],
     table: Annotated[
         str | None,
         option("NAME", "Write only this table: trials, steps, poses, estimates or events. [all]"),
     ] = None,
-    form: Annotated[
-        str | None, option("NAME", "File format: csv or parquet. [csv]", "--format")
-    ] = None,
 ) -> int:
-    """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
+    """Write trials as tidy CSV tables: one row per trial, control step, pose, estimate or event.
 
     The names of columns end in their units. Each table has the columns `path` and `trial`, by which
     tables can be joined. Existing files of these names are overwritten.
 
-    Example: tetractl export logs/three-m3pi -o tables --format parquet
+    Example: tetractl export logs/three-m3pi -o tables
     """
     from tetractl.results.trial_tables import of_log
 
-    paths, kind = _files(out, table, form)
+    paths = _files(out, table)
     found, unread, damaged = find_logs(logs), 0, 0
-    with table_files(paths, kind) as add, ui.progress("Reading logs") as on_log:
+    with table_files(paths) as add, ui.progress("Reading logs") as on_log:
         for number, path in enumerate(found):
             on_log(number, len(found))
             try:
@@ -178,21 +176,17 @@ def export(
     return Exit.FAILED if unread or damaged else Exit.DONE
 
 
-def _files(out: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:
-    """Return the file of each table, and the format."""
+def _files(out: Path, table: str | None) -> dict[str, Path]:
+    """Return the file of each table."""
     from tetractl.results.trial_tables import TABLES
 
     if table is not None and table not in TABLES:
         raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
     ending = out.suffix.lower().removeprefix(".")
-    if ending not in FORMATS or out.is_dir():
-        kind = kind or "csv"
-        check_format(kind)
+    refuse_retired("export", ending)
+    if ending != "csv" or out.is_dir():
         names = TABLES if table is None else (table,)
-        return {name: out / f"{name}.{kind}" for name in names}, kind
+        return {name: out / f"{name}.csv" for name in names}
     if table is None:
         raise UsageError(f"{out}: one file holds one table", "name the table with --table")
-    if kind not in (None, ending):
-        raise UsageError(f"{out}: ends in .{ending}, but --format is {kind}")
-    check_format(ending)
-    return {table: out}, ending
+    return {table: out}

@@ -1,15 +1,18 @@
-"""Names of kinds that earlier versions had, each with what to use in its place."""
+"""Names that earlier versions had, each with what to use in its place."""
 
 from tetractl.core.errors import UsageError
 
+_FRAME = "tables are CSV; in Python: tetractl.to_dataframe(log).to_parquet(file)"
 INSTEAD = {
     ("tetractl.commands", "design"): "run any trials, such as those of a controller of type "
     "sequence, and give their logs to `tetractl identify`",
+    ("export", "--format"): _FRAME,
+    ("export", "parquet"): _FRAME,
 }
-"""What to use instead of a kind, by the group of its entry points and its name."""
+"""What to use instead of a name, by what it is a name of: a group of entry points or a command."""
 
 
-def refuse_retired(group: str, name: str) -> None:
+def refuse_retired(of: str, name: str) -> None:
     """Raise UsageError for a name that an earlier version had."""
-    if instead := INSTEAD.get((group, name)):
+    if instead := INSTEAD.get((of, name)):
         raise UsageError(f"{name!r} is no longer there", instead)

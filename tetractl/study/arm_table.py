@@ -58,7 +58,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
         trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
         times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(trial))
-    with table_files(paths, "csv") as add:
+    with table_files(paths) as add:
         if trials:
             add("trials", Table.of_records("trials", trials), "")
             add("times", Table.of_records("times", times), "")

@@ -45,7 +45,7 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     """Write all results of a film into a folder; GEFF only if its package is installed."""
     poses, tracks = pose_tables(followed)
     tables = {"cells": cell_data(record), "poses": poses, "tracks": tracks}
-    with table_files({name: folder / f"{name}.csv" for name in tables}, "csv") as add:
+    with table_files({name: folder / f"{name}.csv" for name in tables}) as add:
         for name, table in tables.items():
             add(name, table, "")
     path, cells = folder / "track.mcap", defaultdict[int, Cells](list)

@@ -153,7 +153,7 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
     ui.tell(*(f"damaged: {log}: {line}" for line in found.damage))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        with table_files({"cells": out / "cells.csv"}, "csv") as add:
+        with table_files({"cells": out / "cells.csv"}) as add:
             add("cells", cell_data(found.record), "")
         for kind in CELL_FIGURES.names():
             with suppress(UsageError):  # this film has no field, or no cell

@@ -9,7 +9,6 @@ import re
 import numpy as np
 import pandas
 import pytest
-from pyarrow import parquet
 from rich.console import Console
 from support.paths import ROOT
 
@@ -77,20 +76,14 @@ def test_numbers_have_all_their_digits_and_unknown_ones_no_cell():
     assert csv_text(Table("", (Column("n", []), Column("w", [])))) == "n,w\n"
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path, kind):
-    path = tmp_path / f"speeds.{kind}"
-    with table_files({"speeds": path}, kind) as add:
+def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
+    path = tmp_path / "speeds.csv"
+    with table_files({"speeds": path}) as add:
         add("speeds", TABLE, "a.mcap")
         add("speeds", TABLE, "b.mcap")
         assert not path.exists()
-    read = pandas.read_csv if kind == "csv" else pandas.read_parquet
-    found = read(path)
-    assert found.speed_mm_s.isna().tolist() == [False, True] * 2
-    if kind == "csv":
-        assert [row.cells["note"] for row in read_csv(path)] == ["a | b", "<b>"] * 2
-    else:
-        assert str(parquet.read_schema(path).field("speed_mm_s").type) == "double"
+    assert pandas.read_csv(path).speed_mm_s.isna().tolist() == [False, True] * 2
+    assert [row.cells["note"] for row in read_csv(path)] == ["a | b", "<b>"] * 2
 
 
 def test_other_columns_are_refused_and_leave_no_file(tmp_path):
@@ -99,7 +92,7 @@ def test_other_columns_are_refused_and_leave_no_file(tmp_path):
         pytest.raises(
             UsageError, match=r"b\.mcap: the columns of speeds differ from earlier ones: other"
         ),
-        table_files({"speeds": path}, "csv") as add,
+        table_files({"speeds": path}) as add,
     ):
         add("speeds", TABLE, "a.mcap")
         add("speeds", TABLE.with_first(other=1), "b.mcap")
@@ -141,16 +134,13 @@ def test_nested_items_become_one_row():
     assert flat(nested) == expected
 
 
-EXTRA = '"pyarrow": ("pyarrow", "parquet")'  # of the table of extras, which imports nothing
-
-
 def test_no_other_module_writes_tables():
     """CSV is read, CSV, tables of rich and of HTML are written in one package."""
-    writers = r"\bcsv\.(reader|writer|Dict)|import csv\n|rich\.table|pyarrow|<table"
+    writers = r"\bcsv\.(reader|writer|Dict)|import csv\n|rich\.table|<table"
     found = {
         str(path.relative_to(ROOT))
         for path in (ROOT / "tetractl").rglob("*.py")
-        if re.search(writers, path.read_text("utf-8").replace(EXTRA, ""))
+        if re.search(writers, path.read_text("utf-8"))
     }
     names = ("csv_rows", "table_files", "terminal_table")
     assert found == {f"tetractl/core/table/{name}.py" for name in names}

@@ -1,4 +1,4 @@
-"""Writes tables as data: JSON, CSV after RFC 4180, and Parquet by pyarrow."""
+"""Writes tables as data: JSON, and CSV after RFC 4180."""
 
 import io
 import json
@@ -8,18 +8,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, is_dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
 from typing import Any, TextIO
 
 from tetractl.core.errors import LogError, UsageError, entry
-from tetractl.core.table.table import Array, Column, Table
+from tetractl.core.table.table import Array, Table
 
 PART = ".part"
 _NUMBERS = {float, int, bool, type(None)}
-UNSIGNED = ("seed",)
-"""Columns of integers from 0 to 2**64 - 1."""
 
 
 def csv_text(table: Table) -> str:
@@ -63,19 +60,6 @@ def _text(value: Any) -> str:
     return '"{}"'.format(text.replace('"', '""')) if re.search('[",\r\n]', text) else text
 
 
-def _typed(column: Column) -> Any:
-    """Return a column as a pyarrow array. If no value is known, the array's type is text for a
-    column of words, otherwise float."""
-    import pyarrow
-
-    values = column.known
-    if column.key in UNSIGNED:
-        return pyarrow.array(values, pyarrow.uint64())
-    if any(value is not None for value in values):
-        return pyarrow.array(values)
-    return pyarrow.array(values, pyarrow.string() if column.words else pyarrow.float64())
-
-
 AddRows = Callable[[Table], None]
 
 
@@ -100,48 +84,10 @@ def _csv_file(path: Path) -> Iterator[AddRows]:
 
 
 @contextmanager
-def _parquet_file(path: Path) -> Iterator[AddRows]:
-    """Write a table as Parquet, a row group for each addition; the first determines the types."""
-    from pyarrow import parquet, table
-
-    writer: Any = None
-
-    def add(rows: Table) -> None:
-        nonlocal writer
-        if writer is None:
-            found = table({column.key: _typed(column) for column in rows.columns})
-            writer = parquet.ParquetWriter(path, found.schema)
-        else:
-            known = {column.key: column.known for column in rows.columns}
-            found = table(known, schema=writer.schema)
-        writer.write_table(found)
-
-    try:
-        yield add
-    finally:
-        if writer is not None:
-            writer.close()
-
-
-FORMATS = {"csv": _csv_file, "parquet": _parquet_file}
-
-
-def check_format(name: str) -> None:
-    """Raise UsageError for an unknown format, or one whose library is not installed."""
-    if name not in FORMATS:
-        raise UsageError(f"cannot write {name!r} tables", f"choose {' or '.join(FORMATS)}")
-    if name == "parquet" and find_spec("pyarrow") is None:
-        raise UsageError(
-            "Parquet needs pyarrow, which is not installed",
-            "in the clone of tetractl: pip install '.[parquet]', or choose csv",
-        )
-
-
-@contextmanager
 def table_files(
-    paths: Mapping[str, Path], format_name: str
+    paths: Mapping[str, Path],
 ) -> Iterator[Callable[[str, Table, str], None]]:
-    """Write the files of several tables; yields the function that adds rows to one of them.
+    """Write the CSV files of several tables; yields the function that adds rows to one of them.
 
     It is called with the name of a file, the rows, and their source for messages; it raises
     UsageError if the columns differ from those of earlier rows. Each file is written as NAME.part,
@@ -168,7 +114,7 @@ def table_files(
             with ExitStack() as stack:
                 for name, part in parts.items():
                     part.parent.mkdir(parents=True, exist_ok=True)
-                    files[name] = stack.enter_context(FORMATS[format_name](part))
+                    files[name] = stack.enter_context(_csv_file(part))
                 yield add
             for name, part in parts.items():
                 if part.exists():

@@ -26,7 +26,7 @@ from tetractl.results.mean_difference import (
     signed_rank,
     welch,
 )
-from tetractl.view.figures.ecdf import band
+from tetractl.view.figures.batch import band
 
 SIZES = (5, 8, 20, 50)
 SPREAD = 0.35  # deviation of the normal errors around 1: none is negative in practice

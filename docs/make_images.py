@@ -63,7 +63,7 @@ def main() -> None:
             (reference / first, "trajectory", "figure-5.png"),
             (swarm / first, "swarm", "figure-2.png"),
             (bench, "errors", "errors.png"),
-            (bench, "scatter", "scatter.png"),
+            (bench, "batch", "batch.png"),
         ):
             tetractl("plot", log, "--kind", kind, "-o", IMAGES / image)
         with virtual_dish(folder, seed=1) as dish:

@@ -272,9 +272,8 @@ def plot(
 ) -> "Figure":
     """Draw a matplotlib figure, and write it to `file` (.png, .svg or .pdf) if given.
 
-    `kind` names a figure of `tetractl plot`; "trajectory", "errors", "arms", "ecdf" and "scatter"
-    show several trials. Statistics and comparisons have one figure each, in which every
-    trial is a dot.
+    `kind` names a figure of `tetractl plot`; "trajectory", "errors" and "batch" show several
+    trials. Statistics and comparisons are shown by "batch", whatever `kind` is.
     """
     from tetractl.results.contrast import BatchComparison
     from tetractl.results.describe import BatchStatistics

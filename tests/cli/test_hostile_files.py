@@ -79,7 +79,7 @@ def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
 
     facts = [Fact(key="true_a", value=fact)]
     log = rewrite(contents, tmp_path / "log.mcap", stating(contents, RUN, facts=facts))
-    done = tetractl(tmp_path, "plot", log, "--kind", "estimate", "-o", "e.png")
+    done = tetractl(tmp_path, "plot", log, "--kind", "over-time", "-o", "e.png")
     refused(done, "log.mcap", "true_a", code=1)
 
 

@@ -72,7 +72,9 @@ plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | end the name in .png, 
 plot LOG -o a | needs an ending
 plot LOG -o nowhere/a.png | nowhere/a.png: there is no folder nowhere
 plot LOG --kind pie | no figure is called 'pie'
-plot logs --kind timing | shows one trial, not 3
+plot logs --kind over-time | shows one trial, not 3
+plot logs --kind scatter | 'scatter' is no longer there | use --kind batch
+plot LOG --kind timing | 'timing' is no longer there | use --kind over-time
 plot logs --kind video | a video shows one trial, not 3
 plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
 export logs -o x.csv | one file holds one table

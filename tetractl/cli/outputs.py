@@ -36,14 +36,9 @@ def plot(
     trajectory: paths in one trial or several, the paper's Figure 5.
     convergence: cost over the iterations, the paper's Figure 3.
     swarm: particles of the first search, the paper's Figure 2.
-    error: distances to the targets over time.
-    errors: errors of several trials over time, with their median, by folder.
-    arms: the final errors of each of several folders, their mean and its 95 % interval.
-    ecdf: fraction of each folder's trials that ended with an error up to a value.
-    scatter: where the robots of several trials ended, by folder.
-    signal: the direction sent over time.
-    estimate: the controller's estimates of turning rate a, speed and so on over time.
-    timing: solve time of each control step.
+    errors: errors over time, of one trial or, with their median by folder, of several.
+    batch: final errors by folder: each trial, the mean with its interval, the distribution.
+    over-time: signal, solve times, and the estimates of turning rate a, speed and so on.
     video: the trial as a video.
 
     Installed packages may add figures.

@@ -61,8 +61,6 @@ def stats(
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 
-    Example: tetractl stats logs/exact logs/arc logs/euler --plot ecdf.pdf
-
     Example: tetractl stats logs/slip
     """
     from tetractl.results.contrast import contrast
@@ -79,11 +77,9 @@ def stats(
     show(found, "json" if as_json else form, full)
     if plot:
         from tetractl.view.figures.batch import batch_figure
-        from tetractl.view.figures.ecdf import distributions_figure
         from tetractl.view.style import save
 
-        few = len(found.groups) <= 2  # a dot for each trial; of more, the distributions
-        save(batch_figure(found.groups) if few else distributions_figure(found.groups), plot)
+        save(batch_figure(found.groups), plot)
         ui.tell(f"wrote {plot}")
     return Exit.DONE if found.whole else Exit.FAILED
 

@@ -1,13 +1,22 @@
-"""The colours of robots, the same in every picture, page and viewer."""
+"""What colours mean, the same in every figure, terminal, page and viewer.
+
+A hue is a robot, or a cell. Shades of slate are batches (arms, controllers, folders) and what
+belongs to no robot, such as a total error. Grey is what something is compared with: a limit, a
+published value. ALARM is a fault. How figures draw them is in `view/style.py`.
+"""
 
 from collections.abc import Sequence
 
 GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
-"""The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two further
-colours."""
+"""The colours of robots: the colour-blind safe ones of Okabe and Ito (2008) without yellow and
+black, and two further ones."""
 NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 """The paper's colours by name, in shades that colour-blind readers can distinguish."""
+SLATES = ("#2B3A4A", "#7A8EA3", "#B3C0CC")
+"""The colours of batches, from dark to light."""
+INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
+ALARM = "#B00020"
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:

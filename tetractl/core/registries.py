@@ -139,15 +139,10 @@ FIGURES = Registry(
     {
         "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
-        "error": "tetractl.view.figures.curves:error_figure",
         "errors": "tetractl.view.figures.curves:errors_figure",
-        "arms": "tetractl.view.figures.arms:arms_figure",
-        "ecdf": "tetractl.view.figures.ecdf:ecdf_figure",
-        "scatter": "tetractl.view.figures.scatter:scatter_figure",
+        "batch": "tetractl.view.figures.batch:figure_of_logs",
         "swarm": "tetractl.view.figures.swarm:swarm_figure",
-        "signal": "tetractl.view.figures.signal:signal_figure",
-        "estimate": "tetractl.view.figures.estimate:estimate_figure",
-        "timing": "tetractl.view.figures.convergence:timing_figure",
+        "over-time": "tetractl.view.figures.over_time:over_time_figure",
     },
 )
 PAPERS = Registry(

@@ -246,7 +246,7 @@ def of_trial(log: TrialLog) -> str:
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.path).name
-    kinds = ("trajectory", "convergence", "error", "timing")
+    kinds = ("trajectory", "convergence", "errors", "over-time")
     return _paper([_figure(kind, [log], f"{kind}, {name}") for kind in kinds])
 
 
@@ -256,10 +256,8 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
     if len(seen) < 2:
         return ""
     where = f": {name}" if name else ""
-    over_time = "The error of each trial over time, the median, and the middle half of the trials"
-    ends = "Where each robot ended relative to its target: a dot per trial, and the covariance"
-    drawn = {"errors": over_time, "scatter": ends}
-    return _paper([_figure(kind, seen, text + where) for kind, text in drawn.items()])
+    text = "The error of each trial over time, the median, and the middle half of the trials"
+    return _paper([_figure("errors", seen, text + where)])
 
 
 def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
@@ -278,7 +276,11 @@ def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> 
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
     drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
     return _paper(
-        [_captioned(drawing, "Every total error, a dot per trial, and the errors of each robot")]
+        [
+            _captioned(
+                drawing, "Every total error, a dot per trial, and how the errors are distributed"
+            )
+        ]
     )
 
 

@@ -1,5 +1,5 @@
 """The figures of a study: total error by arm and, for each swept field, against its value, in the
-colours of the controllers.
+shades of the controllers.
 """
 
 import re
@@ -13,7 +13,7 @@ from tetractl.run.store import Store
 from tetractl.study.arm_table import LISTED, field_values, group_of, origins
 from tetractl.study.load_study import LoadedStudy
 from tetractl.view import style
-from tetractl.view.figures.arms import errors_by
+from tetractl.view.figures.sweep import errors_by
 
 ARMS = "arms"  # in place of a field: the figure by arm
 

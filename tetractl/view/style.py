@@ -1,4 +1,7 @@
-"""The style of every figure (colours, sizes of type and paper), and saving a figure."""
+"""The style of every figure (marks, lines, sizes of type and paper), and saving a figure.
+
+What the colours mean is said in `core/colors.py`.
+"""
 
 import io
 import textwrap
@@ -14,12 +17,22 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
+from tetractl.core import colors
 from tetractl.core.errors import UsageError
 from tetractl.core.files import save_whole
 
-INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
+INK = colors.INK
+GREY = colors.GREY
+FAINT = colors.FAINT
+ALARM = colors.ALARM
+SLATES = colors.SLATES
 OBSTACLE: dict[str, Any] = {"fc": "#F6DF8B", "ec": "#B8960C", "lw": 0.6}
-ALARM = "#B00020"
+TARGET: dict[str, Any] = {"marker": "s", "mfc": "none", "ls": "none"}
+LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": "--"}
+"""A limit, or a published value."""
+WHOLE = SLATES[0]
+"""What belongs to no single robot: the signal, a total error, the chosen search."""
+_DASHES = ("-", "--", ":")
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
 FORMATS = ("png", "svg", "pdf")
@@ -112,6 +125,12 @@ def lay_out(drawing: Figure) -> None:
     """Compute the positions of axes and legends without drawing."""
     if (engine := drawing.get_layout_engine()) is not None:
         engine.execute(drawing)
+
+
+def batch_look(number: int) -> dict[str, Any]:
+    """Return colour and line of batch `number`: the shades in turn, then the next line."""
+    turn, shade = divmod(number, len(SLATES))
+    return {"color": SLATES[shade], "ls": _DASHES[turn % len(_DASHES)]}
 
 
 def panel(axes: Axes, letter: str, title: str, x: str = "", y: str = "") -> None:

@@ -72,7 +72,7 @@ def test_it_is_shown(log):
     k = next(step.k for step in log.steps if step.command.action == FieldOff())
     assert "field off" in step_line(Recording(log), k)
     assert trial_data(log, "t")["steps"]["u"]
-    for kind in ("trajectory", "error", "timing"):
+    for kind in ("trajectory", "errors", "over-time"):
         draw(kind, [log])
 
 

@@ -1,6 +1,7 @@
 """Functions shared by figures: selecting trials, names of robots, axes and ellipses."""
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,7 +28,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
     if len(logs) > 1:
         raise UsageError(
             f"this figure shows one trial, not {len(logs)}",
-            "give one log, or use --kind trajectory, errors or scatter",
+            "give one log, or use --kind trajectory, errors or batch",
         )
     return logs[0]
 
@@ -61,7 +62,7 @@ def panels_of(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
     if len(found) > 12:
         raise UsageError(
             f"{len(found)} folders: this figure has a panel for each of at most 12",
-            "give fewer folders, or use --kind arms or ecdf",
+            "give fewer folders, or use --kind batch",
         )
     for arm in found.values():
         check_alike(arm)
@@ -164,6 +165,30 @@ def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
     else:
         axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
+    """Label the x axis, `width_in` wide, with the names of categories, and make the figure higher
+    by the labels.
+
+    The names are level, with a line for each field of an arm, or upright if these lines are too
+    long.
+    """
+    char_in = 0.05  # width of a character [inches]
+    level = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
+    longest = max(len(line) for label in level for line in label.split("\n"))
+    fits = char_in * (longest + 2) < width_in / len(names)
+    axes.set_xticks(
+        range(len(names)), level if fits else [one.replace("\n", ", ") for one in names]
+    )
+    axes.tick_params(axis="x", length=0, rotation=0 if fits else 90)
+    axes.tick_params(axis="x", labelsize=6 if len(names) < 50 else 4)
+    axes.set_xlim(-0.5, len(names) - 0.5)
+    lines = max(label.count("\n") for label in level)
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    below_in = 0.1 * lines if fits else char_in * max(map(len, names))
+    figure.set_figheight(figure.get_figheight() + below_in)
 
 
 def whole_ticks(axes: Axes) -> None:

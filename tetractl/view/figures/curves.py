@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tetractl.core.clock import SECOND
-from tetractl.core.colors import BLUE, RED, robot_colors
+from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
@@ -21,7 +21,6 @@ from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
     final_poses,
-    one_trial,
     panels_of,
     robot_labels,
     separated,
@@ -69,10 +68,11 @@ def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
     figure = axes.get_figure(root=True)
     assert figure is not None
     style.lay_out(figure)  # computes the height of the axes
-    low, high = axes.get_ylim()
     line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")
-    wanted = np.clip((ends[order] - low) / (high - low), 0.0, 1.0)
+    points = np.column_stack([np.zeros(len(ends)), ends[order]])
+    places = axes.transAxes.inverted().transform(axes.transData.transform(points))[:, 1]
+    wanted = np.clip(places, 0.0, 1.0)
     for which, height, place in zip(order, wanted, separated(wanted, line), strict=True):
         color = curves[which].color
         axes.annotate(
@@ -123,10 +123,14 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     return found
 
 
+def errors_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw the total error and each robot's error over time, of one trial or of several."""
+    return _of_trial(logs[0]) if len(logs) == 1 else _of_trials(logs)
+
+
 @style.styled()
-def error_figure(logs: Sequence[TrialLog]) -> Figure:
+def _of_trial(log: TrialLog) -> Figure:
     """Draw the total error, and below it the distance of each robot to its target, over time."""
-    log = one_trial(logs)
     time_s = _since(log)
     setup = log.start.setup
     unit = unit_of(setup.unit)
@@ -137,7 +141,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
     show = lengths(float(ends.sum()))
     figure, [(total, each)] = _panels([setup], 1.9, 1.6, max(float(time_s[-1]), 1e-9))
     name = f"{show(ends.sum())} {unit}"
-    whole = [Curve(gaps.sum(axis=1), style.INK, name, "total", width=1.4)]
+    whole = [Curve(gaps.sum(axis=1), style.WHOLE, name, "total", width=1.4)]
     robots = robot_curves(setup, gaps, show=show)
     panels = (total, whole, gaps.sum(axis=1)), (each, robots, gaps)
     for axes, curves, values in panels:
@@ -146,7 +150,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
         axes.set_ylim(0, float(np.nanmax(seen, initial=1e-9)) * 1.04)
     if tolerance := log.experiment.controller.arrival_tolerance:
         label = f"arrival within {tolerance:g} {unit}"
-        each.axhline(tolerance, color=style.GREY, lw=0.8, ls="--", label=label)
+        each.axhline(tolerance, **style.LIMIT, label=label)
     _mark_steps(each, log)
     total.set_title("(a) total error, the sum over the robots", loc="left")
     each.set_title("(b) distance of each robot to its target", loc="left")
@@ -157,7 +161,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 @style.styled()
-def errors_figure(logs: Sequence[TrialLog]) -> Figure:
+def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     """Draw the total error of every trial over time, and the median of each robot's error, in two
     panels for each folder.
 
@@ -203,21 +207,21 @@ def _arm_errors(
         total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
     middle, band = _quartiles(counted.sum(axis=2))
     name = f"median {middle[-1]:.3g} {unit_of(setup.unit)}"
-    median = [Curve(middle, BLUE, name, "median", band, "median", 1.5)]
+    median = [Curve(middle, style.WHOLE, name, "median", band, "median", 1.5)]
     draw_curves(total, time_s, median)
     robots = robot_curves(setup, *_quartiles(counted), "{:.3g}".format)
     draw_curves(each, time_s, robots)
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
         *total.get_legend_handles_labels()[0],
-        _middle_half(BLUE),
+        _middle_half(style.WHOLE),
     ]
     if not whole.all():
         label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
         signs.append(style.sign(label, color=style.ALARM, ls="-", lw=0.5))
     if reference := logs[0].experiment.reference:
         label = "published mean at the end"
-        signs.append(total.axhline(reference.mean, color=RED, lw=0.8, ls="--", label=label))
+        signs.append(total.axhline(reference.mean, **style.LIMIT, label=label))
     return (median, robots), signs
 
 

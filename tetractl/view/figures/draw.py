@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import FIGURES
+from tetractl.core.retired import refuse_retired
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 def check_kind(kind: str) -> None:
     """Raise UsageError if no figure has this name."""
     if kind not in FIGURES:
+        refuse_retired(FIGURES.group, kind)
         raise UsageError(
             f"no figure is called {kind!r}",
             f"there are {', '.join(FIGURES.names())}, and video",
@@ -24,8 +26,7 @@ def check_kind(kind: str) -> None:
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
     """Draw the figure named `kind`; its headline names the plants and counts the incomplete trials.
 
-    Of the built-in figures, only `trajectory`, `errors`, `arms`, `ecdf` and `scatter` show several
-    trials.
+    Of the built-in figures, only `trajectory`, `errors` and `batch` show several trials.
     """
     from tetractl.view.figures.axes import broken_off
     from tetractl.view.style import headline

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.colors import BLUE, GREEN, RED
-from tetractl.core.commands import PlantInfo
+from tetractl.core.colors import BLUE, GREEN, PALETTE, RED
+from tetractl.core.commands import PlantInfo, Steer
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
@@ -24,10 +24,9 @@ from tetractl.view.figures.trajectory import trajectory_figure
 
 pytestmark = pytest.mark.slow
 
-SEVERAL = ("trajectory", "errors", "arms", "ecdf", "scatter")  # kinds that show several trials
+SEVERAL = ("trajectory", "errors", "batch")  # kinds that show several trials
 ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
-OF_BATCHES = ("arms", "ecdf")
-COURSES = tuple(kind for kind in FIGURES.names() if kind not in OF_BATCHES)
+COURSES = tuple(kind for kind in FIGURES.names() if kind != "batch")
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +184,7 @@ def test_a_limit_that_searches_exceed_is_not_drawn(log):
 
 def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     late = replace(log.steps[7], deadline_missed=True)
-    figure = draw("error", [replace(log, steps=(*log.steps[:7], late, *log.steps[8:]))])
+    figure = draw("errors", [replace(log, steps=(*log.steps[:7], late, *log.steps[8:]))])
     whole, each = figure.axes
     assert [line.get_gid() for line in each.lines[:3]] == [f"robot-{i}" for i in range(3)]
     labels = [line.get_label() for line in each.lines[3:]]
@@ -199,21 +198,24 @@ def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     assert total[seen] == pytest.approx(gap.sum(axis=1)[seen])
 
 
-def test_the_timing_figure_counts_misses_against_the_period(log):
+def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log):
     missed = 3
     first = replace(log.steps[0], solve_ns=900_000_000)  # it may take longer than a period
     late = [replace(step, deadline_missed=True) for step in log.steps[1 : 1 + missed]]
     rest = [replace(step, deadline_missed=False) for step in log.steps[1 + missed :]]
-    figure = draw("timing", [replace(log, steps=(first, *late, *rest))])
+    figure = draw("over-time", [replace(log, steps=(first, *late, *rest))])
     text = words(figure)
     assert f"{missed} of {len(log.steps)} deadlines missed" in text
     assert "control period 200 ms" in text
     assert "first plan" in text
-    (late,) = [line for line in figure.axes[0].lines if line.get_color() == style.ALARM]
+    (late,) = [line for line in figure.axes[1].lines if line.get_color() == style.ALARM]
     assert len(late.get_xdata()) == missed
+    in_time = draw("over-time", [replace(log, steps=(first, *rest))])
+    assert style.ALARM not in {line.get_color() for axes in in_time.axes for line in axes.lines}
+    assert f"0 of {1 + len(rest)} deadlines missed" in words(in_time)
 
 
-@pytest.mark.parametrize("kind", ["error", "estimate"])
+@pytest.mark.parametrize("kind", ["errors", "over-time"])
 def test_the_time_axis_starts_with_the_first_direction(log, kind):
     placed = 20 * SECOND
     steps = tuple(
@@ -234,15 +236,28 @@ def test_the_time_axis_starts_with_the_first_direction(log, kind):
         assert axes.get_xlabel() == other.get_xlabel()
 
 
-def test_the_estimate_figure_shows_what_was_estimated(log):
-    figure = draw("estimate", [log])
-    a, speed = figure.axes
+def test_the_direction_turns_through_pi_without_a_line_across(log):
+    sent = (3.0, -3.0, -0.5)  # rad: from the first to the second it turns by 0.28
+    steps = tuple(
+        replace(step, command=replace(step.command, action=Steer(direction)))
+        for step, direction in zip(log.steps, sent, strict=False)
+    )
+    direction = draw("over-time", [replace(log, steps=steps)]).axes[0]
+    (line,) = direction.lines
+    drawn = np.asarray(line.get_ydata())
+    assert np.flatnonzero(np.isnan(drawn)).tolist() == [2]  # after the first is held
+    assert [tick.get_text() for tick in direction.get_yticklabels()][::2] == ["−π", "0", "π"]
+
+
+def test_over_time_shows_what_was_estimated(log):
+    figure = draw("over-time", [log])
+    _, _, a, speed = figure.axes
     (green,) = [line for line in a.lines if line.get_gid() == "robot-0"]
     assert np.asarray(green.get_ydata())[[0, 1]] == pytest.approx([0, 2.5])
     assert len(green.get_ydata()) == len(log.steps)
     assert len(speed.collections) == 3  # bands
     text = words(figure)
-    assert "green 6.3" in text
+    assert "green 6.3 (true " in text
     assert "true value" in text
     assert "one standard deviation" in text
     more = {
@@ -251,10 +266,11 @@ def test_the_estimate_figure_shows_what_was_estimated(log):
         "dead_time": 0.15,
         "dead_time_std": 0.01,
     }
-    figure = draw("estimate", [estimated(log, **more)])
+    figure = draw("over-time", [estimated(log, **more)])
     titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert [title[:4] for title in titles] == ["(a) ", "(b) ", "(c) ", "(d) "]
-    assert np.asarray(figure.axes[3].lines[0].get_ydata()) == pytest.approx(150)
+    assert [title[:4] for title in titles] == [f"({letter}) " for letter in "abcdef"]
+    assert titles[5] == "(f) dead time, from the sending of a direction"
+    assert np.asarray(figure.axes[5].lines[0].get_ydata()) == pytest.approx(150)
     assert "dead time [ms]" in words(figure)
 
 
@@ -283,7 +299,7 @@ def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
     assert overlapping(draw(kind, [many(three_robots(seed), 14) for seed in (1, 2, 3)])) == []
 
 
-@pytest.mark.parametrize("kind", ["trajectory", "timing"])
+@pytest.mark.parametrize("kind", ["trajectory", "over-time"])
 def test_an_aborted_trial_says_so(log, kind):
     assert log.result
     aborted = replace(log.result, outcome=Outcome.ABORTED, reason="red is not tracked (0.30 s)")
@@ -331,12 +347,11 @@ def refusals():
             yield kind, lambda log: [cut_short(log, 0)], LogError, "contains no"
     for kind in ALONE:
         yield kind, lambda log: [log, log], UsageError, "one trial"
-    for kind in ("trajectory", "errors", "scatter"):
+    for kind in ("trajectory", "errors"):
         yield kind, lambda log: [log, other(log, obstacles=[])], UsageError, "different experiments"
-    for kind in ("errors", "scatter"):
-        yield kind, arms, UsageError, "13 folders: this figure has a panel for each"
-    yield "arms", lambda log: moved(log, outcome=Outcome.ABORTED), LogError, "no complete trial"
-    yield "arms", in_um, UsageError, "mm and um"
+    yield "errors", arms, UsageError, "13 folders: this figure has a panel for each"
+    yield "batch", lambda log: moved(log, outcome=Outcome.ABORTED), LogError, "no complete trial"
+    yield "batch", in_um, UsageError, "mm and um"
     yield "swarm", lambda log: [other(log, **swarmless)], LogError, "its optimiser is multistart"
     yield "swarm", late, LogError, "cannot be run again"
 
@@ -361,9 +376,6 @@ def test_trials_that_chose_their_robots_by_one_rule_are_drawn_together(log):
     assert f"total {np.mean(totals):.0f} ± {np.std(totals, ddof=1):.0f}" in words(
         draw("trajectory", logs)
     )
-    gaps = [end[0] - one.start.setup.targets[0] for one, end in zip(logs, ends, strict=True)]
-    (dots,) = [line for line in draw("scatter", logs).axes[0].lines if line.get_gid() == "ends"]
-    assert dots.get_xydata() == pytest.approx(np.array(gaps))
     (axes,) = draw("trajectory", logs).axes
     targets = [line for line in axes.lines if line.get_marker() == "s"]
     assert [len(line.get_xydata()) for line in targets] == [2, 2, 2]
@@ -380,7 +392,7 @@ def test_what_cannot_be_drawn_is_told(log, kind, changed, error, why):
 
 def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
     before = dict(matplotlib.rcParams)
-    figure = draw("timing", [log])
+    figure = draw("over-time", [log])
     assert dict(matplotlib.rcParams) == before
     assert figure.canvas.manager is None
 
@@ -477,33 +489,9 @@ def test_each_folder_has_panels_of_its_own_errors(log):
         assert part in text
     assert figure.axes[0].get_ylim() == figure.axes[2].get_ylim()
     assert overlapping(figure) == []
-    figure = draw("scatter", logs)
-    text = words(figure)
-    assert "ours: green\nmean error 6.03 mm" in text
-    assert "paper: green\nmean error 141 mm" in text
-    assert figure.axes[0].get_xlim()[1] < 15 < 140 < figure.axes[3].get_xlim()[1]
-    assert overlapping(figure) == []
     text = words(draw("trajectory", logs))
     assert "6 trials of 2 folders" in text
     assert "total" not in text  # no mean over both
-
-
-def test_the_scatter_shows_mean_and_covariance_of_each_robot(log):
-    logs = [three_robots(seed) for seed in (1, 2, 3)]
-    figure = draw("scatter", logs)
-    setup = log.start.setup
-    gaps = np.array([t.result.verdict.final.xy - setup.targets for t in logs if t.result])
-    for robot, axes in enumerate(figure.axes):
-        marks = {line.get_gid(): line.get_xydata() for line in axes.lines}
-        assert np.allclose(marks["ends"], gaps[:, robot])
-        assert np.allclose(marks["mean"], gaps[:, robot].mean(axis=0))
-        (patch,) = axes.patches
-        edge = patch.get_path().vertices
-        edge = patch.get_patch_transform().transform(edge) - gaps[:, robot].mean(axis=0)
-        inverse = np.linalg.inv(np.cov(gaps[:, robot].T))
-        along = np.einsum("ni,ij,nj->n", edge, inverse, edge)[::3]  # between them: control points
-        assert along == pytest.approx(5.991, rel=0.01)
-    assert "covariance, 95 % of a normal distribution" in words(figure)
 
 
 def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
@@ -512,9 +500,9 @@ def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
         for folder, errors in (("exact", (10.0, 20.0, 40.0)), ("arc", (5.0, 80.0)))
         for i, error in enumerate(errors)
     ]
-    (axes,) = draw("ecdf", logs).axes
+    axes = draw("batch", logs).axes[1]
     labels = [line.get_label() for line in axes.lines]
-    assert labels == ["exact, n = 3", "arc, n = 2"]
+    assert labels == ["exact", "arc"]
     x, share = axes.lines[0].get_data()
     assert x[1:4].tolist() == [10.0, 20.0, 40.0]
     assert share.tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1, 1])
@@ -528,14 +516,21 @@ def test_arms_have_a_dot_for_each_trial_and_level_names(log):
         for folder, errors in ends.items()
         for i, end in enumerate(errors)
     ]
-    (axes,) = draw("arms", logs).axes
-    means, trials = (line.get_ydata() for line in axes.lines)
-    assert list(means) == [30.0, 5.0]
-    assert list(trials) == [*ends["exact"], *ends["few-a=3"]]
+    axes = draw("batch", logs).axes[0]
+    assert [sorted(dots.get_offsets()[:, 1]) for dots in axes.collections if dots.get_gid()] == [
+        [10.0, 20.0, 60.0],
+        [5.0],
+    ]
+    means = [float(line.get_ydata()[0]) for line in axes.lines]
+    assert means == [30.0, 5.0]
     labels = [(label.get_text(), label.get_rotation()) for label in axes.get_xticklabels()]
     assert labels == [("exact\nn = 3", 0), ("few\na=3\nn = 1", 0)]
-    (interval,) = axes.collections[0].get_segments()
-    assert interval[0][1] < 30.0 < interval[1][1]
+
+
+def test_many_batches_differ_in_shade_or_line_and_none_has_the_hue_of_a_robot():
+    looks = [tuple(style.batch_look(number).values()) for number in range(9)]
+    assert len(set(looks)) == 9
+    assert not {color for color, _ in looks} & set(PALETTE)
 
 
 def test_a_start_is_drawn_where_the_path_begins(log):

@@ -1,39 +1,16 @@
-"""The total errors of arms: the mean with its 95 % interval, and a dot for each trial."""
+"""Total errors against a swept field: the mean with its 95 % interval, a dot for each trial."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
-from tetractl.core.colors import PALETTE
-from tetractl.core.errors import LogError, unit_of
-from tetractl.log.read.trial_log import TrialLog
+from tetractl.core.errors import unit_of
 from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.view import style
-from tetractl.view.figures.axes import by_folder
-
-
-def arms_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the final total errors of each folder's trials, their mean and its 95 % interval; only
-    complete trials count.
-    """
-    arms = list[ArmErrors]()
-    for name, found in by_folder(logs).items():
-        totals = np.array([log.result.total_error for log in found if log.result is not None])
-        totals = totals[np.isfinite(totals)]
-        if len(totals):
-            arms.append(ArmErrors.of(name, f"{name}\nn = {len(totals)}", 1, totals))
-    if not arms:
-        raise LogError("no complete trial to plot")
-    figure = errors_by({"": arms}, "", logs[0].start.setup.unit)
-    with style.styled():
-        mean = style.sign("their mean and its 95 % interval", marker="o", ls="-", lw=2.5)
-        style.legend(figure, [style.sign("one trial", marker="o", ms=2.5), mean])
-    return figure
+from tetractl.view.figures.axes import name_categories
 
 
 @style.styled()
@@ -58,12 +35,12 @@ def errors_by(
         aside_in = 0.12 * (number - (len(curves) - 1) / 2) if field else 0
         # and between the mean and its trials
         left_in = aside_in - min(0.06, 2.5 / len(places))
-        look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
+        look = {"color": style.batch_look(number)["color"], "clip_on": False}
         shifts = [ScaledTranslation(by, 0, figure.dpi_scale_trans) for by in (aside_in, left_in)]
         looks = [look | {"transform": axes.transData + shift} for shift in shifts]
         _draw(axes, x, found, "-o" if numeric(every) and alike else "o", name, *looks)
     if not field:
-        _name_arms(figure, axes, [arm.label for arm in every])
+        name_categories(axes, [arm.label for arm in every], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
     axes.set_ylabel(f"total error [{unit_of(unit)}]")
     axes.set_ylim(bottom=0)
@@ -89,23 +66,6 @@ def _places(axes: Axes, found: Sequence[ArmErrors]) -> dict[str, float]:
     if len(values) <= 8:  # largest number of values for which each value has a tick
         axes.set_xticks(list(values), list(values.values()))
     return {repr(arm.value): float(arm.value) for arm in found}
-
-
-def _name_arms(figure: Figure, axes: Axes, names: list[str]) -> None:
-    """Label the x axis with the arms' names, and make the figure higher by the labels.
-
-    The names are level, with a line for the controller and for each field, or upright if these
-    lines are too long.
-    """
-    char_in = 0.05  # width of a character [inches]
-    level = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
-    longest = max(len(line) for label in level for line in label.split("\n"))
-    fits = char_in * (longest + 2) < 0.9 * style.PAGE_IN / len(names)
-    axes.set_xticks(range(len(names)), level if fits else names)
-    axes.tick_params(axis="x", rotation=0 if fits else 90, labelsize=6 if len(names) < 50 else 4)
-    lines = max(label.count("\n") for label in level)
-    below_in = 0.1 * lines if fits else char_in * max(map(len, names))
-    figure.set_figheight(figure.get_figheight() + below_in)
 
 
 def _draw(

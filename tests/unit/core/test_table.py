@@ -107,6 +107,19 @@ def test_without_a_terminal_words_are_wrapped_and_names_are_not_broken():
     assert any(path in line for line in printed(Table.of_texts("", ("log",), [(path,)])).split())
 
 
+def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
+    names = ("mean", "std", "median", "longest")
+    columns = (
+        Column("robot", ["green", "blue"]),
+        *(Column(name, [1234.5678, 2.0], "mm", fixed(4)) for name in names),
+    )
+    narrow = {"force_terminal": True, "width": 40, "color_system": None}
+    lines = printed(Table("Errors", columns), **narrow).splitlines()
+    assert lines[1].split() == ["robot", "mean", "[mm]", "longest", "[mm]"]
+    assert "1234.5678" in lines[3] and "too narrow for: std [mm], median [mm]" in lines
+    assert max(map(len, lines)) <= 40
+
+
 def test_columns_that_are_empty_in_all_rows_are_left_out():
     found = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
     assert found.header == ["name", "why"]

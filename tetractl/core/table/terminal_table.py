@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from tetractl.core.table.table import NONE, Table
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table as RichTable
 
 LISTED_MAX = 20
 """Most problems, or trials with problems, that are listed."""
@@ -42,41 +44,70 @@ def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> N
 
 
 def _print(table: Table, console: "Console") -> None:
-    from rich import box
     from rich.console import Console
+    from rich.text import Text
+
+    shown = _fitting(table, console) if console.is_terminal else table
+    drawn = _drawn(shown, console.is_terminal)
+    if not console.is_terminal:
+        console = Console(file=console.file, width=10_000, color_system=None)
+        console.width = max(WIDTH, _least_width(drawn, console))
+    console.print(Text(printable(table.title), style="bold"), soft_wrap=not console.is_terminal)
+    console.print(drawn)
+    kept = {column.heading for column in shown.columns}
+    left_out = [column.heading for column in table.columns if column.heading not in kept]
+    notes = [f"too narrow for: {', '.join(left_out)}"] if left_out else []
+    for line in [*notes, *table.note.splitlines()]:
+        console.print(Text(printable(line)), soft_wrap=not console.is_terminal)
+    console.print()
+
+
+def _fitting(table: Table, console: "Console") -> Table:
+    """Return a table with as many columns as a terminal has room for without breaking a number or a
+    word: the first ones, and the last.
+    """
+    columns = table.columns
+    while len(columns) > 2 and _least_width(_drawn(table, True), console) > console.width:
+        columns = (*columns[:-2], columns[-1])
+        table = replace(table, columns=columns)
+    return table
+
+
+def _least_width(drawn: "RichTable", console: "Console") -> int:
     from rich.measure import Measurement
+
+    wide = console.options.update(width=10_000)
+    return Measurement.get(console, wide, drawn).minimum
+
+
+def _drawn(table: Table, terminal: bool) -> "RichTable":
+    """Return a table for rich. Numbers and units are not broken; without a terminal, nor are names
+    and paths in the first column. Words are wrapped.
+    """
+    from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    shown = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
+    drawn = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
     for i, column in enumerate(table.columns):
         texts = [column.heading, *column.texts]
-        # without a terminal, names, paths and numbers are not broken, and words are wrapped
-        whole = not console.is_terminal and (i == 0 or not column.words)
+        whole = not column.words or (i == 0 and not terminal)
         if whole:
             least = max(Text(text).cell_len for text in texts)
         else:
             words = [word for text in texts for word in text.split()]
             least = max((Text(word).cell_len for word in words), default=0)
             least = max(least, min(16, max(Text(text).cell_len for text in texts)))
-        shown.add_column(
+        drawn.add_column(
             Text(column.heading),
             justify="left" if column.words or i == 0 else "right",
             overflow="fold",
             no_wrap=whole,
-            min_width=None if console.is_terminal else least,
+            min_width=least if whole or not terminal else None,
         )
     for row in table.rows:
-        shown.add_row(*(Text(printable(entry)) for entry in row))
-    if not console.is_terminal:
-        console = Console(file=console.file, width=10_000, color_system=None)
-        least = Measurement.get(console, console.options, shown).minimum
-        console.width = max(WIDTH, least)
-    console.print(Text(printable(table.title), style="bold"), soft_wrap=not console.is_terminal)
-    console.print(shown)
-    for line in table.note.splitlines():
-        console.print(Text(printable(line)), soft_wrap=not console.is_terminal)
-    console.print()
+        drawn.add_row(*(Text(printable(entry)) for entry in row))
+    return drawn
 
 
 def markdown(tables: Sequence[Table]) -> str:

@@ -38,6 +38,7 @@ class Player {
       document.documentElement.dataset.theme = dark ? "light" : "dark";
       this.draw();
     });
+    document.querySelectorAll("svg.errors").forEach((drawing) => this.rove(drawing));
     document.addEventListener("keydown", (event) => this.key(event));
     window.addEventListener("resize", () => this.draw());
     window.addEventListener("beforeprint", () => this.draw());
@@ -45,6 +46,23 @@ class Player {
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     byId("scene").addEventListener("pointermove", (event) => this.point(event));
     byId("scene").addEventListener("pointerleave", () => { byId("pointed").textContent = ""; });
+  }
+
+  // Make the dots of a figure one stop of the Tab key; within it, arrow keys, Home and End move.
+  rove(drawing) {
+    const dots = [...drawing.querySelectorAll("a")];
+    dots.forEach((dot, i) => dot.setAttribute("tabindex", i ? -1 : 0));
+    drawing.addEventListener("keydown", (event) => {
+      const now = dots.indexOf(event.target.closest("a")), last = dots.length - 1;
+      const places = { ArrowRight: now + 1, ArrowDown: now + 1, ArrowLeft: now - 1, ArrowUp: now - 1, Home: 0, End: last };
+      if (now < 0 || !(event.key in places)) return;
+      event.preventDefault();
+      event.stopPropagation(); // these keys also move the player
+      const next = Math.min(Math.max(places[event.key], 0), last);
+      dots[now].setAttribute("tabindex", -1);
+      dots[next].setAttribute("tabindex", 0);
+      dots[next].focus();
+    });
   }
 
   // Open the trial that the address names, such as #trial-3.

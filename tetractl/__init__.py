@@ -84,4 +84,4 @@ if not TYPE_CHECKING:  # a type checker that sees `__getattr__` accepts every na
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -3,9 +3,10 @@ pandas) are imported by the functions that need them. Only `tetractl run` drives
 user of that command can stop the robots.
 """
 
+import json
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -59,8 +60,29 @@ def experiment_schema() -> dict[str, Any]:
     return schema.experiment_schema()
 
 
+Spec = LoadedSpec | str | Path | Mapping[str, Any]
+"""A spec, its file, or its contents."""
+
+
+Trial = TrialLog | str | Path
+"""A trial, or its log."""
+
+
+def _spec(spec: Spec) -> LoadedSpec:
+    """Return a spec that is loaded, given as a file, or as the contents of one."""
+    if isinstance(spec, LoadedSpec):
+        return spec
+    if isinstance(spec, Mapping):
+        return parse_spec(json.dumps(spec))
+    return load_spec(spec)
+
+
+def _trial(trial: Trial) -> TrialLog:
+    return trial if isinstance(trial, TrialLog) else read_log(trial)
+
+
 def run_trial(
-    spec: LoadedSpec,
+    spec: Spec,
     trial: int = 0,
     *,
     folder: str | Path | None = None,
@@ -77,6 +99,7 @@ def run_trial(
     from tetractl.run import task
     from tetractl.run.folder_lock import make_folder
 
+    spec = _spec(spec)
     with TemporaryDirectory() as temporary, _running(spec) as interrupt:
         place = Path(temporary if folder is None else folder)
         path = task.log_path(place, trial)
@@ -89,7 +112,7 @@ def run_trial(
 
 
 def run_batch(
-    spec: LoadedSpec,
+    spec: Spec,
     folder: str | Path,
     *,
     jobs: int = 1,
@@ -107,6 +130,7 @@ def run_batch(
     from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks
 
+    spec = _spec(spec)
     store = Store.of_batch(Path(folder), spec.experiment)
     with _running(spec) as interrupt, store.opened(resume):
         todo = store.lacking
@@ -197,8 +221,9 @@ class TrialArrays:
     solve_ms: Floats = field(repr=False)  # (K,) wall time
 
 
-def to_arrays(trial: TrialLog) -> TrialArrays:
-    """Return poses, commands and decisions of a trial as arrays."""
+def to_arrays(trial: Trial) -> TrialArrays:
+    """Return poses, commands and decisions of a trial, or of its log, as arrays."""
+    trial = _trial(trial)
     setup, steps = trial.start.setup, trial.steps
     unknown = np.full_like(trial.mocap, np.nan)
     return TrialArrays(
@@ -221,7 +246,7 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
     )
 
 
-def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
+def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
     """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
 
     These are the tables `poses` and `trials` of `tetractl export`. A trial's DataFrame names the
@@ -237,6 +262,8 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
         ) from None
     from tetractl.results.trial_tables import poses, trials_table
 
+    if isinstance(data, str | Path):
+        data = read_batch(data) if Path(data).is_dir() else read_log(data)
     table = poses(data) if isinstance(data, TrialLog) else trials_table(data)
     frame = pandas.DataFrame(table.as_dict())
     if isinstance(data, TrialLog):
@@ -244,7 +271,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
     return frame
 
 
-def summarise(batch: "Batch", name: str = "") -> "BatchStatistics":
+def summarise(batch: "Batch | str | Path", name: str = "") -> "BatchStatistics":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
     `name` is the batch's name in tables and figures. Raises UsageError if the trials are not of one
@@ -252,20 +279,23 @@ def summarise(batch: "Batch", name: str = "") -> "BatchStatistics":
     """
     from tetractl.results.describe import describe
 
-    return describe(batch, name)
+    return describe(read_batch(batch) if isinstance(batch, str | Path) else batch, name)
 
 
-def compare(*batches: "BatchStatistics") -> "BatchComparison":
+def compare(*batches: "BatchStatistics | Batch | str | Path") -> "BatchComparison":
     """Compare the total errors of every two batches; differences are the first batch minus the
     second.
     """
     from tetractl.results.contrast import contrast
+    from tetractl.results.describe import BatchStatistics
 
-    return contrast(batches)
+    return contrast(
+        [one if isinstance(one, BatchStatistics) else summarise(one) for one in batches]
+    )
 
 
 def plot(
-    data: "TrialLog | Sequence[TrialLog] | BatchStatistics | BatchComparison",
+    data: "Trial | Sequence[Trial] | BatchStatistics | BatchComparison",
     kind: str = "trajectory",
     *,
     file: str | Path | None = None,
@@ -286,7 +316,8 @@ def plot(
     elif isinstance(data, BatchStatistics):
         figure = batch_figure([data])
     else:
-        figure = draw(kind, [data] if isinstance(data, TrialLog) else data)
+        several = [data] if isinstance(data, TrialLog | str | Path) else data
+        figure = draw(kind, [_trial(one) for one in several])
     if file is not None:
         style.save(figure, Path(file))
     return figure

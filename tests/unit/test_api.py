@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+import yaml
 from support.paths import ROOT
 
 import tetractl
@@ -171,10 +172,22 @@ def test_ctrl_c_ends_a_trial_and_is_raised_again(tmp_path):
     assert ended.result.steps == 2
 
 
+def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
+    contents = yaml.safe_load(SPEC)
+    batch = tetractl.run_batch(contents, tmp_path)
+    log = tmp_path / "trial-000.mcap"
+    assert tetractl.run_trial(contents).start.seed == tetractl.read_log(log).start.seed
+    assert tetractl.to_arrays(log).poses.shape == tetractl.to_arrays(str(log)).poses.shape
+    assert len(tetractl.to_dataframe(tmp_path)) == len(batch.trials)
+    assert tetractl.summarise(tmp_path).total == tetractl.summarise(batch).total
+    assert len(tetractl.compare(tmp_path, batch).groups) == 2
+    assert tetractl.plot(log).axes
+
+
 def test_every_name_is_there_and_no_other():
     for name in tetractl.__all__:
         assert getattr(tetractl, name) is not None, name
-    assert set(tetractl.__all__) <= set(dir(tetractl))
+    assert dir(tetractl) == sorted(tetractl.__all__)
     assert "properties" in tetractl.experiment_schema()
     for protocol in ("Actuator", "Camera", "Controller", "Observer", "Optimizer"):
         assert getattr(tetractl, protocol)._is_protocol, protocol

@@ -62,8 +62,9 @@ def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
 
 
 def end_ns(log: TrialLog) -> int:
-    """Return when a recorded trial ends [ns]: in a lab, with the last frame that shows the poses of
-    its result, which cells that swim on leave before the last frame.
+    """Return when a recorded trial ends [ns]: with its stop, after which the simulated robots of
+    its last frames stand. In a lab it ends with the last frame that shows the poses of its result,
+    which cells that swim on leave before the last frame.
     """
     ends = [step.command.sent_ns for step in log.steps[-1:]]
     after = log.mocap_ns >= max(ends, default=0)
@@ -71,12 +72,11 @@ def end_ns(log: TrialLog) -> int:
         seen = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:][after, :, :2]
         gaps = np.abs(seen - log.result.verdict.final.xy).max(axis=(1, 2))
         return int(log.mocap_ns[after][gaps == gaps.min()][-1])
-    ends += [int(t) for t in log.mocap_ns[-1:]]
     if log.stop:
-        ends.append(log.stop.sent_ns)
-    elif log.result:
-        ends.append(log.began_ns + round(log.result.duration_s * SECOND))
-    return max(ends, default=0)
+        return max([*ends, log.stop.sent_ns])
+    if log.result:
+        return max([*ends, log.began_ns + round(log.result.duration_s * SECOND)])
+    return max([*ends, *(int(t) for t in log.mocap_ns[-1:])], default=0)
 
 
 class Recording:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tetractl.core.errors import LogError, unit_of
-from tetractl.core.table.table import NONE, Column, Table, lengths
+from tetractl.core.table.table import NONE, Column, Table
 from tetractl.core.table.table_files import plain
 from tetractl.core.table.terminal_table import html
 from tetractl.log.read.find import without_others
@@ -23,7 +24,7 @@ from tetractl.results.contrast import BatchComparison, contrast
 from tetractl.results.describe import BatchStatistics, describe
 from tetractl.results.open_batch import counts, sources
 from tetractl.results.outcomes import SAFETY, counted_by
-from tetractl.results.tables import page_trials, tables
+from tetractl.results.tables import error_format, finest, page_trials, tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -161,7 +162,8 @@ def _header(title: str, found: BatchComparison, numbers: Mapping[str, int]) -> s
 def _overview(groups: Sequence[BatchStatistics]) -> Table:
     """Return a table with each batch's mean total error and the numbers of its unsafe trials."""
     totals = [group.total for group in groups]
-    show = lengths(min((t.mean for t in totals if t.n), default=1.0))
+    least = min((total.mean for total in totals if total.n), default=math.nan)
+    show = error_format(least, finest(groups[0].experiment))
     rows = [group.rows for group in groups]
     counts = {label: [texts[label].partition(" (")[0] for texts in rows] for label in SAFETY}
     known = "; ".join(f"{one.name}: {one.origin}, {counted_by(one.experiment)}" for one in groups)

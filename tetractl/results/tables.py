@@ -83,6 +83,18 @@ def tables(found: BatchComparison) -> list[Table]:
     return [table for table in every if len(table)]
 
 
+def error_format(least: float, finest: int) -> Callable[[float], str]:
+    """Return a format with three digits for errors of about `least`, the least mean; much larger
+    values have fewer decimals, and none has more than `finest`.
+    """
+    decimals = lengths(least, finest)
+
+    def show(value: float) -> str:
+        return lengths(value, finest)(value) if value > 10 * least > 0 else decimals(value)
+
+    return show
+
+
 def error_table(
     title: str,
     named: Sequence[tuple[str, Distribution]],
@@ -90,16 +102,11 @@ def error_table(
     scale: float | None = None,
     finest: int = 9,
 ) -> Table:
-    """Return one row per named distribution of errors. Values have the decimals that show three
-    digits of the least mean or, if given, of `scale`, but at most `finest`; much larger values have
-    fewer.
+    """Return one row per named distribution of errors, in the format for the least mean or, if
+    given, for `scale`.
     """
     means = [values.mean for _, values in named if values.mean > 0]
-    least = min(means, default=0.0) if scale is None else scale
-    decimals = lengths(least, finest)
-
-    def show(value: float) -> str:  # a much larger value needs fewer decimals
-        return lengths(value, finest)(value) if value > 10 * least > 0 else decimals(value)
+    show = error_format(min(means, default=0.0) if scale is None else scale, finest)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
         return Column(name, [of(values) for _, values in named], format=show)

@@ -16,7 +16,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.player import tracked
+from tetractl.replay.player import end_ns, tracked
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
@@ -110,8 +110,8 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     """Return the robots' distances to their targets (M, N) at times (M,) since the first command
     [s].
 
-    Each distance is the last measured up to its time or, from the last frame on, the error in the
-    result, if the log has a result.
+    Each distance is the last measured up to its time or, from the end of the trial on, the error in
+    the result, if the log has a result.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
@@ -119,7 +119,7 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     sampled_s = _since(log)
     found = held[np.maximum(np.searchsorted(sampled_s, time_s, side="right") - 1, 0)]
     if log.result is not None:  # the robots stand still after the trial
-        found[time_s >= sampled_s[-1]] = log.result.robot_errors
+        found[time_s >= end_s(log)] = log.result.robot_errors
     return found
 
 
@@ -139,7 +139,7 @@ def _of_trial(log: TrialLog) -> Figure:
     # only the names show the last values, which are the result's
     gaps = np.vstack([gaps, ends])
     show = lengths(float(ends.sum()))
-    figure, [(total, each)] = _panels([setup], 1.9, 1.6, max(float(time_s[-1]), 1e-9))
+    figure, [(total, each)] = _panels([setup], 1.9, 1.6, end_s(log))
     name = f"{show(ends.sum())} {unit}"
     whole = [Curve(gaps.sum(axis=1), style.WHOLE, name, "total", width=1.4)]
     robots = robot_curves(setup, gaps, show=show)
@@ -256,9 +256,14 @@ def _since(log: TrialLog) -> Floats:
     return (log.mocap_ns - log.began_ns) / SECOND
 
 
+def end_s(log: TrialLog) -> float:
+    """Return the time from the first command to the end of the trial [s], above 0."""
+    return max((end_ns(log) - log.began_ns) / SECOND, 1e-9)
+
+
 def _common_times(logs: Sequence[TrialLog]) -> Floats:
     """Return times since the first command (M,) until the end of the longest trial [s]."""
-    return np.linspace(0, max(1e-9, *(float(_since(log)[-1]) for log in logs)), 400)
+    return np.linspace(0, max(map(end_s, logs)), 400)
 
 
 def _middle_half(color: str) -> Patch:

@@ -26,6 +26,7 @@ from tetractl.view.figures.curves import (
     SINCE,
     Curve,
     draw_curves,
+    end_s,
     name_curves,
     robot_curves,
 )
@@ -88,7 +89,7 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     named: list[tuple[Axes, list[Curve]]] = []
     for axes, letter, panel in zip(places, LETTERS, panels, strict=False):
         style.panel(axes, letter, panel.title, SINCE, panel.label)
-        axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
+        axes.set_xlim(0, end_s(log))
         named.append((axes, panel.draw(axes, time_s)))
     handles = [one for axes in places for one in axes.get_legend_handles_labels()[0]]
     style.legend(figure, [*handles, *_signs_of_estimates(log, estimated)], 4)

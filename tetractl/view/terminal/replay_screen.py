@@ -12,6 +12,7 @@ from rich.text import Text
 from tetractl.core.clock import Clock
 from tetractl.core.colors import robot_colors
 from tetractl.core.plan import State
+from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import Event
 from tetractl.replay.player import Playback, Player, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
@@ -142,13 +143,26 @@ def print_lines(
 
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
     """Return the times [ns] and texts of the lines to print, in order of time; at the same time a
-    step comes before events.
+    step comes before events, and the result comes last.
     """
     steps = [(int(ns), step_line(recording, i)) for i, ns in enumerate(recording.step_ns)]
     lines = map(event_line, recording.events)
     events = list(zip(map(int, recording.event_ns), lines, strict=True))
     found = sorted([*steps, *events], key=lambda item: item[0])
+    if recording.log.result is not None:
+        found.append((recording.end_ns, result_line(recording)))
     return [(ns, line) for ns, line in found if start_ns <= ns <= until_ns]
+
+
+def result_line(recording: Recording) -> str:
+    """Return the end of the trial, and its final error, as a line of text."""
+    end = recording.at(recording.end_ns)
+    result = recording.log.result
+    assert result is not None, "the caller has checked this"
+    unit = recording.log.start.setup.unit
+    error = lengths(result.total_error)(result.total_error)
+    time_s = recording.elapsed_s(recording.end_ns)
+    return f"{time_s:6.2f} s  {result.outcome.value}, final total error {error} {unit} {end.known}"
 
 
 def event_line(event: Event) -> str:

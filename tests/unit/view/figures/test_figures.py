@@ -222,7 +222,8 @@ def test_the_time_axis_starts_with_the_first_direction(log, kind):
         replace(one, command=replace(one.command, sent_ns=one.command.sent_ns + placed))
         for one in log.steps
     )
-    later = replace(log, commands=(), steps=steps, mocap_ns=log.mocap_ns + placed)
+    stop = replace(log.stop, sent_ns=log.stop.sent_ns + placed)
+    later = replace(log, commands=(), steps=steps, stop=stop, mocap_ns=log.mocap_ns + placed)
     early = np.arange(0, placed, SECOND)
     waiting = replace(
         later,

@@ -213,7 +213,7 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     assert len(step_lines(done.stdout)) == len(read_trial(folder / "cut.mcap.part").steps)
     assert done.stderr.startswith("damaged: cut.mcap.part: ")
     assert "lost: cut.mcap.part: " in done.stderr
-    done = run("plot", "cut.mcap.part", "--kind", "error", cwd=folder)
+    done = run("plot", "cut.mcap.part", "--kind", "errors", cwd=folder)
     assert (done.returncode, done.stdout) == (1, "cut-error.png\n")
     assert (folder / "cut-error.png").read_bytes().startswith(b"\x89PNG")
 

@@ -80,7 +80,7 @@ def test_a_notebook(tmp_path, batch):
         tetractl.plot(data, file=tmp_path / "figure.png")
         assert (tmp_path / "figure.png").stat().st_size > 5000
         (tmp_path / "figure.png").unlink()
-    assert tetractl.plot(trial, "error").axes
+    assert tetractl.plot(trial, "errors").axes
     assert tetractl.verify(folder / "trial-000.mcap").ok
 
 

@@ -155,5 +155,5 @@ def test_no_other_module_writes_tables():
         for path in (ROOT / "tetractl").rglob("*.py")
         if re.search(writers, path.read_text("utf-8"))
     }
-    names = ("csv_rows", "table_files", "terminal_table")
+    names = ("csv_rows", "terminal_table")
     assert found == {f"tetractl/core/table/{name}.py" for name in names}

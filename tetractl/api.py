@@ -5,10 +5,12 @@ user of that command can stop the robots.
 
 import json
 import logging
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from tetractl.results.contrast import BatchComparison
     from tetractl.results.describe import BatchStatistics
     from tetractl.results.open_batch import Batch
-    from tetractl.run.batch import Ending
+    from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.task import Task
 
@@ -100,7 +102,8 @@ def run_trial(
     from tetractl.run.folder_lock import make_folder
 
     spec = _spec(spec)
-    with TemporaryDirectory() as temporary, _running(spec) as interrupt:
+    _check(spec, logging.getLogger("tetractl").info)
+    with TemporaryDirectory() as temporary, _interruptible() as interrupt:
         place = Path(temporary if folder is None else folder)
         path = task.log_path(place, trial)
         if path.exists():
@@ -118,24 +121,31 @@ def run_batch(
     jobs: int = 1,
     resume: bool = False,
     on_result: Callable[[int, Result], object] = lambda trial, result: None,
+    progress: bool = True,
 ) -> "Batch":
     """Simulate all trials of a spec, `jobs` at a time, and return the results in the folder.
 
     The logs are trial-000.mcap and so on. `resume` runs only the trials that the folder lacks;
     without it, a folder that holds logs is refused. `on_result` is called with each trial's number
-    and result. An aborted trial ends the batch. Errors are those of `run_trial`.
+    and result. `progress` prints to stderr what is compiled and, now and then, how many trials have
+    ended. An aborted trial ends the batch. Errors are those of `run_trial`.
     """
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
     from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks
+    from tetractl.view.terminal.progress import ScriptProgress
 
     spec = _spec(spec)
     store = Store.of_batch(Path(folder), spec.experiment)
-    with _running(spec) as interrupt, store.opened(resume):
+    _check(spec, _announcer(progress))
+    after = f"read_batch({str(folder)!r}) reads the trials that ended; resume=True runs the others"
+    with _interruptible(after) as interrupt, store.opened(resume):
         todo = store.lacking
-        tasks, executor = batch_tasks(spec, todo), on_this_machine(jobs, len(todo), interrupt)
-        report = batch.run_batch(tasks, store, executor, _Watcher(on_result), fail_fast=True)
+        tasks = batch_tasks(spec, todo)
+        executor = on_this_machine(jobs, len(todo), interrupt)
+        watcher = _Watcher(on_result, ScriptProgress(len(todo)) if progress else None)
+        report = batch.run_batch(tasks, store, executor, watcher, fail_fast=True)
     for error in report.errors.values():
         raise error
     return read_batch(store.folder)
@@ -147,25 +157,33 @@ def run_study(
     *,
     jobs: int = 1,
     logs: str = "all",
+    progress: bool = True,
 ) -> "dict[str, Batch]":
     """Simulate the trials of a study that its folder lacks, write its tables and figures, and
     return the results of each arm by the arm's name.
 
     The folder is logs/NAME if none is given; `logs` is all, failed, sample:N or none. A trial that
-    fails does not stop the others; its error is raised at the end. Errors are those of `run_trial`.
+    fails does not stop the others; its error is raised at the end. `progress` and errors are those
+    of `run_batch`.
     """
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
     from tetractl.study import arm_table, figure, options
     from tetractl.study.load_study import load_study
+    from tetractl.view.terminal.progress import ScriptProgress
 
     loaded = load_study(Path(path))
     store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))
-    with store.opened(), _interruptible() as interrupt:
+    after = (
+        f"read_batch({str(store.folder)!r}) reads the trials that ended; "
+        "the same call runs the others"
+    )
+    with store.opened(), _interruptible(after) as interrupt:
         tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), False)
-        options.warm_up_arms(loaded, logging.getLogger("tetractl").info)
+        options.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
-        watcher = _Watcher(lambda trial, result: None)
+        shown = ScriptProgress(len(tasks)) if progress else None
+        watcher = _Watcher(lambda trial, result: None, shown)
         report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
         arm_table.write_tables(loaded, store)
         figure.write_figures(loaded, store)
@@ -332,9 +350,8 @@ def verify(path: str | Path) -> "Verification":
     return verify.verify(Path(path))
 
 
-@contextmanager
-def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check a spec, compile its kernels, and yield the `Interrupt` of its trials."""
+def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
+    """Check that a spec can be simulated, and compile its kernels, as `warm_up` announces."""
     from tetractl.control.build import warm_up
     from tetractl.run.trial_limits import check
 
@@ -344,15 +361,20 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
             "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
         )
     check(experiment)
-    warm_up(experiment, logging.getLogger("tetractl").info)
-    with _interruptible() as interrupt:
-        yield interrupt
+    warm_up(experiment, announce)
+
+
+def _announcer(progress: bool) -> Callable[[str], None]:
+    """Return what tells of compiling: prints to stderr with `progress`, otherwise to the log."""
+    if progress:
+        return partial(print, file=sys.stderr, flush=True)
+    return logging.getLogger("tetractl").info
 
 
 @contextmanager
-def _interruptible() -> "Iterator[Interrupt]":
+def _interruptible(after: str = "") -> "Iterator[Interrupt]":
     """Yield an `Interrupt` that counts signals such as Ctrl-C during the `with` block; after the
-    block, KeyboardInterrupt if there were any."""
+    block, KeyboardInterrupt if there were any, with `after`: what can be done then."""
     from tetractl.run.interrupt import Interrupt
 
     interrupt = Interrupt()
@@ -362,19 +384,22 @@ def _interruptible() -> "Iterator[Interrupt]":
     else:  # only the main thread receives signals
         yield interrupt
     if interrupt.requested:
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(after) if after else KeyboardInterrupt
 
 
 @dataclass(frozen=True, slots=True)
 class _Watcher:
-    """A `RunObserver` that calls `on_result` for each trial."""
+    """A `RunObserver` that calls `on_result` for each trial, and shows the progress if wanted."""
 
     on_result: Callable[[int, Result], object]
+    progress: "RunObserver | None" = None
 
     def trial_started(self, task: "Task") -> None:
         """Do nothing."""
 
     def trial_ended(self, ending: "Ending") -> None:
-        """Call `on_result` with the trial's number and result."""
+        """Show the progress; call `on_result` with the trial's number and result."""
+        if self.progress:
+            self.progress.trial_ended(ending)
         if ending.result:
             self.on_result(ending.task.trial, ending.result)

@@ -1,5 +1,6 @@
 """The face: every name of `import tetractl`, used as a notebook uses it."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from support.paths import ROOT
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.experiment.plants import on_plant
+from tetractl.view.terminal.progress import ScriptProgress
 
 SPEC = """
 name: two
@@ -25,6 +27,12 @@ robots:
 controller: {type: pso-mpc, period: 0.2, horizon_max: 8, steps_max: 6}
 plant: {measurement_noise: {position: 2}}
 trials: {count: 3, seed: 4}
+"""
+STUDY = """
+name: few
+base: two.yaml
+sweep: {type: grid, fields: {plant.dead_time: [0, 0.1]}}
+trials: {count: 2, seed: 7}
 """
 
 
@@ -182,6 +190,60 @@ def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
     assert tetractl.summarise(tmp_path).total == tetractl.summarise(batch).total
     assert len(tetractl.compare(tmp_path, batch).groups) == 2
     assert tetractl.plot(log).axes
+
+
+def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
+    folder = tmp_path / "logs"
+    with pytest.raises(KeyboardInterrupt) as caught:
+        tetractl.run_batch(
+            tetractl.parse_spec(SPEC),
+            folder,
+            on_result=lambda trial, result: signal.raise_signal(signal.SIGINT),
+        )
+    said = str(caught.value)
+    assert said.startswith(f"read_batch({str(folder)!r}) reads the trials that ended")
+    assert "resume=True runs the others" in said
+    assert len(tetractl.read_batch(folder).trials) == 1
+
+
+@pytest.mark.long
+def test_an_interrupted_study_says_how_its_trials_are_read(tmp_path, monkeypatch):
+    (tmp_path / "two.yaml").write_text(SPEC, encoding="utf-8")
+    (tmp_path / "study.yaml").write_text(STUDY, encoding="utf-8")
+    monkeypatch.setattr(
+        ScriptProgress, "trial_ended", lambda self, ending: signal.raise_signal(signal.SIGINT)
+    )
+    with pytest.raises(KeyboardInterrupt) as caught:
+        tetractl.run_study(tmp_path / "study.yaml", tmp_path / "logs")
+    said = str(caught.value)
+    assert said.startswith(f"read_batch({str(tmp_path / 'logs')!r}) reads the trials that ended")
+    assert len(tetractl.read_batch(tmp_path / "logs").trials) == 1
+
+
+@pytest.mark.parametrize("progress", [True, False])
+def test_a_batch_says_now_and_then_how_far_it_is(tmp_path, monkeypatch, capsys, progress):
+    """Regression: a batch of 372 s said no word."""
+    monkeypatch.setattr("tetractl.view.terminal.progress.PAUSE_S", 0.0)
+    tetractl.run_batch(tetractl.parse_spec(SPEC), tmp_path, progress=progress)
+    printed = capsys.readouterr()
+    first, *rest = printed.err.splitlines() or [""]
+    assert printed.out == ""
+    if progress:
+        assert re.fullmatch(r"1 of 3 trials; \d+ s left", first)
+        assert len(rest) == 2
+    else:
+        assert printed.err == ""
+
+
+@pytest.mark.parametrize("progress", [True, False])
+def test_a_batch_says_that_code_is_compiled(tmp_path, monkeypatch, capsys, progress):
+    def warm_up(experiment, announce):
+        announce("compiling for pso-mpc")
+
+    monkeypatch.setattr("tetractl.control.build.warm_up", warm_up)
+    spec = tetractl.parse_spec(SPEC, "trials.count=1")
+    tetractl.run_batch(spec, tmp_path, progress=progress)
+    assert capsys.readouterr().err == ("compiling for pso-mpc\n" if progress else "")
 
 
 def test_every_name_is_there_and_no_other():

@@ -1,5 +1,8 @@
 """Shows the progress of a run: on a terminal a bar with the remaining time, otherwise lines."""
 
+import sys
+import time
+from collections.abc import Callable
 from typing import Self
 
 from rich.console import Console
@@ -10,6 +13,7 @@ from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
 LINES = 10  # number of progress lines that a study prints without a terminal
+PAUSE_S = 10.0  # least time between two progress lines of a script or notebook [s]
 
 
 class Tally:
@@ -115,6 +119,33 @@ class StudyProgress(_TrialsBar):
         if self._done * LINES // self._total > before and not (self._bar or self._quiet):
             words = f"{self._done} of {self._total} trials", _left(ending)
             self._say(", ".join(filter(None, words)))
+
+
+class ScriptProgress:
+    """A `RunObserver` for scripts and notebooks: prints to stderr, every PAUSE_S at most, how many
+    of `total` trials have ended and how long the others will take.
+
+    `now_s` returns the time [s].
+    """
+
+    def __init__(self, total: int, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._total = total
+        self._now_s = now_s
+        self._done = 0
+        self._said_s = now_s()
+
+    def trial_started(self, task: Task) -> None:
+        """Do nothing: trials count when they end."""
+
+    def trial_ended(self, ending: Ending) -> None:
+        """Count the trial; print a line if the last one was PAUSE_S ago."""
+        self._done += 1
+        now_s = self._now_s()
+        if now_s - self._said_s < PAUSE_S:
+            return
+        self._said_s = now_s
+        words = [f"{self._done} of {self._total} trials", _left(ending)]
+        print("; ".join(filter(None, words)), file=sys.stderr, flush=True)
 
 
 def _left(ending: Ending) -> str:

@@ -13,7 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.live_screen import LabWatch, LiveView
-from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
+from tetractl.view.terminal.progress import BatchProgress, ScriptProgress, StudyProgress, duration
 
 pytestmark = pytest.mark.slow
 
@@ -168,6 +168,17 @@ def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
     assert [line for line in lines if "of 20" in line] == tenths
     quiet = Console(file=io.StringIO(), force_terminal=False, width=40)
     assert study_progress(quiet, quiet=True) == FAILURES
+
+
+def test_a_script_prints_a_line_every_ten_seconds(capsys):
+    result = three_robots().result
+    progress = ScriptProgress(20, Wall(4.0))  # made at 4 s; trials end at 8, 12, 16 s ...
+    for i in range(6):
+        progress.trial_ended(ended(i, 20, result, 4.0 * (19 - i)))
+    assert capsys.readouterr().err.splitlines() == [
+        "3 of 20 trials; 1 min 8 s left",
+        "6 of 20 trials; 56 s left",
+    ]
 
 
 @pytest.mark.parametrize(

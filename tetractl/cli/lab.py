@@ -42,7 +42,7 @@ def check(
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
     from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.lab.preflight import inspect
+    from tetractl.lab.preflight import look_over
     from tetractl.view.terminal import findings
 
     loaded = ui.load(spec, settings_on(spec, sets or [], plant))
@@ -50,8 +50,8 @@ def check(
     rig = ui.rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
-    with interrupted_once(robots=True), rig:
-        found = inspect(rig)
+    with interrupted_once(robots=True):
+        found = look_over(rig)
     if as_json:
         print(dumps(findings.as_json(found), indent=2, allow_nan=False))
     else:

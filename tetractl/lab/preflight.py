@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import EMULATED_DEVICES, RobotStatus
+from tetractl.core.commands import EMULATED_DEVICES, Health, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
@@ -80,6 +80,56 @@ class Preflight:
         """All warnings: of the preflight, the devices and the robots."""
         robots = (w for robot in self.robots for w in robot.status.warnings)
         return (*self.warnings, *self.questions, *robots)
+
+
+def look_over(rig: Rig) -> Preflight:
+    """Open a rig, inspect it, and close it. If a device cannot be opened, that is a problem in
+    addition to those of the other, so that the operator learns of all that is missing at once."""
+    try:
+        failures = rig.open_devices()
+        if not failures:
+            with rig:
+                return inspect(rig)
+        return _inspect_opened(rig, failures)
+    finally:
+        rig.close()
+
+
+def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
+    """Inspect the devices of a rig that are open; the others have `failures`."""
+    problems = [
+        f"{failure.message} ({failure.hint})" if failure.hint else failure.message
+        for failure in failures.values()
+    ]
+    names = rig.setup.names
+    robots = [RobotFinding(name, None, None, "", "", NOT_POLLED) for name in names]
+    health = Health()
+    if "actuator" not in failures:
+        health = rig.actuator.check()
+        statuses = rig.actuator.poll(1.0)
+        robots = [replace(robots[i], status=status) for i, status in enumerate(statuses)]
+    elif "camera" not in failures:
+        health = rig.camera.check()
+        frame = rig.frames.newest or _unguarded(rig)
+        robots = [_robot(rig, i, frame) for i in range(len(names))]
+    return Preflight(
+        robots=tuple(robots),
+        latency_ms=None,
+        camera_rate_hz=None,
+        problems=(*problems, *health.problems),
+        warnings=health.warnings,
+        facts=health.facts,
+        questions=health.questions,
+    )
+
+
+def _unguarded(rig: Rig) -> AcceptedFrame | None:
+    """Return the camera's newest frame, which no guard has checked, None if there is none."""
+    frames = rig.camera.frames()
+    if not frames:
+        return None
+    poses = frames[-1].poses
+    return AcceptedFrame(frames[-1], poses, tuple(pose is not None for pose in poses))
 
 
 def inspect(rig: Rig) -> Preflight:

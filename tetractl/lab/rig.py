@@ -54,15 +54,18 @@ class Rig:
         self.frames = self.loop.frames
         self._threaded, self._entered = threaded, False
         self._opened = ExitStack()
+        self._open = set[str]()  # the devices that are open
 
     def __enter__(self) -> Self:
-        """Open the devices and start the inner loop, once; AbortError if that fails."""
+        """Open the devices and start the inner loop, once; AbortError with all that fails."""
         if self._entered:
             return self
         self._entered = True
         try:
-            self._opened.enter_context(self.actuator)
-            self._opened.enter_context(self.camera)
+            if failures := self.open_devices():
+                messages = [failure.message for failure in failures.values()]
+                hints = [failure.hint for failure in failures.values() if failure.hint]
+                raise AbortError("; ".join(messages), "; ".join(hints) or None)
             if self._threaded:
                 self.loop.start()
                 wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
@@ -73,6 +76,21 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def open_devices(self) -> dict[str, AbortError]:
+        """Open the devices that are not open; return the errors of those that cannot be opened, by
+        "actuator" or "camera".
+        """
+        failures = dict[str, AbortError]()
+        for name, device in (("actuator", self.actuator), ("camera", self.camera)):
+            if name in self._open:
+                continue
+            try:
+                self._opened.enter_context(device)
+                self._open.add(name)
+            except AbortError as failure:
+                failures[name] = failure
+        return failures
 
     def after_close(self, act: Callable[[], object]) -> None:
         """Call `act` once the devices are released."""

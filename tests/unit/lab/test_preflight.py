@@ -6,9 +6,10 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
+from tetractl.core.commands import RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.lab.preflight import inspect
+from tetractl.lab.preflight import inspect, look_over
 
 
 def looked_over(change=lambda camera: None):
@@ -21,6 +22,52 @@ def looked_over(change=lambda camera: None):
 
 def test_a_good_lab_has_no_problem():
     assert looked_over().problems == ()
+
+
+class Missing:
+    """A device that cannot be opened."""
+
+    def __init__(self, device, what):
+        self.device = device
+        self.what = what
+
+    def __enter__(self):
+        raise AbortError(f"there is no {self.what}", f"plug in the {self.what}")
+
+    def __exit__(self, *_):
+        pass
+
+    def __getattr__(self, name):
+        return getattr(self.device, name)
+
+
+@pytest.mark.parametrize("missing", [["camera"], ["actuator"], ["actuator", "camera"]])
+def test_all_missing_devices_are_problems_beside_those_of_the_others(missing):
+    """Regression: the first device that was missing was the only one that was named."""
+    lab = fake_lab(experiment().setup)
+    rig = lab.plant.rig
+    rig.camera.hidden.add(rig.setup.names[1])
+    rig.actuator.poll = lambda timeout_s: [RobotStatus(False)] * 3
+    for what in missing:
+        setattr(rig, what, Missing(getattr(rig, what), what))
+    report = look_over(rig)
+    assert report.problems == tuple(f"there is no {what} (plug in the {what})" for what in missing)
+    answers = [robot.status.answers for robot in report.robots]
+    assert answers == [None if "actuator" in missing else False] * 3
+    tracked = [robot.tracked for robot in report.robots]
+    assert tracked == [missing == ["actuator"] and i != 1 for i in range(3)]
+    assert not report.ready
+
+
+def test_a_run_names_all_devices_that_are_missing():
+    lab = fake_lab(experiment().setup)
+    rig = lab.plant.rig
+    rig.actuator = Missing(rig.actuator, "actuator")
+    rig.camera = Missing(rig.camera, "camera")
+    with pytest.raises(AbortError) as caught, rig:
+        pass
+    assert caught.value.message == "there is no actuator; there is no camera"
+    assert caught.value.hint == "plug in the actuator; plug in the camera"
 
 
 def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():

@@ -6,8 +6,10 @@ run before is only read.
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 
+from tetractl.api import run_batch
 from tetractl.cli.specs import examples
 from tetractl.core.registries import PAPERS
 from tetractl.core.table.terminal_table import markdown
@@ -22,10 +24,11 @@ END = "<!-- figures: end -->"
 
 def tables(folder: Path) -> str:
     """Return the tables of all papers, from the trials in `folder`, of which it runs what lacks."""
+    complete = partial(run_batch, resume=True)
     printed = []
     for name in PAPERS.names():
         paper = PAPERS.load(name)
-        results = run_arms(paper, folder / name, examples(), None, 1, print)
+        results = run_arms(paper, folder / name, examples(), None, complete, print)
         rows = [assess(claim, results) for claim in paper.claims]
         printed.append(table(name, paper.source, rows))
     return markdown(printed).strip()

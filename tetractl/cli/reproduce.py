@@ -1,6 +1,7 @@
 """`tetractl reproduce`: the figures of published papers next to ours, each with a verdict."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,6 +36,7 @@ def reproduce(
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
+    from tetractl.api import run_batch
     from tetractl.reproduce.claim import assess
     from tetractl.reproduce.paper import Paper, items, table
     from tetractl.reproduce.trials import run_arms
@@ -43,11 +45,12 @@ def reproduce(
     _check_known(names)
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
+    complete = partial(run_batch, jobs=jobs, resume=True)
     described: dict[str, dict[str, Any]] = {}
     unexpected = 0
     for name in names:
         paper: Paper = PAPERS.load(name)
-        results = run_arms(paper, out / name, examples(), trials, jobs, ui.tell)
+        results = run_arms(paper, out / name, examples(), trials, complete, ui.tell)
         rows = [assess(claim, results) for claim in paper.claims]
         described[name] = {"source": paper.source, "figures": [items(row) for row in rows]}
         if not as_json:

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tetractl.api import run_batch
-from tetractl.experiment.load import load_spec
+from tetractl.experiment.load import LoadedSpec, load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.reproduce.paper import Paper, Runs, Work
@@ -14,13 +13,16 @@ from tetractl.run.task import log_path
 SEED = 20261128
 """The root seed of all trials."""
 
+RunBatch = Callable[[LoadedSpec, Path], object]
+"""Runs the trials of a spec that a folder lacks, as `tetractl.run_batch` with `resume` does."""
+
 
 def run_arms(
     paper: Paper,
     folder: Path,
     specs: Mapping[str, Path],
     trials: int | None,
-    jobs: int,
+    run_batch: RunBatch,
     tell: Callable[[str], None],
 ) -> dict[str, Sequence[Any]]:
     """Return the results of all arms by name: logs of trials, and what a `Work` computes.
@@ -38,7 +40,7 @@ def run_arms(
             case Runs():
                 count = trials or arm.trials
                 tell(f"{folder / name}: {count} trials of {arm.example} {' '.join(arm.sets)}")
-                results[name] = _logs(arm, results, folder / name, specs, count, jobs)
+                results[name] = _logs(arm, results, folder / name, specs, count, run_batch)
     return results
 
 
@@ -48,7 +50,7 @@ def _logs(
     folder: Path,
     specs: Mapping[str, Path],
     count: int,
-    jobs: int,
+    run_batch: RunBatch,
 ) -> list[TrialLog]:
     """Return the logs of an arm's trials, of which those are run that the folder lacks."""
     spec = specs[arm.example]
@@ -56,12 +58,12 @@ def _logs(
         logs = list[TrialLog]()
         for number, planned in enumerate(results[arm.plans_of][:count]):
             settings = (*arm.sets, open_loop(planned))
-            logs += _batch(spec, settings, folder / f"plan-{number:03d}", 1, jobs)
+            logs += _batch(spec, settings, folder / f"plan-{number:03d}", 1, run_batch)
         return logs
     settings = arm.sets
     if arm.plan_of is not None:
         settings = (*settings, open_loop(results[arm.plan_of][0]))
-    return _batch(spec, settings, folder, count, jobs)
+    return _batch(spec, settings, folder, count, run_batch)
 
 
 def open_loop(log: TrialLog) -> str:
@@ -72,8 +74,8 @@ def open_loop(log: TrialLog) -> str:
 
 
 def _batch(
-    path: Path, settings: Sequence[str], folder: Path, count: int, jobs: int
+    path: Path, settings: Sequence[str], folder: Path, count: int, run_batch: RunBatch
 ) -> list[TrialLog]:
     spec = load_spec(path, (*settings, f"trials.count={count}", f"trials.seed={SEED}"))
-    run_batch(spec, folder, jobs=jobs, resume=True)
+    run_batch(spec, folder)
     return [read_trial(log_path(folder, trial)) for trial in range(count)]

@@ -2,11 +2,13 @@
 
 import re
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tetractl import api
 from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
@@ -15,6 +17,7 @@ from tetractl.reproduce.claim import AtMost, Claim, Verdict
 from tetractl.reproduce.ou_measures import spinning_time, total_error
 from tetractl.reproduce.paper import Paper, Runs, Work
 
+COMPLETE = partial(api.run_batch, resume=True)
 PAGE = Path(__file__).parents[3] / "docs/explanation/reproduce.md"
 
 
@@ -73,25 +76,25 @@ def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch
         "sent": Runs("three_m3pi_paper", ("plant.motion=euler",), 2, plans_of="planned"),
     }
     results = reproduce_trials.run_arms(
-        Paper("x", arms, []), tmp_path, command.examples(), None, 1, lambda text: None
+        Paper("x", arms, []), tmp_path, command.examples(), None, COMPLETE, lambda text: None
     )
     for planned, sent in zip(results["planned"], results["sent"], strict=True):
         assert total_error(sent) == pytest.approx(planned.steps[0].plan.target_cost, abs=1e-6)
 
 
 def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch):
-    run_batch = reproduce_trials.run_batch
+    run_batch = api.run_batch
 
     def interrupted(*given, **named):
         return run_batch(*given, **named, on_result=lambda *_: signal.raise_signal(signal.SIGINT))
 
     monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
-    monkeypatch.setattr(reproduce_trials, "run_batch", interrupted)
+    monkeypatch.setattr(api, "run_batch", interrupted)
     with pytest.raises(KeyboardInterrupt):
         command.reproduce(["mine"], trials=3, out=tmp_path)
     done = {path: path.read_bytes() for path in (tmp_path / "mine/one").glob("*.mcap")}
     assert 1 <= len(done) < 3
-    monkeypatch.setattr(reproduce_trials, "run_batch", run_batch)
+    monkeypatch.setattr(api, "run_batch", run_batch)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.DONE
     assert {path: path.read_bytes() for path in done} == done
 
@@ -99,7 +102,7 @@ def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch)
 def test_what_is_computed_gets_the_root_seed_and_a_number(tmp_path):
     arms = {"computed": Work(lambda seed, number: {"sum": seed + number}, trials=2)}
     results = reproduce_trials.run_arms(
-        Paper("x", arms, []), tmp_path, {}, None, 1, lambda text: None
+        Paper("x", arms, []), tmp_path, {}, None, COMPLETE, lambda text: None
     )
     seed = reproduce_trials.SEED
     assert [result["sum"] for result in results["computed"]] == [seed, seed + 1]
@@ -130,7 +133,12 @@ def test_the_command_prints_a_row_of_the_page(tmp_path):
     arms = {"cells": paper.arms["cells"]}
     stated = [claim for claim in paper.claims if claim.arm == "cells"]
     results = reproduce_trials.run_arms(
-        Paper(paper.source, arms, stated), tmp_path, command.examples(), None, 2, lambda text: None
+        Paper(paper.source, arms, stated),
+        tmp_path,
+        command.examples(),
+        None,
+        COMPLETE,
+        lambda text: None,
     )
     mean = np.mean([stated[0].measure(log) for log in results["cells"]])
     assert rows_of_page()[stated[0].figure][3] == f"{mean:.1f} um"

@@ -112,12 +112,15 @@ def compile_for(problem: Problem, length: int) -> None:
 
 def reference(meter: Meter, seed: int) -> NoReturn:
     """Our particle swarm, with J by the NumPy reference."""
+
+    def numpy_costs(signals: np.ndarray) -> np.ndarray:
+        return evaluate(meter.problem, signals.T).total
+
     for again in itertools.count():
-        swarm = Swarm.scatter(_SWARM, meter.length, mix(seed, again))
-        swarm.u_gb, swarm.best_cost = swarm.best[:, 0], np.full(PARTICLES, np.inf)
+        swarm = Swarm.scatter(_SWARM, meter.length, mix(seed, again), numpy_costs)
         while swarm.z < _SWARM.iterations:
-            swarm.tell(evaluate(meter.problem, swarm.ask().T).total)
-            meter.note(swarm.cost)
+            swarm.iterate()
+            meter.note(swarm.best.cost)
     raise Over
 
 

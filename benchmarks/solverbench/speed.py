@@ -7,7 +7,6 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.cost import evaluate
-from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers.pso import Swarm
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, inlined
@@ -66,26 +65,19 @@ class _Iterations:
     """Iterations of the compiled swarm, and nothing else."""
 
     def __init__(self, problem: Problem) -> None:
-        self.costs = compiled_costs(problem, PARTICLES)
-        self.swarm = _scattered()
+        self.swarm = SWARM.swarm(problem, SIGNALS, None, key=1)
 
     def run(self, count: int) -> None:
         for _ in range(count):
-            self.swarm.tell(self.costs(self.swarm.ask()))
-
-
-def _scattered() -> Swarm:
-    swarm = Swarm.scatter(SWARM, SIGNALS, 1)
-    swarm.best_cost, swarm.u_gb = np.full(PARTICLES, np.inf), np.zeros(SIGNALS)
-    return swarm
+            self.swarm.iterate()
 
 
 def _reference(problem: Problem) -> Callable[[int], None]:
-    swarm = _scattered()
+    swarm = Swarm.scatter(SWARM, SIGNALS, 1, lambda signals: evaluate(problem, signals.T).total)
 
     def run(count: int) -> None:
         for _ in range(count):
-            swarm.tell(evaluate(problem, swarm.ask().T).total)
+            swarm.iterate()
 
     return run
 

@@ -4,7 +4,7 @@ import numpy as np
 from support.oracle import World
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import Pso, swarms
+from tetractl.control.optimizers.pso import Pso, best_of
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
 from tetractl.model.obstacles import Obstacles
@@ -83,18 +83,17 @@ def is_decided(problem: Problem, length: int, warm, spec: Pso, key: int) -> bool
         near = np.abs(one - other) <= 1e-9 * (1 + np.abs(one))
         return bool(np.any(near & (u != other_u).any(axis=-1)))
 
-    moving = swarms(spec, problem, length, warm, key)
-    swarm = next(moving)
+    swarm = spec.swarm(problem, length, warm, key)
     for _ in range(spec.iterations):
-        before, before_cost = swarm.u_gb.copy(), swarm.cost
-        best, best_cost = swarm.best.T.copy(), swarm.best_cost.copy()
-        next(moving)
-        if close(evaluate(problem, swarm.u.T).total, best_cost, swarm.u.T, best):
+        global_best = swarm.best
+        local_bests = swarm.u_lb.T.copy()
+        local_costs = swarm.local_costs.copy()
+        swarm.iterate()
+        if close(evaluate(problem, swarm.u.T).total, local_costs, swarm.u.T, local_bests):
             return False
-        leader = int(np.argmin(swarm.best_cost))
-        least, own = swarm.best_cost[leader], swarm.best.T[leader]
-        if close(swarm.best_cost, least, swarm.best.T, own):
+        leader = best_of(swarm.u_lb, swarm.local_costs)
+        if close(swarm.local_costs, leader.cost, swarm.u_lb.T, leader.signals):
             return False
-        if close(least, before_cost, own, before):
+        if close(leader.cost, global_best.cost, leader.signals, global_best.signals):
             return False
     return True

@@ -67,7 +67,8 @@ class CircleSearch(OptimizerSection):
         known = wrap(known)
         progress.add(known.T, evaluate(problem, known).total)
         for z in range(self.rounds):
-            if not progress.affords(self.samples):
+            progress.ended = progress.limit_before(self.samples)
+            if progress.ended is not None:
                 break
             steps = normal(key, z * length * self.samples, length * self.samples).reshape(
                 self.samples, length

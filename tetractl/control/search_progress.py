@@ -14,20 +14,21 @@ class Progress:
     """
 
     def __init__(self, length: int, limits: Limits) -> None:
-        self.length, self.limits = length, limits
+        self.length = length
+        self.limits = limits
         self.best = np.zeros(length)
         self.cost = np.inf
         self.history: list[float] = []
         self.evaluations = 0
         self.ended: StopReason | None = None
 
-    def affords(self, evaluations: int) -> bool:
-        """Return whether the limits allow this many further evaluations; if not, end the search."""
-        if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
-            self.ended = StopReason.EVALUATIONS
-        if self.ended is None and self.limits.expired(self.evaluations):
-            self.ended = StopReason.DEADLINE
-        return self.ended is None
+    def limit_before(self, evaluations: int) -> StopReason | None:
+        """Return the limit that forbids this many further evaluations, None if none does."""
+        if not self.limits.allow(self.evaluations + evaluations):
+            return StopReason.EVALUATIONS
+        if self.limits.expired(self.evaluations):
+            return StopReason.DEADLINE
+        return None
 
     def add(self, signals: Floats, costs: Floats) -> None:
         """Add the costs (P,) of an iteration's sequences (length, P) to the history."""
@@ -38,7 +39,8 @@ class Progress:
     def keep(self, signals: Floats, cost: float) -> None:
         """Add an entry to the history; keep the sequence (length,) if it is the best."""
         if cost < self.cost or not self.history:
-            self.best, self.cost = signals.copy(), cost
+            self.best = signals.copy()
+            self.cost = cost
         self.history.append(self.cost)
 
     def search(self) -> Search:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, swarms
+from tetractl.control.optimizers.pso import LOWER, UPPER, Pso
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -83,23 +83,24 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
     frames, path, again = list[Frame](), [], []
-    for swarm in swarms(section, problem, asked.length, asked.warm, asked.key):
+    swarm = section.swarm(problem, asked.length, asked.warm, asked.key)
+    for z in range(last + 1):
         if rerun.expired():
             raise LogError(f"{log.path}: the first search of the trial takes too long to run again")
+        if z > 0:
+            swarm.iterate()
         seen = swarm.u[SEEN].T.copy()
         path.append(seen[0])
-        again.append(swarm.cost)
-        if swarm.z in wanted:
-            frames.append(Frame(swarm.z, seen, swarm.u_gb[SEEN], swarm.cost))
-        if swarm.z == last:
-            return SwarmHistory(
-                tuple(frames),
-                np.array(path),
-                swarm.best[SEEN, 0],
-                _landscape(problem, swarm.u_gb),
-                bool(np.array_equal(again, logged.history)),
-            )
-    raise AssertionError("the swarm moves without end")
+        again.append(swarm.best.cost)
+        if z in wanted:
+            frames.append(Frame(z, seen, swarm.best.signals[SEEN], swarm.best.cost))
+    return SwarmHistory(
+        tuple(frames),
+        np.array(path),
+        swarm.u_lb[SEEN, 0],
+        _landscape(problem, swarm.best.signals),
+        bool(np.array_equal(again, logged.history)),
+    )
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:

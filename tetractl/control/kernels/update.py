@@ -1,4 +1,4 @@
-"""The compiled move of particles, (14)-(18), including the draws of its random numbers."""
+"""The compiled move of particles, (14)-(17), including the draws of its random numbers."""
 
 import numpy as np
 
@@ -7,9 +7,15 @@ from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 from tetractl.model.motion.motion import DIRECTION
 
-STEP, MIX_1, MIX_2 = (np.uint64(number) for number in (GOLDEN, *FACTORS))
-LOW, HIGH, _ = DIRECTION
-S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))
+STEP = np.uint64(GOLDEN)  # constants of `tetractl.control.rng.mix`
+MIX_1 = np.uint64(FACTORS[0])
+MIX_2 = np.uint64(FACTORS[1])
+LOW = DIRECTION.low  # lb, (12) [rad]
+HIGH = DIRECTION.high  # ub, (12) [rad]
+S27 = np.uint64(27)
+S30 = np.uint64(30)
+S31 = np.uint64(31)
+S33 = np.uint64(33)
 LOW_31 = np.uint64(0x7FFF_FFFF)
 
 
@@ -23,16 +29,23 @@ def drawn(key, index):
 
 
 @compiled(**ENTRY_FAST)
-def move(u, v, best, u_gb, key, z, inertia, cognitive, social):
-    """Apply (14)-(17) to u and v (L, P) in place, with the draws of iteration z."""
+def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
+    """Apply (14)-(17) to u and v (L, P) in place, with the draws of iteration z.
+
+    r1 and r2 are the upper and the lower 31 bits of one draw; the scale 2^-31 that brings them into
+    [0, 1) is part of the weights c1 and c2.
+    """
     length, particles = u.shape
-    c1, c2 = cognitive * 2.0**-31, social * 2.0**-31  # r1, r2 are integers of 31 bits
+    c1 = cognitive * 2.0**-31
+    c2 = social * 2.0**-31
     for j in range(length):
         for n in range(particles):
             draw = drawn(key, (z * length + j) * particles + n)
-            r1, r2 = float(np.int32(draw >> S33)), float(np.int32(draw & LOW_31))
-            at = u[j, n]
-            velocity = inertia * v[j, n] + c1 * r1 * (best[j, n] - at) + c2 * r2 * (u_gb[j] - at)
-            velocity = max(LOW - HIGH, min(velocity, HIGH - LOW))  # |ub - lb|, (15)
+            r1 = float(np.int32(draw >> S33))
+            r2 = float(np.int32(draw & LOW_31))
+            own = c1 * r1 * (u_lb[j, n] - u[j, n])
+            common = c2 * r2 * (u_gb[j] - u[j, n])
+            velocity = inertia * v[j, n] + own + common  # (14)
+            velocity = max(LOW - HIGH, min(velocity, HIGH - LOW))  # (15)
             v[j, n] = velocity
-            u[j, n] = max(LOW, min(at + velocity, HIGH))
+            u[j, n] = max(LOW, min(u[j, n] + velocity, HIGH))  # (16), (17)

@@ -25,16 +25,20 @@ class CrossEntropy(SamplingOptimizer):
     """The cross-entropy method of Rubinstein and Kroese over the knots of smooth sequences."""
 
     type: Literal["cem"] = "cem"
-    elite: ClassVar[float] = 1 / 16
+    elite_share: ClassVar[float] = 1 / 16
     """Best fraction of an iteration's samples, E / P, towards which the distribution is moved."""
     smoothing: ClassVar[float] = 0.4
     """Weight alpha of the elite when the distribution is updated."""
 
     def updated(
-        self, mean: Floats, std: Floats, knots: Floats, costs: Floats
+        self, mean: Floats, std: Floats, samples: Floats, costs: Floats
     ) -> tuple[Floats, Floats]:
         """Return mean and standard deviation, moved towards those of the elite."""
-        elite = knots[:, np.argsort(costs, kind="stable")[: max(1, int(self.elite * costs.size))]]
-        mean = mean + self.smoothing * (elite.mean(axis=1, keepdims=True) - mean)
-        std = std + self.smoothing * (elite.std(axis=1, keepdims=True) - std)
+        count = max(1, int(self.elite_share * costs.size))
+        cheapest = np.argsort(costs, kind="stable")[:count]
+        elite = samples[:, cheapest]
+        elite_mean = elite.mean(axis=1, keepdims=True)
+        elite_std = elite.std(axis=1, keepdims=True)
+        mean = mean + self.smoothing * (elite_mean - mean)
+        std = std + self.smoothing * (elite_std - std)
         return mean, std

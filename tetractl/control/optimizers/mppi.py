@@ -20,6 +20,9 @@ import numpy as np
 from tetractl.control.optimizers.sampling import SamplingOptimizer
 from tetractl.core.poses import Floats
 
+NOT_ZERO = 1e-300
+"""Added to lambda, so that equal costs give equal weights [length unit]."""
+
 
 class Mppi(SamplingOptimizer):
     """Model predictive path integral control of Williams et al., iterated with falling noise."""
@@ -32,8 +35,10 @@ class Mppi(SamplingOptimizer):
     """Factor by which s is multiplied after each iteration."""
 
     def updated(
-        self, mean: Floats, std: Floats, knots: Floats, costs: Floats
+        self, mean: Floats, std: Floats, samples: Floats, costs: Floats
     ) -> tuple[Floats, Floats]:
         """Return the weighted mean of the samples, and a smaller standard deviation."""
-        weights = np.exp((costs.min() - costs) / (self.temperature * costs.std() + 1e-300))
-        return (knots @ (weights / weights.sum()))[:, None], std * self.cooling
+        temperature = self.temperature * costs.std() + NOT_ZERO
+        weights = np.exp((costs.min() - costs) / temperature)
+        weights /= weights.sum()
+        return (samples @ weights)[:, None], std * self.cooling

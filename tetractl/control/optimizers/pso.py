@@ -1,11 +1,23 @@
 """Particle swarm optimisation: the paper's Algorithm 1, equations (14)-(20).
 
-Moves (14)-(17) and costs are compiled (`tetractl.control.kernels`); the rest is a few operations on
-arrays.
+A swarm has P particles (the paper's np; here, `np` is NumPy). Particle n has a sequence u_n of L
+signals [rad], a velocity v_n, and u_lb,n, the best sequence it has met; u_gb is the best sequence
+that the swarm has met. The cost J of a sequence, (7), is a length. One iteration, from z to z + 1,
+is
+
+    v_n    <-  omega_v v_n + c1 r1 (u_lb,n - u_n) + c2 r2 (u_gb - u_n)        (14)
+    v_n    <-  max(-|ub - lb|, min(v_n, |ub - lb|))                           (15)
+    u_n    <-  max(lb, min(u_n + v_n, ub))                                    (16), (17)
+    u_lb,n <-  u_n     if J(u_n) < J(u_lb,n)                                  (18)
+    u_gb   <-  u_lb,m  if J(u_lb,m) < J(u_gb), m = argmin_n J(u_lb,n)         (19)
+
+with r1 and r2 uniform in [0, 1), drawn for each particle, signal and iteration, and with the bounds
+lb = -pi and ub = pi of each signal, (12). (20) is `tetractl.control.stop`. Arrays have a column for
+each particle, (L, P). The moves (14)-(17) and the costs are compiled (`tetractl.control.kernels`).
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,13 +26,17 @@ from pydantic import Field
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
 from tetractl.control.stop import PaperStop, StopCriterion, stopped
-from tetractl.core.plan import Limits, Problem, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.model.motion.motion import DIRECTION
 
-LOWER, UPPER, _ = DIRECTION  # lb and ub, (12)
-SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
+LOWER = DIRECTION.low
+"""Least value lb of a signal, (12) [rad]."""
+UPPER = DIRECTION.high
+"""Greatest value ub of a signal, (12) [rad]."""
+SPAN = UPPER - LOWER
+"""Greatest change |ub - lb| of a signal in an iteration, (15) [rad]."""
 
 
 class Pso(OptimizerSection):
@@ -55,97 +71,133 @@ class Pso(OptimizerSection):
         """Largest number of cost evaluations of a search: all iterations and a warm start."""
         return (self.iterations + 1) * self.particles + 1
 
-    def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield "evaluations" if the logged number of evaluations contradicts the logged history,
-        and "stopped" if the logged reason for the end contradicts that history."""
-        if not len(found.history):
-            return
-        if found.evaluations != self.particles * len(found.history) + warmed:
-            yield "evaluations"
-        with np.errstate(invalid="ignore"):  # logarithms fail if the history does not fall
-            why = stopped(found.history, self.stop) if len(found.history) > 1 else None
-        if why is None and len(found.history) > self.iterations:
-            why = StopReason.ITERATIONS
-        cut = {StopReason.EVALUATIONS} if limits.evaluations is not None else set()
-        cut |= {StopReason.DEADLINE} if limits.timed else set()
-        if found.stopped not in ({why} if why else cut):
-            yield "stopped"
-
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
         """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or NULL."""
-        progress, n = Progress(length, limits), self.particles
-        for swarm in swarms(self, problem, length, warm, key):
-            progress.keep(swarm.u_gb, swarm.cost)
-            progress.evaluations += n if swarm.z else n + (warm is not None)
-            if swarm.z:  # line 9
-                progress.ended = stopped(np.array(progress.history), self.stop)
-            if swarm.z == self.iterations or not progress.affords(n):
-                return progress.search()
-        raise AssertionError("the swarm moves without end")
+        progress = Progress(length, limits)
+        swarm = self.swarm(problem, length, warm, key)  # lines 1-6
+        progress.evaluations = self.particles if warm is None else self.particles + 1
+        progress.keep(swarm.best.signals, swarm.best.cost)
+        for _ in range(self.iterations):  # line 7
+            progress.ended = progress.limit_before(self.particles)
+            if progress.ended is not None:
+                break
+            swarm.iterate()  # line 8
+            progress.evaluations += self.particles
+            progress.keep(swarm.best.signals, swarm.best.cost)
+            progress.ended = stopped(np.array(progress.history), self.stop)  # line 9
+            if progress.ended is not None:
+                break  # line 10
+        return progress.search()  # line 13
+
+    def swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
+        """Algorithm 1, lines 1-6: return a swarm whose u_gb is `warm` or, without it, the best of
+        all u_lb,n. A warm start is not compared with the u_lb,n before the first iteration.
+        """
+        # imported late: reading a spec searches nothing
+        from tetractl.control.evaluate import compiled_costs
+
+        costs_of = compiled_costs(problem, self.particles)
+        if warm is None:
+            return Swarm.scatter(self, length, key, costs_of)
+        cost = compiled_costs(problem, 1)(warm[:, None])[0]
+        return Swarm.scatter(self, length, key, costs_of, Best(warm.copy(), float(cost)))
+
+    def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
+        """Yield the fields of a logged search that contradict its history."""
+        from tetractl.control.optimizers.pso_audit import contradictions
+
+        return contradictions(self, found, warmed, limits)
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """A sequence (L,) [rad] and its cost J [length unit]."""
+
+    signals: Floats
+    cost: float
 
 
 @dataclass(slots=True)
 class Swarm:
-    """np particles in L dimensions: `ask` for sequences, then `tell` their costs.
+    """P particles in L dimensions; `scatter` makes a swarm, `iterate` moves it.
 
-    u, v, best (L, np): sequences u_n, velocities v_n and local bests u_lb,n; best_cost (np,):
-    J(u_lb,n); u_gb (L,) with cost J(u_gb), None before it is known.
+    `costs_of` maps sequences (L, P) to their costs J (P,). All random numbers come from `key`.
     """
 
     section: Pso
     key: int
+    costs_of: Callable[[Floats], Floats]
     u: Floats
+    """Sequences u_n (L, P) [rad]."""
     v: Floats
-    best: Floats
-    best_cost: Floats = field(default_factory=lambda: np.empty(0))
-    u_gb: Floats = field(default_factory=lambda: np.empty(0))
-    cost: float = np.inf
+    """Velocities v_n (L, P) [rad per iteration]."""
+    u_lb: Floats
+    """Local bests u_lb,n (L, P) [rad]."""
+    local_costs: Floats
+    """J(u_lb,n), (P,)."""
+    best: Best
+    """The global best u_gb with J(u_gb)."""
     z: int = 0
+    """Number of iterations done."""
 
     @classmethod
-    def scatter(cls, section: Pso, length: int, key: int) -> "Swarm":
-        """Algorithm 1, line 1: draw u_n, v_n and u_lb,n uniformly in their search spaces."""
-        n = section.particles
-        u, v, best = uniform(mix(key, 0), 0, 3 * length * n).reshape(3, length, n)
+    def scatter(
+        cls,
+        section: Pso,
+        length: int,
+        key: int,
+        costs_of: Callable[[Floats], Floats],
+        warm: Best | None = None,
+    ) -> "Swarm":
+        """Draw u_n, v_n and u_lb,n uniformly in their search spaces, line 1; take u_gb from the
+        u_lb,n, line 3, or from a warm start, line 5.
+        """
+        shape = 3, length, section.particles
+        draws = uniform(mix(key, 0), 0, 3 * length * section.particles).reshape(shape)
+        u_lb = LOWER + SPAN * draws[2]
+        local_costs = costs_of(u_lb)
         return cls(
-            section, mix(key, 1), LOWER + SPAN * u, -SPAN + 2 * SPAN * v, LOWER + SPAN * best
+            section=section,
+            key=mix(key, 1),
+            costs_of=costs_of,
+            u=LOWER + SPAN * draws[0],
+            v=-SPAN + 2 * SPAN * draws[1],
+            u_lb=u_lb,
+            local_costs=local_costs,
+            best=best_of(u_lb, local_costs) if warm is None else warm,
         )
 
-    def ask(self) -> Floats:
-        """Move the swarm by equations (14)-(17) and return the new sequences (L, np)."""
+    def iterate(self) -> None:
+        """Algorithm 1, line 8: move all particles, then update the local and the global best."""
+        self._move()
+        costs = self.costs_of(self.u)
+        self.u_lb = np.where(costs < self.local_costs, self.u, self.u_lb)  # (18)
+        self.local_costs = np.minimum(costs, self.local_costs)
+        local = best_of(self.u_lb, self.local_costs)
+        if local.cost < self.best.cost:  # (19)
+            self.best = local
+        self.z += 1
+
+    def _move(self) -> None:
+        """Change u and v by equations (14)-(17)."""
         from tetractl.control.kernels.update import move
 
-        w, c1, c2 = self.section.inertia, self.section.cognitive, self.section.social
-        move(self.u, self.v, self.best, self.u_gb, np.uint64(self.key), self.z, w, c1, c2)
-        self.z += 1
-        return self.u
-
-    def tell(self, costs: Floats) -> None:
-        """Update the bests by equations (18)-(19) with the costs (np,) of `ask`'s sequences."""
-        better = costs < self.best_cost
-        self.best = np.where(better, self.u, self.best)  # (18)
-        self.best_cost = np.minimum(costs, self.best_cost)
-        leader = int(np.argmin(self.best_cost))
-        if self.best_cost[leader] < self.cost:  # (19)
-            self.u_gb, self.cost = self.best[:, leader].copy(), float(self.best_cost[leader])
+        move(
+            self.u,
+            self.v,
+            self.u_lb,
+            self.best.signals,
+            np.uint64(self.key),
+            self.z,
+            self.section.inertia,
+            self.section.cognitive,
+            self.section.social,
+        )
 
 
-def swarms(
-    section: Pso, problem: Problem, length: int, warm: Floats | None, key: int
-) -> Iterator[Swarm]:
-    """Yield Algorithm 1's swarm before the first and after each iteration, without end."""
-    from tetractl.control.evaluate import compiled_costs  # late: reading a spec searches nothing
-
-    costs = compiled_costs(problem, section.particles)
-    swarm = Swarm.scatter(section, length, key)  # line 1
-    swarm.best_cost = costs(swarm.best)
-    if warm is None:  # lines 2-3
-        leader = int(np.argmin(swarm.best_cost))
-        swarm.u_gb, swarm.cost = swarm.best[:, leader].copy(), float(swarm.best_cost[leader])
-    else:  # lines 4-5: (19) compares it with the swarm later
-        swarm.u_gb, swarm.cost = warm.copy(), float(compiled_costs(problem, 1)(warm[:, None])[0])
-    while True:  # line 7
-        yield swarm
-        swarm.tell(costs(swarm.ask()))  # line 8
+def best_of(signals: Floats, costs: Floats) -> Best:
+    """Return the sequence of least cost (P,) among sequences (L, P), the first of equal ones."""
+    leader = int(np.argmin(costs))
+    return Best(signals[:, leader].copy(), float(costs[leader]))

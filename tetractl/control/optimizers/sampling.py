@@ -1,10 +1,18 @@
 """What optimisers share that fit a normal distribution to samples of smooth sequences.
 
-A sequence is u = base + W x: K knots x, joined by straight lines (W), added to the warm start, or
-to the bearing of the targets if there is none. The knots are independent, x_k ~ N(m_k, s_k^2), with
-m = 0 at first. Each iteration evaluates P sequences, the first of them that of the mean, so that
-the result, the best of all, is never worse than the warm start. Then the kind's rule updates m and
-s from the samples and their costs.
+A sequence of L signals is
+
+    u = base + W x,     x_k ~ N(m_k, s_k^2),  k = 1 ... K
+
+The base is the warm start, or without it the bearing of the targets. W joins K knots x [rad] by
+straight lines. The knots are independent, and m = 0 at first. Each iteration
+
+1. draws P samples of x, the first of them the mean m itself, so that the result, the best of all
+   sequences, is never worse than the warm start;
+2. evaluates the cost J of their sequences;
+3. updates m and s from the samples and their costs, by the rule of the kind (`cem`, `mppi`).
+
+m and s have the shape (K, 1), samples (K, P), sequences (L, P).
 """
 
 from abc import abstractmethod
@@ -62,7 +70,7 @@ class SamplingOptimizer(OptimizerSection):
 
     @abstractmethod
     def updated(
-        self, mean: Floats, std: Floats, knots: Floats, costs: Floats
+        self, mean: Floats, std: Floats, samples: Floats, costs: Floats
     ) -> tuple[Floats, Floats]:
         """Return mean and standard deviation (K, 1) of the knots after an iteration, given those
         before, its samples (K, P) and their costs J (P,)."""
@@ -71,22 +79,30 @@ class SamplingOptimizer(OptimizerSection):
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
         """Search sequences of `length` signals around the warm start or the targets' bearing."""
-        progress, costs = Progress(length, limits), compiled_costs(problem, self.particles)
+        costs_of = compiled_costs(problem, self.particles)
+        progress = Progress(length, limits)
         base = np.full(length, bearing(problem)) if warm is None else warm
-        shape = min(self.knots, length), self.particles
-        count, mean = shape[0] * shape[1], np.zeros((shape[0], 1))
-        std = np.full_like(mean, self.spread if warm is None else self.spread_warm)
+        knots = min(self.knots, length)
+        mean = np.zeros((knots, 1))
+        std = np.full((knots, 1), self.spread if warm is None else self.spread_warm)
         for z in range(self.iterations):
-            if progress.history and not progress.affords(self.particles):
+            if z > 0:
+                progress.ended = progress.limit_before(self.particles)
+            if progress.ended is not None:
                 break
-            noise = normal(key, z * count, count).reshape(shape)
-            noise[:, 0] = 0.0
-            knots = mean + std * noise
-            signals = wrap(base[:, None] + interpolate(knots, length))
-            found = costs(signals)
-            progress.add(signals, found)
+            samples = mean + std * self._noise(key, z, knots)
+            signals = wrap(base[:, None] + interpolate(samples, length))
+            costs = costs_of(signals)
+            progress.add(signals, costs)
             if progress.cost <= self.tolerance:
                 progress.ended = StopReason.TARGET
                 break
-            mean, std = self.updated(mean, std, knots, found)
+            mean, std = self.updated(mean, std, samples, costs)
         return progress.search()
+
+    def _noise(self, key: int, z: int, knots: int) -> Floats:
+        """Return standard normal numbers of iteration z, (knots, P), zeros for the first sample."""
+        count = knots * self.particles
+        noise = normal(key, z * count, count).reshape(knots, self.particles)
+        noise[:, 0] = 0.0
+        return noise

@@ -137,8 +137,8 @@ def test_progress_keeps_the_best_and_counts():
     progress = Progress(2, Limits(evaluations=5))
     progress.add(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([7.0, 5.0]))
     progress.add(np.array([[0.0], [0.0]]), np.array([6.0]))
-    assert progress.affords(2)
-    assert not progress.affords(3)
+    assert progress.limit_before(2) is None
+    progress.ended = progress.limit_before(3)
     found = progress.search()
     assert (found.signals.tolist(), found.cost, found.evaluations) == ([2.0, 4.0], 5.0, 3)
     assert (found.history.tolist(), found.stopped) == ([5.0, 5.0], StopReason.EVALUATIONS)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support import oracle, problems
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import Pso, Swarm
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 
@@ -59,8 +59,8 @@ def test_line_5_takes_a_bad_warm_start_and_19_then_drops_it():
     away = np.full(8, math.atan2(y - target_y, x - target_x))
     found = search(problem, 8, away, swarm(30, 5), 11)
     assert found.history[0] == pytest.approx(evaluate(problem, away[None]).total[0], rel=1e-12)
-    scattered = Swarm.scatter(swarm(30, 5), 8, 11)
-    best = evaluate(problem, scattered.best.T).total.min()
+    scattered = swarm(30, 5).swarm(problem, 8, away, 11)
+    best = evaluate(problem, scattered.u_lb.T).total.min()
     assert found.history[0] > best  # taken without comparing it with the swarm
     assert found.history[1] <= best * (1 + 1e-12)
 
@@ -113,14 +113,15 @@ def test_a_target_ends_a_search_as_soon_as_it_is_met():
 
 
 def test_the_swarm_is_scattered_over_its_whole_search_space():
-    found = Swarm.scatter(swarm(2000), 3, 1)
-    assert {part.shape for part in (found.u, found.v, found.best)} == {(3, 2000)}
-    for part, bound in ((found.u, math.pi), (found.v, 2 * math.pi), (found.best, math.pi)):
+    scattered = swarm(2000).swarm(problems.problem(problems.world(6)), 3, None, 1)
+    spread = ((scattered.u, math.pi), (scattered.v, 2 * math.pi), (scattered.u_lb, math.pi))
+    for part, bound in spread:
+        assert part.shape == (3, 2000)
         assert np.abs(part).max() <= bound
         assert part.min() < -0.99 * bound
         assert part.max() > 0.99 * bound
         assert abs(part.mean()) < 0.05 * bound
-    assert abs(np.corrcoef(found.u.ravel(), found.best.ravel())[0, 1]) < 0.05
+    assert abs(np.corrcoef(scattered.u.ravel(), scattered.u_lb.ravel())[0, 1]) < 0.05
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e308])

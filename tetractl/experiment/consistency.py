@@ -9,6 +9,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.lab_section import LabSection
+from tetractl.experiment.section_abilities import KeepsClear
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
@@ -63,6 +64,24 @@ def overlapping(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
         if field == "start" and gap < 2 * radius:
             message = f"bodies of radius {radius:g} overlap; move one of them"
             yield ("robots", i, field), f"is {gap:.4g} from the start of {other}: {message}"
+
+
+def unreachable(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    """Yield location and text of each target at which a robot's body would be in an obstacle or, if
+    plans keep to the walls, over the arena's edge."""
+    control = experiment.controller
+    if not isinstance(control, KeepsClear) or experiment.chosen is not None:
+        return
+    setup = experiment.setup
+    x, y = setup.targets.T
+    gaps = [shape.distance(x, y) for shape in setup.obstacles]
+    if control.collision.walls:
+        gaps.append(setup.arena.inside(x, y))
+    nearest_gap = np.min(gaps, axis=0, initial=np.inf)
+    for i in np.flatnonzero(nearest_gap < setup.body_radius).tolist():
+        where = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
+        message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
+        yield ("robots", i, "target"), f"{where}: {message}"
 
 
 def nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:

@@ -20,6 +20,7 @@ from tetractl.experiment.consistency import (
     same_names,
     section_contradictions,
     too_large,
+    unreachable,
 )
 from tetractl.experiment.controller import as_given, without_retired
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
@@ -217,7 +218,8 @@ def _experiment(
         found += misplaced(arena, robots, obstacles)
     if experiment is not None:
         found += [*section_contradictions(experiment), *too_large(experiment)]
-        found += [] if written else overlapping(experiment)
+        if not written:
+            found += [*overlapping(experiment), *unreachable(experiment)]
     for loc, message in found:
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))

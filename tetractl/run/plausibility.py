@@ -269,8 +269,8 @@ def walled_off(spec: CheckContext) -> Found:
 
 
 def inside_margin(spec: CheckContext) -> Found:
-    """Warn of starts and targets that are nearer to an obstacle than the planner's margin."""
-    if not spec.margin or not spec.keeps or spec.keeps.adaptive:  # a margin reduced there
+    """Warn of starts and targets that are nearer to an obstacle than the planner's fixed margin."""
+    if not spec.margin or not spec.keeps or spec.keeps.adaptive:
         return
     for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
         gaps = spec.clearances(points)
@@ -281,6 +281,22 @@ def inside_margin(spec: CheckContext) -> Found:
                 f"{spec.margin:.4g} {spec.unit}",
                 "move it, or lower controller.collision.margin or radius",
             )
+
+
+def tight(spec: CheckContext) -> Found:
+    """Warn of targets that are so near to an obstacle that an adaptive margin gives way to the way
+    that a robot drives in a control period."""
+    if not spec.keeps or not spec.keeps.radius or not spec.keeps.adaptive:
+        return
+    room = spec.clearances(spec.setup.targets) - spec.keeps.radius
+    step = spec.setup.speed * spec.experiment.controller.period
+    for i in np.flatnonzero(room < spec.keeps.margin + step).tolist():
+        yield (
+            ("robots", i, "target"),
+            f"leaves a body {room[i]:.3g} {spec.unit} of room to the nearest obstacle or edge; "
+            f"it drives {step[i]:.3g} {spec.unit} in a control period",
+            "move the target, or control more often; a trial may end far from it",
+        )
 
 
 def too_close(spec: CheckContext) -> Found:
@@ -332,6 +348,7 @@ SPEC_CHECKS: tuple[Callable[[CheckContext], Found], ...] = (
     error_left,
     walled_off,
     inside_margin,
+    tight,
     too_close,
     same_place,
     hold_too_tight,

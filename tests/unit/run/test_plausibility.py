@@ -61,6 +61,10 @@ robots.1.target <- GAP; NEAR
   no path to it that keeps 20 mm .* within 51\d | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR; controller.collision.margin=5; FIXED
   is 20 mm from the nearest obstacle or wall; plans keep 25 mm | margin
+robots.1.target <- robots.blue.target=[1420, 1200]; NEAR
+  leaves a body 0 mm of room .*; it drives 40 mm in a control period | move the target
+robots.1.target <- robots.blue.target=[2075, 1500]; controller.period=0.05; NEAR
+  leaves a body 5 mm of room .*; it drives 10 mm in a control period | move the target
 controller.period <- controller.period=0.4; controller.motion=euler; ON
   a T = 2.4 for green, .* T = 0.4 s, is above 2: by equation \(6\) its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
@@ -175,6 +179,26 @@ def test_bodies_overlap_at_no_start_and_at_targets_with_a_warning():
     sets = ["controller.collision.radius=2.1", "robots.one.start=[1, 1]", "robots.two.start=[1, 9]"]
     told = [str(w) for w in find_warnings(parse_spec(SAME, "s", sets), sets)]
     assert any("is 4 mm from the target of one: both cannot stand there" in one for one in told)
+
+
+@pytest.mark.parametrize(("x", "fits"), [(1419, False), (1420, True)])
+def test_a_target_at_which_a_body_would_be_in_an_obstacle_is_refused(x, fits):
+    # the obstacle's right side is at 1400 mm, and bodies have a radius of 20 mm
+    sets = ("controller.collision.radius=20", f"robots.blue.target=[{x}, 1200]")
+    if fits:
+        load_spec(THREE, sets)
+        return
+    with pytest.raises(
+        InvalidSpecError, match="is 19 mm from the nearest obstacle or edge: a body"
+    ):
+        load_spec(THREE, sets)
+
+
+def test_a_target_over_the_edge_is_refused_where_plans_keep_to_the_walls():
+    sets = ("controller.collision.radius=20", "robots.red.target=[1700, 2140]")
+    with pytest.raises(InvalidSpecError, match="edge: a body of radius 20 does not fit there"):
+        load_spec(THREE, sets)
+    load_spec(THREE, (*sets, "controller.collision.walls=false"))
 
 
 @pytest.mark.filterwarnings("error")

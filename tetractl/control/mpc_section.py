@@ -200,7 +200,7 @@ class RecommendedMpc(SearchFields):
     """The prior uncertainty of the identified values."""
     accept_error: Positive = Field(default=1.0)
     """Total error to accept [length unit]. It is the scale of the value by which the controller
-    decides between a stop, a longer way and a rest: a second costs a tenth of it. A smaller value
+    decides between a stop, a longer way and a rest: a second costs 2 % of it. A smaller value
     makes trials longer. The default is 0.45 of the path that all robots together drive in a control
     period."""
     collision: Collision = Collision()

@@ -89,7 +89,7 @@ def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> in
     if out is not None:
         raise UsageError(
             "--out: a spec has no place for what wheels make of their commands",
-            hint="put wheels.lag, which is printed, into the spec",
+            hint="put the lag that is printed into the spec, as lab.lag",
         )
     require_same(tracks)
     found = respond(tracks)

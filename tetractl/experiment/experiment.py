@@ -321,7 +321,7 @@ class Experiment(Model):
             iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
             watchdog_s=(self.wheels and self.wheels.watchdog) or math.inf,
-            lag_s=self.wheels.lag if self.wheels else 0.0,
+            lag_s=self._lag_s,
             body_radius=control.body_radius,
             sight=self.plant.sight,
             way_points=np.array([robot.via for robot in self.robots], dtype=np.float64)
@@ -330,6 +330,13 @@ class Experiment(Model):
             hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
             loss=self._loss,
         )
+
+    @property
+    def _lag_s(self) -> float:
+        """The time constant of the wheels [s]: the lab's own, or that of all plants."""
+        if isinstance(self.plant, LabSection) and self.plant.lag is not None:
+            return self.plant.lag
+        return self.wheels.lag if self.wheels else 0.0
 
     @property
     def _loss(self) -> LossRule | None:

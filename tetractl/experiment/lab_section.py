@@ -216,6 +216,9 @@ class LabSection(PlantSection):
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values replace values
     in `camera` and `actuator`."""
+    lag: NonNegative | None = None
+    """Time constant with which the wheels of the lab's robots follow a command [s], real or
+    emulated; by default `wheels.lag`, which simulations have too."""
 
     def with_files(self, folder: Path) -> Self:
         """Return the section with the contents of files that it names relative to `folder`."""
@@ -242,6 +245,8 @@ class LabSection(PlantSection):
                 yield (device, *loc), message
         for loc, message in self.actuator.beside(self.camera):
             yield ("actuator", *loc), message
+        if self.lag is not None and setup.wheel_radius is None:
+            yield ("lag",), "is for robots on wheels, and the spec has no `wheels`"
 
     def bounds(self) -> dict[str, str]:
         """Return the devices' addresses and the run's limits for display, {name: text}."""

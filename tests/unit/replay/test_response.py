@@ -75,7 +75,7 @@ def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
 
 @pytest.mark.parametrize(
     ("lag", "said"),
-    [(0.09, "the lag of turning for a spec: wheels.lag=0.08"), (0.2, "no wheels.lag fits all")],
+    [(0.09, "the lag of turning for a spec: lab.lag=0.08"), (0.2, "no single lag fits all")],
 )
 def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(lag, said):
     (one,) = respond([track(6)])

@@ -253,11 +253,11 @@ def response_table(found: Sequence[RobotResponse], title: str, unit: str) -> Tab
 
 
 def _lag(found: Sequence[RobotResponse]) -> str:
-    """Return in words the `wheels.lag` of a spec that fits all robots: the mean of the lags of
-    turning, by which a host steers, weighted by their precision."""
+    """Return in words the lag of a spec that fits all robots: the mean of the lags of turning, by
+    which a host steers, weighted by their precision."""
     lags = np.array([one.turning_lag.value for one in found])
     width = [one.turning_lag.high - one.turning_lag.low for one in found]
     mean = float(np.average(lags, weights=1 / np.maximum(width, SHORT_S)))
     if not (abs(lags - mean) <= SAME_LAG_S).all():
-        return f"no wheels.lag fits all robots within {SAME_LAG_S:g} s"
-    return f"the lag of turning for a spec: wheels.lag={mean:.3f}"
+        return f"no single lag fits all robots within {SAME_LAG_S:g} s"
+    return f"the lag of turning for a spec: lab.lag={mean:.3f}, in a simulation wheels.lag"

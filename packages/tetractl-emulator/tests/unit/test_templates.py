@@ -1,0 +1,34 @@
+"""What the specs that `tetractl init --lab` writes say of the emulated lab."""
+
+import pytest
+from support.cli import tetractl
+from tetractl_emulator.m3pi.wheeled_side import TrueWheels
+
+from tetractl.core.errors import SpecError
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.plants import on_plant
+
+
+@pytest.mark.parametrize("robots", ["twist", "m3pi-xbee"])
+def test_a_template_says_with_which_lag_emulated_wheels_follow(tmp_path, robots):
+    """Regression: without it, the model did not fit in each of 20 emulated trials."""
+    tetractl(tmp_path, "init", "shelf", "--lab", "--robots", robots).ok()
+    loaded = load_spec(tmp_path / "shelf.yaml")
+    emulated_s = TrueWheels.model_fields["lag"].default
+    assert on_plant(loaded, "emulated").experiment.setup.lag_s == emulated_s
+    assert on_plant(loaded, "lab").experiment.setup.lag_s == emulated_s
+    assert loaded.experiment.setup.lag_s == 0, "simulated wheels of this spec have no lag"
+
+
+def test_a_lab_without_a_lag_of_its_own_has_that_of_all_plants(tmp_path):
+    tetractl(tmp_path, "init", "shelf", "--lab", "--robots", "twist").ok()
+    text = (tmp_path / "shelf.yaml").read_text(encoding="utf-8").replace("  lag: 0.04\n", "")
+    loaded = parse_spec(text, "shelf", ["wheels.lag=0.07"])
+    assert on_plant(loaded, "emulated").experiment.setup.lag_s == 0.07
+
+
+def test_a_lag_without_wheels_is_refused(tmp_path):
+    tetractl(tmp_path, "init", "shelf", "--lab", "--robots", "twist").ok()
+    text = (tmp_path / "shelf.yaml").read_text(encoding="utf-8").replace("wheels: {", "# {")
+    with pytest.raises(SpecError, match=r"lab\.lag: 0\.04: is for robots on wheels"):
+        on_plant(parse_spec(text, "shelf", []), "emulated")

@@ -15,6 +15,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting
 from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
+from tetractl_microscope.apriltag.print_scale import odd_floor, odd_robot, print_scale
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.looks import Look
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
@@ -108,7 +109,6 @@ class Tracker:
 
 
 BLURRED = 0.36  # blur [modules] above which some tags cannot be read
-ODD = 0.03  # relative difference from the spec's tag size above which a warning is given
 MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, that is reported
 
 
@@ -142,19 +142,46 @@ def _findings(
             f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
             "off; tilt the camera more or set lab.camera.lens",
         )
+    yield from _printed(section, tracker)
+    above_mm = plane.above_mm if plane is not None else math.inf
     for i, robot in enumerate(tracker.robots):
         sizes = [size for look in looks if (size := look.seen.sizes[i]) is not None]
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in seen:
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
-        elif sizes and abs(off := statistics.median(sizes) - 1) > ODD:
+        elif sizes and _odd(ratio := statistics.median(sizes), robot, looks, above_mm):
             yield (
-                abs(off) >= ODD_SIZE,
-                f"{robot.name}: its tag looks {abs(100 * off):.0f} % "
-                f"{'larger' if off > 0 else 'smaller'} than it should: are size_mm and height_mm "
-                "right?",
+                abs(ratio - 1) >= ODD_SIZE,
+                f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
+                "height_mm right?",
             )
+
+
+def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:
+    """Compare the floor tags' size with the distances between them."""
+    plane = tracker.floor.plane
+    corners = tracker.floor.mean
+    if plane is None or corners is None:
+        return
+    scale = print_scale(corners, tracker.floor.places, section.lens, plane)
+    if odd_floor(scale, [tag.size_mm for tag in section.floor]):
+        yield (
+            False,
+            f"the floor tags are {_larger(scale.ratio)} than size_mm, by the distances "
+            f"between them: if they were printed at {100 * scale.ratio:.1f} %, print them again "
+            "or measure size_mm, of the robots' tags too",
+        )
+
+
+def _odd(ratio: float, robot: RobotTag, looks: Sequence[Look[Seen]], above_mm: float) -> bool:
+    """Return whether a robot's tag has a `ratio` to its size that nothing harmless explains."""
+    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+    return odd_robot(ratio, min(sides), robot.size_mm, above_mm - robot.height_mm)
+
+
+def _larger(ratio: float) -> str:
+    return f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
 
 
 def _tags(numbers: Sequence[int]) -> str:

@@ -25,6 +25,7 @@ from tetractl_microscope.apriltag.section import FloorTag, Lens
 
 # corners of a tag of side 1: top left first, clockwise; x is the direction of reading
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
+CORNER_PX = 0.1  # standard deviation of a detected corner [px]
 ALIKE_PX = 0.15  # fits that differ less cannot be distinguished: corners are found to about 0.1 px
 
 
@@ -51,6 +52,11 @@ class Plane:
     def focal_px(self) -> float:
         """Focal length [px]."""
         return float(self.matrix[0, 0])
+
+    @property
+    def above_mm(self) -> float:
+        """Height of the camera above the floor [mm]."""
+        return -float(self.rotation[:, 2] @ self.shift) / MM
 
     def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
         """Return the positions (..., 2) [m] of pixels (..., 2) at a `height` above the floor [m].
@@ -118,14 +124,14 @@ def calibrated(
         plane = _posed(matrix, np.array(lens.distortion, float), points, spots)
     else:
         usual, deviations = _fitted(points, spots, size[0], middle)
-        plane = _posed(*_lens(usual, size[0], middle), points, spots)
+        plane = _posed(*lens_of(usual, size[0], middle), points, spots)
         centres = pixels.mean(axis=1)
         # points between the tags, where robots may be
         between = (centres[:, None] + centres[None]) / 2
         here = plane.locate(between, highest)
         for deviation in deviations:
             # a lens that is wrong by two standard deviations
-            other = _posed(*_lens(usual + 2.0 * deviation, size[0], middle), points, spots)
+            other = _posed(*lens_of(usual + 2.0 * deviation, size[0], middle), points, spots)
             gaps = np.linalg.norm(other.locate(between, highest) - here, axis=-1)
             doubt = math.hypot(doubt, float(gaps.max()) / MM)
     off = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
@@ -137,7 +143,7 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
 
 
-def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
+def lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
     """Return K and the distortion for `usual` (2,): log(f / width) and k1, each divided by its
     prior's standard deviation.
     """
@@ -164,16 +170,15 @@ def _fitted(
     All are divided by the priors' standard deviations. Each row of the second array is one standard
     deviation along an axis of the error ellipse.
     """
-    start = _posed(*_lens(np.zeros(2), width, middle), points, spots)
+    start = _posed(*lens_of(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def misfit(x: Floats) -> Floats:
         """Return the errors of the spots' pixels for pose and lens x (8,), and the lens's own, all
         in standard deviations.
         """
-        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens(x[6:], width, middle))
-        corner_px = 0.1  # standard deviation of a detected corner
-        return np.append((pixels.reshape(-1, 2) - points).ravel() / corner_px, x[6:])
+        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *lens_of(x[6:], width, middle))
+        return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
 
     first = np.concatenate([turn.ravel(), start.shift, np.zeros(2)])
     fit = least_squares(misfit, first, method="lm", x_scale="jac")
@@ -197,7 +202,8 @@ class Floor:
     Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If a
     corner moves by more than `MOVED_PX`, the calibration is discarded until a picture shows all
     floor tags again. A calibration by which a floor tag is more than `MISFIT_MM` away from its
-    position in the spec is not used; it is kept in `misfit`.
+    position in the spec is not used; it is kept in `misfit`. `mean` are the averaged corners
+    (F, 4, 2) [px] and `places` theirs in the spec's axes (F, 4, 2) [m].
     """
 
     def __init__(
@@ -206,9 +212,9 @@ class Floor:
         self.plane: Plane | None = None
         self.misfit: Plane | None = None
         self._numbers = [tag.tag for tag in tags]
-        self._places = np.array([placed(tag, metres) for tag in tags])  # (F, 4, 2) m
+        self.places = np.array([placed(tag, metres) for tag in tags])
         self._lens, self._highest = lens, highest_mm * MM
-        self._mean: Floats | None = None
+        self.mean: Floats | None = None
         self._count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
@@ -218,18 +224,18 @@ class Floor:
         `size` is the picture's width and height [px].
         """
         seen = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
-        if self._mean is not None and any(
-            np.abs(each - self._mean[i]).max() > MOVED_PX for i, each in seen.items()
+        if self.mean is not None and any(
+            np.abs(each - self.mean[i]).max() > MOVED_PX for i, each in seen.items()
         ):
-            self._mean = self.plane = self.misfit = None
+            self.mean = self.plane = self.misfit = None
         if len(seen) < len(self._numbers):
             return
         now = np.array([seen[i] for i in range(len(seen))])
-        if self._mean is None:
-            self._mean, self._count = now, 0
+        if self.mean is None:
+            self.mean, self._count = now, 0
         self._count += 1
-        self._mean = self._mean + (now - self._mean) / min(self._count, AVERAGED)
+        self.mean = self.mean + (now - self.mean) / min(self._count, AVERAGED)
         if self._count % AVERAGED == 0 or self._count.bit_count() == 1:
-            plane = calibrated(self._mean, self._places, size, self._lens, self._highest)
+            plane = calibrated(self.mean, self.places, size, self._lens, self._highest)
             fits = plane.worst_mm <= MISFIT_MM
             self.plane, self.misfit = (plane, None) if fits else (None, plane)

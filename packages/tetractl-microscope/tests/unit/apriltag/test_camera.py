@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.needs_opencv import finds_small_tags
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
+from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
@@ -138,7 +139,7 @@ DOWN = {"tilt": 0.0}
         ({}, {}, {"floor": turned(1.5)}, ["the floor tags are up to "], ""),
         ({}, DOWN, {}, ["the floor tags do not determine the lens well: robots may be "], ""),
         ({}, DOWN, {"lens": {"focal_px": rendered(facing=DOWN).optics.focal_px}}, [], ""),
-        ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11 % smaller than it should: are"),
+        ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11."),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warning):
@@ -149,6 +150,41 @@ def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warn
     assert len(found) == len(problems)
     assert all(line.startswith(start) for line, start in zip(found, problems, strict=True))
     assert any(line.startswith(warning) for line in warnings) or not warning
+
+
+def printed(ratio, tags):
+    """Tags of another size than the spec says."""
+    return [tag.model_copy(update={"size_mm": ratio * tag.size_mm}) for tag in tags]
+
+
+def size_warnings(tmp_path, floor, robots, facing, lens):
+    """The warnings of a camera about the sizes of tags printed at these ratios."""
+    optics = Optics.facing(FLOOR, MM, 1280, 720, **facing)
+    renderer = Renderer(printed(robots, ROBOTS), printed(floor, FLOOR), MM, optics)
+    _, warnings = checked(tmp_path, renderer, lens={"focal_px": optics.focal_px} if lens else None)
+    return [line for line in warnings if " % smaller" in line or " % larger" in line]
+
+
+@pytest.mark.parametrize("lens", [True, False])
+@pytest.mark.parametrize("facing", [{}, DOWN])
+def test_tags_that_were_printed_smaller_are_warned_of_with_the_ratio(tmp_path, facing, lens):
+    """Regression: all tags printed at 98 % were ready."""
+    floor, *robots = size_warnings(tmp_path, 0.98, 0.98, facing, lens)
+    assert floor.startswith("the floor tags are ")
+    ratio = float(floor.split("printed at ")[1].split(" %")[0])
+    assert ratio == pytest.approx(98, abs=0.3)
+    assert all("its tag looks" in line for line in robots)
+
+
+@pytest.mark.parametrize("lens", [True, False])
+@pytest.mark.parametrize("facing", [{}, DOWN])
+def test_tags_of_the_size_that_the_spec_says_are_not_warned_of(tmp_path, facing, lens):
+    assert size_warnings(tmp_path, 1.0, 1.0, facing, lens) == []
+
+
+def test_robots_tags_that_were_printed_smaller_than_the_floors_are_warned_of(tmp_path):
+    lines = size_warnings(tmp_path, 1.0, 0.98, {}, True)
+    assert [line.split(":")[0] for line in lines] == list(NAMES)
 
 
 @finds_small_tags

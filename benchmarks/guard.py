@@ -11,7 +11,7 @@
 Three m3pi robots drive by model predictive control in the emulated lab, in virtual time, before a
 camera with noise of 0.3 mm and 4 mrad; each wheel is up to 10 % off, and 5 % of the
 packets are lost. What the emulator's `tests/support/ghosts.py` shows begins 0.6 to 2.1 s after the
-first command.
+first command, exchanged numbers with it.
 
 Worst of the plays: how far off its robot the pose shown was when that robot was commanded to stop
 [mm], how long after the fault that was and all robots stood [s], how far one drove until then
@@ -30,7 +30,15 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / one) for one in ("tests", "packages/tetractl-emulator/tests")]
 
 from support.bench_agreement import lab_spec  # noqa: E402
-from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, slow_radio, trial_of  # noqa: E402
+from support.ghosts import (  # noqa: E402
+    CAMERA,
+    CAMERA_HZ,
+    KINDS,
+    NUMBERS,
+    Ghost,
+    slow_radio,
+    trial_of,
+)
 from support.virtual_lab import VirtualLab  # noqa: E402
 
 from tetractl.core.errors import AbortError  # noqa: E402
@@ -68,10 +76,14 @@ CULPRITS = (  # what happens, its size, to whom, what it is, and the right thing
     ("push", 0.012, (0,), "one robot is pushed by 12 mm", "robot"),
     ("push", 0.015, (0,), "one robot is pushed by 15 mm", "robot"),
     ("push", 0.025, (0,), "one robot is pushed by 25 mm", "robot"),
+    (NUMBERS, 0.0, (0, 1), "green and blue exchange numbers", "numbers"),
+    (NUMBERS, 0.0, (0, 2), "green and red exchange numbers", "numbers"),
+    (NUMBERS, 0.0, (1, 2), "blue and red exchange numbers", "numbers"),
 )
 NAMED = {
     "camera": "all robots (drift together|are seen to move)",
     "radio": "is the radio slow",
+    "numbers": "as the other is commanded",
     "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
 }
 BATCH = 12  # trials of a batch
@@ -138,20 +150,28 @@ def reason_of(play: Ghost, trial: int) -> str:
 
 
 def culprits() -> None:
-    """Print a row for each of CULPRITS: what the reasons name, and how far off a pose was."""
+    """Print a row for each of CULPRITS: what the reasons name, how far off a pose was, and how far
+    one robot drove, on average and at most.
+    """
     for kind, size, who, what, right in CULPRITS:
-        offs, named = [0.0], dict.fromkeys(NAMED, 0)
+        offs, ways, named = [0.0], list[float](), dict.fromkeys(NAMED, 0)
         for k in range(PLAYS):
-            robots = who if who == ALL else (k % 3,)
-            play = Ghost(kind, size, robots, at_s=0.6 + 0.7 * k, limit_s=60.0)
+            robots = (k % 3,) if who == (0,) else who
+            at_s = 0.0 if kind == NUMBERS else 0.6 + 0.7 * k
+            play = Ghost(kind, size, robots, at_s=at_s, limit_s=60.0)
             haunt = partial(slow_radio, delay_s=size) if kind == "radio" else play.haunt
             reason = trial_of(haunt, k, RATE_HZ).reason
             offs.append(play.off_mm)
+            ways.append(play.driven_mm)
             for name, text in NAMED.items():
                 named[name] += bool(re.search(text, reason))
         counts = " | ".join(f"{n}" if n else "" for n in named.values())
         none = PLAYS - sum(named.values())
-        print(f"| {what} | {right} | {counts} | {none or ''} | {max(offs):.0f} |", flush=True)
+        driven = "" if kind == "radio" else f"{sum(ways) / len(ways):.0f} / {max(ways):.0f}"
+        print(
+            f"| {what} | {right} | {counts} | {none or ''} | {max(offs):.0f} | {driven} |",
+            flush=True,
+        )
 
 
 def watched(labs: list[VirtualLab], peaks: list[float], lab: VirtualLab) -> None:
@@ -253,8 +273,11 @@ if __name__ == "__main__":
     elif options.batches:
         batches(options.first, options.first + options.batches)
     elif options.culprits:
-        print("| what happens | is | camera named | radio named | robot named | other | off [mm] |")
-        print(f"|---|---|{'--:|' * 5}")
+        print(
+            "| what happens | is | camera named | radio named | numbers named | robot named "
+            "| other | off [mm] | driven, mean / most [mm] |"
+        )
+        print(f"|---|---|{'--:|' * 7}")
         culprits()
     elif options.slow:
         print(

@@ -26,7 +26,6 @@ from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.motion_check import REPEATS, STILL, MotionCheck
 from tetractl.lab.places import Places
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
-from tetractl.lab.swap_detection import SwapDetector
 
 NOISE_MM = 2.0  # largest error of a pose
 DAMAGED_MAX = 20  # number of damaged pictures or datagrams within a second
@@ -46,7 +45,6 @@ class Guard:
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
     drift: DriftCheck = field(init=False)
-    _swaps: SwapDetector = field(init=False)
     _places: Places = field(init=False)
     culprit: Culprit = field(init=False)
     _last_frame_ns: int | None = None
@@ -67,8 +65,6 @@ class Guard:
     _late: int = 0
     _disobedient: set[int] = field(default_factory=set)  # robots that disobeyed in the newest frame
     _ghosts: dict[int, str] = field(default_factory=dict)  # robots refused for good, and why
-    # each robot's last time [ns] and heading [rad]
-    _headings: dict[int, tuple[int, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rules, limits, mm = self.rules, self.rules.limits, self.rules.mm
@@ -90,9 +86,8 @@ class Guard:
         noise = largest_mm / mm if rules.individual else 0.0
         self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise, sight, mm)
         self.drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error, sight)
-        self._swaps = SwapDetector(rules.names)
         self._places = Places(rules.arena, rules.obstacles, limits.reaction, largest_mm / mm)
-        self.culprit = Culprit(self.drift, mm)
+        self.culprit = Culprit(rules.names, self.drift, mm)
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -110,7 +105,6 @@ class Guard:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
             self._driven, self.outdated = True, 0
-            self._swaps.restart()
             self._motion.restart()
             self.drift.rest()
             self._places.restart()
@@ -155,7 +149,6 @@ class Guard:
         self._places.sent(speed, turning)
         self._motion.sent(now_ns, speed, turning, share)
         self.drift.sent(now_ns, speed, turning)
-        self._swaps.sent(now_ns, turning)
 
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
@@ -259,8 +252,6 @@ class Guard:
                 self.abort(f"{steps} control steps in a row were late: {silent}")
             if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= limits.stream_lost * SECOND:
                 self.abort(self.no_frame(unseen_ns))
-            if mistaken := self._swaps.fault():
-                self.abort(mistaken)
             self._check_tracking()
             self._check_places(accepted)
             warnings, self._warnings = tuple(self._warnings), []
@@ -301,11 +292,6 @@ class Guard:
             return ""
         if pose == before:  # a robot may stand, or a picture is frozen: not a motion to compare
             return REPEATS if track.refused == REPEATS or self._motion.stays(i) else ""
-        if self.rules.individual:
-            seen_ns, heading = self._headings.get(i, (-SECOND, 0.0))
-            turned = math.remainder(pose.heading - heading, math.tau)
-            self._swaps.turned(i, now_ns, now_ns - seen_ns, turned)
-        self._headings[i] = now_ns, pose.heading
         fault = self._motion.disagrees(i, before, pose)
         if fault and not self.rules.individual:  # disobeying cells only cause a warning
             self._motion.forget(i)

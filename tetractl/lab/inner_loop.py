@@ -203,7 +203,9 @@ class InnerLoop:
             self._stops_left, self._next_ns = STOPS, now
         if self._stops_left:
             self._repeat_stop(now)
-            guard.reason = guard.culprit.why() or guard.reason  # slow, so after the first stop
+            guard.reason = (
+                guard.culprit.why(guard.reason) or guard.reason
+            )  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
             self._steer(self._held, ruling, now)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:

@@ -50,8 +50,9 @@ OF_CELLS = {
     WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
 }
 """The same, of robots without wheels."""
+AS_NO_COMMAND = "as no command does"
 ANOTHER = (
-    "moves {} as no command does: was it pushed, or does the camera track another body as "
+    f"moves {{}} {AS_NO_COMMAND}: was it pushed, or does the camera track another body as "
     "this robot?"
 )
 KINDS = ("along its heading", "sideways", "around")

@@ -1,28 +1,37 @@
-"""Which of one robot, the camera and the radio is named, of three robots seen at 120 Hz."""
+"""Which of one robot, the camera, the radio and two numbers is named, of robots seen at 120 Hz."""
 
 import numpy as np
 import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
-from tetractl.lab.culprit import CAMERA, RADIO, Culprit
+from tetractl.lab.culprit import CAMERA, RADIO, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.motion_check import motion
+from tetractl.lab.motion_check import ANOTHER, WRONG_WAY, motion
 
 NAMES, SPEEDS, TURNING = ("green", "blue", "red"), (180.0, 200.0, 150.0), (6.0, 4.0, 3.0)
+OTHERWISE = ANOTHER.format("around")
 FRAME_NS, SEND_NS = SECOND // 120, SECOND // 40
 NONE = np.zeros(3)
 
 
 def accused(
-    shown=lambda i, place, t: NONE, delay_s=0.06, seed=1, who=NAMES, suspect=0, skew=(0, 0, 0)
+    shown=lambda i, place, t: NONE,
+    delay_s=0.06,
+    seed=1,
+    who=NAMES,
+    suspect=0,
+    skew=(0, 0, 0),
+    obeys=None,
+    reason=OTHERWISE,
 ):
     """What is named after 3 s if the camera adds `shown` (3,) to a robot's true place (3,), t s
-    before the end; wheels are up to 8 % off. Robots are seen `skew` frames before the newest.
+    before the end; wheels are up to 8 % off. Robots are seen `skew` frames before the newest. In
+    the last 0.6 s robot i does what robot `obeys[i]` is commanded, by default its own.
     """
     random, n = np.random.default_rng(seed), len(who)
     drift = DriftCheck(who, 40.0, 1.0, 0.12)
-    culprit, gains = Culprit(drift, 1.0), 1 + random.uniform(-0.08, 0.08, (2, n))
+    culprit, gains = Culprit(who, drift, 1.0), 1 + random.uniform(-0.08, 0.08, (2, n))
     places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(n)])
     sent, ways, u, way, before = [], np.zeros((2, n)), 0.0, np.zeros((n, 3)), ()
     shots, late = [], np.array(skew[:n])
@@ -34,7 +43,8 @@ def accused(
             drift.sent(now, SPEEDS[:n], turning)
             sent.append((now + delay_s * SECOND, np.array([SPEEDS[:n], turning])))
         while sent and sent[0][0] <= now:
-            ways = sent.pop(0)[1] * gains
+            swapped = obeys is not None and 3 * SECOND - now < 0.6 * SECOND
+            ways = sent.pop(0)[1][:, obeys if swapped else range(n)] * gains
         places[:, 2] += ways[1] * FRAME_NS / SECOND
         courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
         places[:, :2] += (ways[0] * courses).T * FRAME_NS / SECOND
@@ -46,12 +56,12 @@ def accused(
         poses = tuple(Pose(*map(float, row)) for row in old)
         times = [now - int(k) * FRAME_NS for k in late]
         culprit.see(now, poses, times)
-        if left > 0.3 and before:  # wheels are learnt until the fault
+        if left > (0.3 if obeys is None else 0.6) and before:  # wheels are learnt until the fault
             way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
             drift.frame(now, times, poses, way)
         before = poses
     culprit.suspect = suspect
-    return culprit.why()
+    return culprit.why(reason)
 
 
 def pushed(who, size=20.0):
@@ -86,6 +96,37 @@ def test_a_camera_that_turns_is_the_cameras():
 def test_a_slow_radio_is_named_with_its_delay(seed):
     """Regression: "does the camera track another body as this robot?"."""
     assert accused(delay_s=0.5, seed=seed) == RADIO.format(0.5)
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4])  # in which they are commanded differently
+@pytest.mark.parametrize("one, other", [(0, 1), (0, 2), (1, 2)])
+def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed, one, other):
+    obeys = [0, 1, 2]
+    obeys[one], obeys[other] = other, one
+    text = SWAPPED.format(NAMES[one], NAMES[other])
+    assert accused(obeys=obeys, seed=seed, suspect=one) == text
+    assert accused(obeys=obeys, seed=seed, suspect=other) == text
+
+
+def test_the_two_of_two_robots_are_named_together_if_they_have_exchanged_numbers():
+    assert accused(obeys=[1, 0], who=NAMES[:2], seed=4) == SWAPPED.format(*NAMES[:2])
+
+
+def test_numbers_are_not_asked_for_if_the_reason_says_what_is_wrong_with_the_robot():
+    text = SWAPPED.format(*NAMES[:2])
+    assert accused(obeys=[1, 0, 2], seed=3) == text
+    assert accused(obeys=[1, 0, 2], seed=3, reason=WRONG_WAY) != text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_was_pushed_sideways_is_not_taken_for_another(seed):
+    """One alone that moves as another is commanded is not named: a push may look so."""
+
+    def slid(i, place, t):
+        across = np.array([-np.sin(place[2]), np.cos(place[2]), 0.0])
+        return 200.0 * max(0.0, 0.1 - t) * across * (i == 1)
+
+    assert accused(slid, seed=seed, suspect=1) == ""
 
 
 def test_nothing_is_named_but_the_robot_if_it_drives_alone():

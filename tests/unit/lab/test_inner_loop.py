@@ -73,7 +73,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     class Asked:
         suspect = None
 
-        def why(self):
+        def why(self, reason):
             sent.append(lab.actuator.sent[-1].direction)
             return "the camera"
 

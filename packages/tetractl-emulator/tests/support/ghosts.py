@@ -17,6 +17,7 @@ CAMERA_HZ = 120.0
 NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
 KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn")
+NUMBERS = "numbers"
 PUSH_S, STEP_M, STEPS_S = 0.2, 0.004, 0.5
 CAMERA = ("origin", "scale", "rotation")
 
@@ -30,7 +31,8 @@ class Ghost:
     ghost does, and drives on as a robot does (`curve`); a `turn` is a curve whose speed is in
     rad/s. A `push` moves it by `speed` [m] within PUSH_S, and `steps` by 4 mm each half second.
     Of the whole picture, the `origin` moves [m/s], the `scale` grows [1/s], or it turns
-    about its origin (`rotation`) [rad/s].
+    about its origin (`rotation`) [rad/s]. Two robots that have exchanged their `numbers` are shown
+    where they are, but each does what the other is commanded.
     """
 
     kind: str
@@ -51,6 +53,9 @@ class Ghost:
         self._from = [(robot.x, robot.y) for robot in lab.robots]
         self._turned, self._paths = 0.0, {}
         self._shown, self._last = {}, {}
+        if self.kind == NUMBERS:
+            side = lab.emulation.actuator
+            side.swap_numbers(*(side.robots[i] for i in self.who))
         motive = lab.emulation.camera
         motive._expose = self._exposed(motive._expose)
         lab.clock.steps.append(self._watch)
@@ -95,6 +100,8 @@ class Ghost:
 
     def _ghost(self, i: int, pose: Pose, step: float) -> Pose:
         before = self._last.get(i, pose)
+        if self.kind == NUMBERS:
+            return pose
         if self.kind == "frozen":
             return self._shown.get(i, before)
         if self.kind == "heading":

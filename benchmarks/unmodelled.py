@@ -37,6 +37,8 @@ from tetractl.core.trial import EPOCH_NS
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.simulation import SimPlant
+from tetractl.plant.wheel_drive import WheelDrive
+from tetractl.plant.wheel_kernel import GAIN, TRUE_GAIN
 from tetractl.results.estimate import distributions
 from tetractl.results.mean_difference import paired_t
 from tetractl.run.checked_controller import build_controller
@@ -130,13 +132,13 @@ def true(plant: SimPlant) -> Truth:
     a, speed = plant.rates
     drives = speed != 0
     turns, goes = calibration(plant)
-    radios = [one for one in plant.section.disturbances if isinstance(one, RadioSection)]
+    radios = [one for one in plant.settings.disturbances if isinstance(one, RadioSection)]
     delay = sum(one.delay + one.jitter / 2 + one.spread / 2 for one in radios)
     known = {
         "a": turns * np.where(drives, a, plant.a),
         "speed": goes * np.where(drives, np.abs(speed), plant.speed),
         "side": np.zeros(len(a)),
-        "dead_time": np.array([plant.section.dead_time + delay]),
+        "dead_time": np.array([plant.settings.dead_time + delay]),
         "lives": np.ones(len(a), dtype=np.bool_),
     }
     for one in plant.disturbances:
@@ -149,12 +151,13 @@ def calibration(plant: SimPlant) -> tuple[Floats, Floats]:
     """Return the factors (N,) by which the errors of gains and radii change turning rates and
     speeds: by (21)-(23) a robot turns by the mean gain over the radius, and a difference of its
     gains turns it at a constant rate besides, which is no part of a."""
-    if plant.wheels is None:
+    drive = plant.drive
+    if not isinstance(drive, WheelDrive):
         ones = np.ones(len(plant.a))
         return ones, ones
-    _, gain, _, true_gain, *_ = plant.wheels.host.trains
-    mean = (true_gain / gain).mean(axis=0)
-    return mean * plant.setup.wheel_radius / plant.wheels.radius, mean
+    trains = drive.host.trains
+    mean = (trains[TRUE_GAIN] / trains[GAIN]).mean(axis=0)
+    return mean * plant.setup.wheel_radius / drive.radius, mean
 
 
 def held(known: Estimate | None, truth: Truth) -> Row:

@@ -22,7 +22,7 @@ def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
 
 
 class DirectDrive:
-    """Moves N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
+    """A `Drive` of N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
 
     Between two commands the motion is known in closed form, so the path is sampled, not integrated.
     """
@@ -30,45 +30,54 @@ class DirectDrive:
     host = None  # robots are sent the direction itself
     sampled = False  # the path is known in closed form between samples too
     repeats_ns = NEVER  # a direction is held until the next one: it is not sent repeatedly
-    rest_s = 0.0  # time from a stop until the robots stand [s]
+    rest_s = 0.0  # robots stand as soon as they are stopped
 
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
+        robots = a.size
         self.poses = starts
         self._motion = motion
-        self._held = Held(*(np.zeros(a.size) for _ in range(4)))
-        self._free = np.zeros(a.size, dtype=np.bool_)  # robots on which no field acts
-        self._sine = np.zeros(a.size)  # sin(u - heading) when the command was received
-        self._ahead = np.ones(a.size)  # 0 for robots that turn on the spot, 1 for others
+        self.held = Held(
+            direction=np.zeros(robots),
+            turning=np.zeros(robots),
+            course=np.zeros(robots),
+            moving=np.zeros(robots),
+        )
+        """What each robot holds."""
+        self._sine = np.zeros(robots)  # sin(u - heading) when the command was received
+        self._without_field = np.zeros(robots, dtype=np.bool_)
+        self._on_the_spot = np.zeros(robots, dtype=np.bool_)  # robots that turn without driving
         self.vary(a, speed)
 
     @property
     def commanded(self) -> Floats:
         """1 for robots whose last command moves them, 0 for others, (N,)."""
-        return self._held.moving
+        return self.held.moving
 
     @property
     def moving(self) -> Floats:
         """1 for robots that move, 0 for robots that stand, (N,)."""
-        return self.commanded * self._able
+        return np.where(self._able, self.held.moving, 0.0)
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
         self._able = (a > 0) | (speed > 0)
-        self._a, self._speed = np.maximum(a, LEAST_A), speed
-        self._held.turning = a * self._sine
+        self._a = np.maximum(a, LEAST_A)
+        self._speed = speed
+        self.held.turning = a * self._sine
 
-    def advance(self, since_ns: int, times: Times, ticks: Bools) -> Floats:
-        """Advance the robots; return x, y, heading (M, 3, N) at the `times` (M,) [ns].
-
-        `ticks` (M,), True at times at which the true path is sampled, is not used.
-        """
-        p, held = self.poses, self._held
-        t = ((times - since_ns) / SECOND)[:, None] * self.moving
-        if self._free.any():  # a robot without field does not turn: its u is its heading
-            held.direction = np.where(self._free, p.heading, held.direction)
-        path = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._ahead * self._speed, t)
-        self.poses = Poses(*(each[-1] for each in path))
-        return np.concatenate(path, axis=1).reshape(times.size, 3, -1)
+    def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
+        """Move the robots; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
+        before = self.poses
+        held = self.held
+        # a robot that stands is moved for no time
+        seconds = ((times_ns - since_ns) / SECOND)[:, None] * self.moving
+        if self._without_field.any():  # turns nowhere: its direction is its heading
+            held.direction = np.where(self._without_field, before.heading, held.direction)
+        speed = np.where(self._on_the_spot, 0.0, self._speed)
+        path = self._motion.hold(before.x, before.y, before.heading, held, self._a, speed, seconds)
+        x, y, heading = path
+        self.poses = Poses(x[-1], y[-1], heading[-1])
+        return np.concatenate(path, axis=1).reshape(times_ns.size, 3, -1)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the robots that received it.
@@ -76,17 +85,20 @@ class DirectDrive:
         With the motion `arc`, wheel speeds are computed from the headings that were measured when
         the command was sent; with `euler`, the chords begin at the true headings.
         """
-        got, held, action = command.reached, self._held, command.action
+        reached = command.reached
+        held = self.held
+        action = command.action
         heading = self.poses.heading
-        held.moving[got] = not isinstance(action, Stop)
-        held.course[got] = heading[got]
-        self._ahead[got] = not isinstance(action, Turn)
-        self._free[got] = isinstance(action, FieldOff)
-        self._sine[got] = 0.0
+        held.moving[reached] = 0.0 if isinstance(action, Stop) else 1.0
+        held.course[reached] = heading[reached]
+        self._on_the_spot[reached] = isinstance(action, Turn)
+        self._without_field[reached] = isinstance(action, FieldOff)
+        self._sine[reached] = 0.0
         if isinstance(action, Steer | Turn):
-            u, answered = aim(action, heading), heading
+            direction = aim(action, heading)
+            answered = heading
             if self._motion.name == "arc" and command.headings is not None:
                 answered = command.headings
-            self._sine[got] = np.sin(u - answered)[got]
-            held.direction[got] = u[got]
+            self._sine[reached] = np.sin(direction - answered)[reached]
+            held.direction[reached] = direction[reached]
         held.turning = self._a * self._sine

@@ -1,6 +1,5 @@
-"""The camera of a simulation: exposure times, measurements and arrival times."""
+"""The camera of a simulation: what its frames show, and when they reach the host."""
 
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 
@@ -10,145 +9,107 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Sample
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Times
-from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance, overriding
-
-BLOCK_NS = 4 * SECOND  # times are laid out for so long in advance
-
-
-class Beats:
-    """The times of the camera's frames and of the samples of the true path: k / rate [ns] for
-    k = 0, 1, 2, ..., in order. `next_ns` is the next time, `next_frame_ns` the next of a frame."""
-
-    def __init__(self, camera_hz: float, truth_hz: float) -> None:
-        self._rates_hz, self._laid_ns = (camera_hz, truth_hz), -1
-        self.next_ns = self.next_frame_ns = 0
-
-    def due(self, until: int, ends: bool = False) -> tuple[Times, Bools]:
-        """Pass the times (M,) up to `until`; return them, and which are a frame's and which a
-        sample's (2, M). If it `ends` a part of the path, `until` is always the last of them."""
-        if until + SECOND >= self._laid_ns:
-            self._lay_out(until + BLOCK_NS)
-        begin, end = self._passed, bisect_right(self._each, until, self._passed)
-        self._passed, self.next_ns, self.next_frame_ns = end, self._each[end], self._frame[end]
-        if not ends or (end > begin and self._each[end - 1] == until):
-            return self._times[begin:end], self._kinds[:, begin:end]
-        times, kinds = self._times[begin : end + 1].copy(), self._kinds[:, begin : end + 1].copy()
-        times[-1], kinds[:, -1] = until, False
-        return times, kinds
-
-    def _lay_out(self, until: int) -> None:
-        """Lay out the times from the next one to `until` [ns] and at least a second more."""
-        since, self._laid_ns, self._passed = self.next_ns, until, 0
-        both = list[Times]()
-        for rate in self._rates_hz:
-            first, last = (int(when * rate / SECOND) for when in (since, until + SECOND))
-            times = np.rint(np.arange(first - 1, last + 3) * SECOND / rate).astype(np.int64)
-            both.append(times[(times >= since) & (times <= until + SECOND)])
-        times = np.sort(np.concatenate(both))
-        self._times = times = times[np.diff(times, prepend=-1) > 0]
-        later = [np.append(each, NEVER)[np.searchsorted(each, times)] for each in both]
-        self._kinds = np.array([each == times for each in later])
-        self._each, self._frame = times.tolist(), later[0].tolist()
-
-
-class MeasurementNoise(Model):
-    """Standard deviations of the normally distributed errors of each camera frame."""
-
-    position: NonNegative = 0.0
-    """Standard deviation of x and of y [length unit]."""
-    heading: NonNegative = 0.0
-    """Standard deviation of the heading [rad]."""
+from tetractl.plant.sim_settings import MeasurementNoise
 
 
 class SimCamera:
-    """Makes frames of the true poses; `disturbances` change, delay and lose them."""
+    """Makes frames of N robots; disturbances change, delay and lose them.
+
+    A frame goes through `expose`, when it is taken, `receive`, when it reaches the host, and
+    `samples`, when the host reads it. `random` draws the noise.
+    """
 
     def __init__(
         self,
         robots: int,
         noise: MeasurementNoise,
-        rng: np.random.Generator,
         disturbances: Sequence[Disturbance],
+        random: np.random.Generator,
     ) -> None:
-        self.noise = np.array([[noise.position], [noise.position], [noise.heading]])
-        self._noisy, self.rng = bool(self.noise.any()), rng
-        self._measured = overriding(disturbances, "measured")
-        self._received = [one.received for one in overriding(disturbances, "received")]
-        self._tracked = np.ones(robots, dtype=np.bool_)
-        self._tracked.setflags(write=False)  # shared by all frames
-        self._exposed = 0  # number of frames so far
-        self._arrived_ns = 0  # when the last of them arrives that is not lost [ns]
-        self._shown: Poses | None = None  # poses in the last frame
-        self._under_way: deque[Sample] = deque()
-        self._fresh: list[Sample] = []
+        self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
+        self._random = random
+        self._measuring = overriding(disturbances, "measured")
+        self._delaying = overriding(disturbances, "received")
+        self._all_tracked = np.ones(robots, dtype=np.bool_)
+        self._all_tracked.setflags(write=False)  # shared by all frames
+        self._exposed = 0  # number of frames so far, lost ones too
+        self._last_shown: Poses | None = None  # in the last frame that is not lost
+        self._last_arrival_ns = 0  # when that frame arrives [ns]
+        self._in_transit: deque[Sample] = deque()
+        self._unread: list[Sample] = []
         self.newest: Observation | None = None
         """The newest frame that the host has received."""
 
     @property
     def arriving_ns(self) -> int | None:
         """The time when the next frame reaches the host [ns], None if no frame is in transit."""
-        return self._under_way[0].observation.received_ns if self._under_way else None
+        return self._in_transit[0].observation.received_ns if self._in_transit else None
 
-    def expose(self, times: Times, truth: Floats) -> None:
-        """Expose the next frames at `times` (F,) [ns] with the robots at x, y, heading `truth`
+    def expose(self, times_ns: Times, truth: Floats) -> None:
+        """Expose the next F frames at the times (F,) [ns], with the robots at x, y, heading `truth`
         (F, 3, N)."""
-        seen = truth
-        if self._noisy:
-            seen = truth + self.noise * self.rng.standard_normal(truth.shape)
-        at, valid = times.tolist(), self._tracked
-        for when, arrives, true, measured in zip(at, self.arrivals(at), truth, seen, strict=True):
-            number, poses = self._exposed, Poses(*true)
-            shown = Poses(*measured) if self._noisy else poses
+        shown = truth
+        if self._noise.any():
+            shown = truth + self._noise * self._random.standard_normal(truth.shape)
+        exposed_ns = times_ns.tolist()
+        # all arrivals first: disturbances draw in this order, which is part of the result
+        arrivals_ns = [self._arrival_ns(time_ns) for time_ns in exposed_ns]
+        for k, arrival_ns in enumerate(arrivals_ns):
+            true_poses = Poses(*truth[k])
+            poses = true_poses if shown is truth else Poses(*shown[k])
+            tracked = self._all_tracked
+            if self._measuring:
+                poses, tracked = self._measured(poses, exposed_ns[k])
+            if arrival_ns < NEVER:
+                frame = Observation(self._exposed, exposed_ns[k], arrival_ns, poses, tracked)
+                self._in_transit.append(Sample(frame, true_poses))
+                self._last_shown = poses
             self._exposed += 1
-            if self._measured:
-                shown, valid = self._disturb(shown, when)
-            if arrives < NEVER:
-                self._shown = shown
-                frame = Observation(number, when, arrives, shown, valid)
-                self._under_way.append(Sample(frame, poses))
 
-    def arrivals(self, times: Sequence[int]) -> list[int]:
-        """Return when the next frames, exposed at `times`, reach the host [ns]; NEVER if lost.
-
-        Frame 0 has no latency, because the camera sees the standing robots before the trial.
-        """
-        found = list[int]()
-        for when in times:
-            at: int | None = when
-            for receive in self._received if when else ():
-                at = receive(when, at)
-                if at is None:
-                    break
-                if not at >= when:  # NaN, too
-                    text = f"the arrival of a frame before its exposure: {at} ns"
-                    raise WrongValueError(self, "a disturbance", text)
-            if at is not None and at > self._arrived_ns:
-                self._arrived_ns = at
-            found.append(NEVER if at is None else self._arrived_ns)
-        return found
-
-    def _disturb(self, measured: Poses, when: int) -> tuple[Poses, Bools]:
-        """Return the poses as disturbed at a time [ns], and which robots are tracked."""
-        valid = self._tracked.copy()
-        for disturbance in self._measured:
-            measured, valid = disturbance.measured(measured, valid, when / SECOND)
-        if not (np.abs(measured.array()[valid]) <= POSE_MAX).all():
-            raise WrongValueError(self, "a disturbance", "a measured pose that no log can hold")
-        # a robot that is not tracked keeps its last pose
-        if self._shown is not None and not valid.all():
-            last, now = self._shown.array(), measured.array()
-            measured = Poses.of(np.where(valid[:, None], now, last))
-        return measured, valid
-
-    def receive(self, until: int) -> None:
-        """Pass to the host every frame that arrives up to `until` [ns]."""
-        while self._under_way and self._under_way[0].observation.received_ns <= until:
-            sample = self._under_way.popleft()
+    def receive(self, until_ns: int) -> None:
+        """Pass to the host every frame that arrives up to `until_ns`."""
+        while self._in_transit and self._in_transit[0].observation.received_ns <= until_ns:
+            sample = self._in_transit.popleft()
             self.newest = sample.observation
-            self._fresh.append(sample)
+            self._unread.append(sample)
 
     def samples(self) -> list[Sample]:
         """Return every frame received since the last call, oldest first."""
-        fresh, self._fresh = self._fresh, []
-        return fresh
+        samples = self._unread
+        self._unread = []
+        return samples
+
+    def _arrival_ns(self, exposed_ns: int) -> int:
+        """Return when the next frame reaches the host [ns], NEVER if it is lost.
+
+        Frames arrive in order. The frame at time 0 arrives at once: the camera has seen the
+        standing robots long before the trial.
+        """
+        arrival_ns = exposed_ns
+        delaying = self._delaying if exposed_ns > 0 else []
+        for disturbance in delaying:
+            delayed_ns = disturbance.received(exposed_ns, arrival_ns)
+            if delayed_ns is None:
+                return NEVER
+            if not delayed_ns >= exposed_ns:  # NaN, too
+                what = f"the arrival of a frame before its exposure: {delayed_ns} ns"
+                raise WrongValueError(self, "a disturbance", what)
+            arrival_ns = delayed_ns
+        self._last_arrival_ns = max(self._last_arrival_ns, arrival_ns)
+        return self._last_arrival_ns
+
+    def _measured(self, poses: Poses, exposed_ns: int) -> tuple[Poses, Bools]:
+        """Return poses as disturbed in a frame, and which robots are tracked in it.
+
+        A robot that is not tracked keeps the pose of the last frame that was not lost.
+        """
+        tracked = self._all_tracked.copy()
+        for disturbance in self._measuring:
+            poses, tracked = disturbance.measured(poses, tracked, exposed_ns / SECOND)
+        if not (np.abs(poses.array()[tracked]) <= POSE_MAX).all():
+            raise WrongValueError(self, "a disturbance", "a measured pose that no log can hold")
+        if self._last_shown is not None and not tracked.all():
+            kept = np.where(tracked[:, None], poses.array(), self._last_shown.array())
+            poses = Poses.of(kept)
+        return poses, tracked

@@ -1,219 +1,293 @@
-"""The true motion of simulated robots: commands in transit, disturbances, camera, path check."""
+"""The true motion of simulated robots: from event to event, at the times at which they happen.
 
-import math
-from bisect import insort
+Between two events every robot holds what it holds, so its motion is known. The events are: a
+command acts on robots, a watchdog expires, the host transmits again, and a camera frame if anything
+is drawn or varied at each frame. `TrueMotion.advance` goes from event to event, and each step is
+the same list of stages, see `TrueMotion.stages`.
+
+Units: times [ns], lengths in the spec's unit, headings [rad]; N robots.
+"""
+
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
-from tetractl.core.commands import Stop
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Verdict
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Floats, Poses
-from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
-from tetractl.plant.cell_drive import CellDrive
-from tetractl.plant.direct import DirectDrive
-from tetractl.plant.sim_camera import Beats, SimCamera
-from tetractl.plant.wheel_drive import WheelDrive
+from tetractl.plant.drive import Drive
+from tetractl.plant.sim_camera import SimCamera
+from tetractl.plant.timetable import DueTimes, Timetable
+from tetractl.plant.transit import Transit, Watchdogs
 
-Drive = DirectDrive | WheelDrive | CellDrive
-UNCHECKED = 200  # number of parts of the path after which they are checked together
+UNCHECKED_MAX = 200
+"""Number of parts of the path that are kept until they are checked together, which is quicker."""
 
 
-class Transit:
-    """The commands on their way to the N robots of one trial, in the order in which they act."""
+@dataclass(frozen=True, slots=True)
+class HeadingWalk:
+    """The random walk of the headings of robots that move, from frame to frame."""
 
-    def __init__(self, robots: int, disturbances: Sequence[Disturbance]) -> None:
-        self.disturbances = overriding(disturbances, "sent")
-        self._queue = list[DelayedCommand]()
-        # times at which the last command sent acts on each robot [ns]
-        self._acting_ns = [0] * robots
+    step_rad: float
+    """Standard deviation of one step [rad]; 0 for no walk."""
+    random: np.random.Generator
+
+    def swerve(self, drive: Drive) -> None:
+        """Turn each robot that moves by one step."""
+        before = drive.poses
+        steps = self.step_rad * self.random.standard_normal(before.x.size) * drive.moving
+        drive.poses = Poses(before.x, before.y, before.heading + steps)
+
+
+class MotionDisturbances:
+    """The disturbances that move N robots, or vary their true turning rates a and speeds.
+
+    `a` [rad/s] and `speed` [length unit/s] (N,) are the trial's values, before they vary.
+    """
+
+    def __init__(self, disturbances: Sequence[Disturbance], a: Floats, speed: Floats) -> None:
+        self._moving = overriding(disturbances, "moved")
+        self._varying = overriding(disturbances, "varied")
+        self._a = a
+        self._speed = speed
+        # by the id of a disturbance that varies: the robots that it holds still at present, (N,)
+        self._held = {id(one): np.zeros(a.size, dtype=np.bool_) for one in self._varying}
+        self._acted_ns = -1  # the time up to which they have acted
+        self.rates = (a, speed)
+        """The present a and speed, (N,) each."""
 
     @property
-    def settled_ns(self) -> int:
-        """The time when the last command sent so far acts on the last robot [ns]."""
-        return max(self._acting_ns, default=0)
+    def any(self) -> bool:
+        """Whether there is any such disturbance."""
+        return bool(self._moving or self._varying)
+
+    def act(self, drive: Drive, now_ns: int) -> None:
+        """Move the robots by what happened since the last time, and vary a and speed from now on;
+        do nothing if that has been done for `now_ns`."""
+        if now_ns == self._acted_ns:
+            return
+        seconds = (now_ns - max(self._acted_ns, 0)) / SECOND
+        self._acted_ns = now_ns
+        self._move(drive, seconds, now_ns / SECOND)
+        if self._varying:
+            self._vary(drive, now_ns / SECOND)
+
+    def _move(self, drive: Drive, seconds: float, time_s: float) -> None:
+        """Move the robots. A robot that a disturbance itself holds still counts for that one as
+        moving while it is commanded to."""
+        moving = drive.moving
+        commanded = drive.commanded
+        for disturbance in self._moving:
+            counted = moving
+            if id(disturbance) in self._held:
+                counted = np.where(self._held[id(disturbance)], commanded, moving)
+            drive.poses = disturbance.moved(drive.poses, counted, seconds, time_s)
+
+    def _vary(self, drive: Drive, time_s: float) -> None:
+        a = self._a
+        speed = self._speed
+        for disturbance in self._varying:
+            able_before = (a > 0) | (speed > 0)
+            a, speed = disturbance.varied(a, speed, time_s)
+            self._held[id(disturbance)] = able_before & (a == 0) & (speed == 0)
+        self.rates = (a, speed)
+        drive.vary(a, speed)
+
+
+class TruePath:
+    """The true path of N robots: checked against obstacles, walls and other robots."""
+
+    def __init__(self, check: PathCheck) -> None:
+        self._check = check
+        self._unchecked: list[Floats] = []  # x, y, heading (M, 3, N) of parts of the path
+
+    def add(self, poses: Floats) -> None:
+        """Add the part of the path that follows: x, y, heading, (M, 3, N)."""
+        self._unchecked.append(poses)
+        if len(self._unchecked) > UNCHECKED_MAX:
+            self._check_all()
+
+    def verdict(self, final: Poses) -> Verdict:
+        """Return the verdict on the path so far, with the final poses."""
+        self._check_all()
+        return self._check.verdict(final)
+
+    def _check_all(self) -> None:
+        if self._unchecked:
+            path = np.concatenate(self._unchecked)
+            self._check.add(path[:, 0], path[:, 1])
+            self._unchecked = []
+
+
+@dataclass(frozen=True, slots=True)
+class PathPart:
+    """The part of the true path in one step."""
+
+    due: DueTimes
+    """The M times at which poses were computed, the last one where the robots are now."""
+    poses: Floats
+    """x, y, heading at these times, (M, 3, N)."""
+
+
+@dataclass(slots=True)
+class Step:
+    """One step, from the present time to `end_ns`, and what happens at its end, in this order."""
+
+    end_ns: int
+    disturbed: bool
+    """Disturbances act on the robots."""
+    at_frame: bool
+    """A camera frame is exposed."""
+    command: DelayedCommand | None
+    """This command acts."""
+    repeats: bool
+    """The host transmits again; never together with a command."""
+    part: PathPart | None = None
+    """Found by the stage `_move`; stays None if no pose is needed yet."""
 
     @property
-    def next_ns(self) -> int:
-        """The time when the next command acts [ns], NEVER for none."""
-        return self._queue[0].due_ns if self._queue else NEVER
-
-    def send(self, command: DelayedCommand, now: int) -> DelayedCommand:
-        """Send a command `now` [ns], and return the command as the robots will receive it."""
-        for disturbance in self.disturbances:
-            command = disturbance.sent(command)
-        robots = len(self._acting_ns)
-        if command.late_ns is None and command.due_ns >= max(self.settled_ns, now):
-            self._acting_ns = [command.due_ns] * robots
-            self._queue.append(command)
-            return command
-        late = [0] * robots if command.late_ns is None else command.late_ns.tolist()
-        self._acting_ns = [
-            max(command.due_ns + each, acting, now)
-            for each, acting in zip(late, self._acting_ns, strict=True)
-        ]
-        for when in sorted(set(self._acting_ns)):
-            reached = command.reached & (np.array(self._acting_ns) == when)
-            part = replace(command, due_ns=when, reached=reached)
-            insort(self._queue, part, key=lambda one: one.due_ns)
-        return command
-
-    def pop(self) -> DelayedCommand:
-        """Remove and return the next command."""
-        return self._queue.pop(0)
+    def is_event(self) -> bool:
+        """Whether something happens at the end that changes how robots move on."""
+        return self.disturbed or self.repeats or self.command is not None
 
 
 class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
 
-    `a` and `speed` (N,) are the trial's values, before disturbances vary them. `heading_walk`
-    [rad] is the random walk of the headings of robots without wheels, drawn from `walking`
-    at each frame; `beats` are the times of frames and samples. `repeat(now)` is called at each time
-    [ns] at which the drive repeats a transmission.
+    Commands for the robots are sent into `transit`. At each time [ns] at which the host transmits
+    again, `transmit_again` is called with that time.
     """
 
     def __init__(
         self,
-        setup: Setup,
-        a: Floats,
-        speed: Floats,
+        *,
         drive: Drive,
         camera: SimCamera,
-        beats: Beats,
-        disturbances: Sequence[Disturbance],
-        heading_walk: float,
-        walking: np.random.Generator,
-        repeat: Callable[[int], None],
+        timetable: Timetable,
+        transit: Transit,
+        watchdogs: Watchdogs,
+        disturbances: MotionDisturbances,
+        heading_walk: HeadingWalk,
+        path: TruePath,
+        transmit_again: Callable[[int], None],
     ) -> None:
-        self.drive, self.path_check = drive, PathCheck.of(setup)
-        self._camera, self._disturbances, self._repeat = camera, disturbances, repeat
-        self._a, self._speed = a, speed
-        self.rates = a, speed  # present a and speed
-        self._moving = overriding(disturbances, "moved")
-        self._varying = overriding(disturbances, "varied")
-        # per disturbance in `_varying`: which robots it holds, (N,)
-        self._held = [np.zeros(len(setup.names), dtype=np.bool_) for _ in self._varying]
-        self._walk, self._walking = heading_walk, walking
-        self._disturbs = bool(self._moving or self._varying)
-        self._by_frame = self._disturbs or heading_walk > 0
-        self.beats = beats
-        self.transit = Transit(len(setup.names), disturbances)
-        self._watchdog_s = setup.watchdog_s
-        self._stopping_ns = [NEVER] * len(setup.names)  # times of the watchdogs [ns]
-        self._stops_ns = NEVER  # the first of them
-        self._time = 0
-        self._reached = -1  # the last time to which `advance` was called [ns]
-        self._disturbed_ns = -1  # time up to which the disturbances have acted
-        self._path: list[Floats] = []  # x, y, heading (M, 3, N) of samples not yet checked
+        self._drive = drive
+        self._camera = camera
+        self.timetable = timetable
+        self.transit = transit
+        self._watchdogs = watchdogs
+        self.disturbances = disturbances
+        self._heading_walk = heading_walk
+        self.path = path
+        self._transmit_again = transmit_again
+        self._frames_are_events = disturbances.any or heading_walk.step_rad > 0
+        self._now_ns = 0  # the time of the drive's poses
+        self._advanced_ns = -1  # the last time to which `advance` was called
+        self.stages: tuple[Callable[[Step], None], ...] = (
+            self._move,  # the robots, under what they hold
+            self._disturb,  # where they have come to, and what they are able to
+            self._record,  # the part of the path
+            self._expose,  # the frames that are due
+            self._receive,  # the frames that have reached the host
+            self._swerve,  # the headings' random walk, if a frame was due at the end
+            self._act,  # the command, or the host's next transmission
+        )
+        """What a step does, in this order."""
 
-    def advance(self, until: int) -> None:
-        """Advance the robots to `until` [ns], in intervals with constant held commands."""
-        if until == self._reached < self.transit.next_ns:
+    def advance(self, until_ns: int) -> None:
+        """Advance the robots to `until_ns`, event by event."""
+        if until_ns == self._advanced_ns < self.transit.next_ns:
             return
         while True:
-            frame, stopping = self.beats.next_frame_ns, self._stops_ns
-            repeating = self.drive.repeats_ns
-            end = min(until, repeating, stopping, frame if self._by_frame else until)
-            command = None
-            if self.transit.next_ns <= end:
-                command = self.transit.pop()
-            elif end == stopping:
-                command = self._silent(end)
-            reached = command.due_ns if command else end
-            disturbed = self._disturbs and (reached == frame or command is not None)
-            repeats = command is None and reached == repeating
-            self._move(reached, command is not None or disturbed or repeats, disturbed)
-            self._camera.receive(reached)
-            if self._walk > 0 and reached == frame:
-                self._swerve()
-            if command:
-                self._apply(command)
-            elif repeats:
-                self._repeat(reached)
-            elif reached == until:
-                self._reached = until
-                return
+            step = self._next_step(until_ns)
+            for stage in self.stages:
+                stage(step)
+            if step.end_ns == until_ns and step.command is None and not step.repeats:
+                break
+        self._advanced_ns = until_ns
 
-    def _apply(self, command: DelayedCommand) -> None:
-        """Apply a command to the robots that it reaches."""
-        self.drive.apply(command)
-        if self._watchdog_s < math.inf:
-            silent_ns = command.due_ns + round(self._watchdog_s * SECOND)
-            until = NEVER if isinstance(command.action, Stop) else silent_ns
-            reached = zip(command.reached.tolist(), self._stopping_ns, strict=True)
-            self._stopping_ns = [until if got else before for got, before in reached]
-            self._stops_ns = min(self._stopping_ns)
+    def _next_step(self, until_ns: int) -> Step:
+        """Return the step to the next event, or to `until_ns`.
 
-    def _silent(self, now: int) -> DelayedCommand:
-        """Return a stop command for the robots whose watchdog expires now [ns]."""
-        silent = np.array(self._stopping_ns) == now
-        return DelayedCommand(now, now, Stop(), silent, wheels=np.zeros((2, silent.size)))
-
-    def _swerve(self) -> None:
-        """Apply the random walk of the headings over one frame period."""
-        drive, p = self.drive, self.drive.poses
-        walk = self._walk * self._walking.standard_normal(p.x.size) * drive.moving
-        drive.poses = Poses(p.x, p.y, p.heading + walk)
-
-    def _disturb(self, now: int) -> None:
-        """Apply the disturbances up to `now` [ns] to the true poses, and vary turning rates and
-        speeds from then on."""
-        if now == self._disturbed_ns:
-            return
-        drive, time_s = self.drive, now / SECOND
-        seconds = (now - max(self._disturbed_ns, 0)) / SECOND
-        self._disturbed_ns = now
-        moves, commanded = drive.moving, drive.commanded
-        for disturbance in self._moving:
-            moving = moves
-            for one, held in zip(self._varying, self._held, strict=True):
-                if one is disturbance:  # where it holds a robot itself: the command
-                    moving = np.where(held, commanded, moves)
-            drive.poses = disturbance.moved(drive.poses, moving, seconds, time_s)
-        if self._varying:
-            a, speed = self._a, self._speed
-            for i, disturbance in enumerate(self._varying):
-                able = (a > 0) | (speed > 0)
-                a, speed = disturbance.varied(a, speed, time_s)
-                self._held[i] = able & (a == 0) & (speed == 0)
-            self.rates = a, speed
-            drive.vary(a, speed)
-
-    def _move(self, end: int, event: bool, disturbed: bool) -> None:
-        """Advance to `end` under held commands; expose frames and take samples due until then.
-
-        If `disturbed`, the disturbances act at `end`, before a frame is exposed at that time. A
-        drive that sums up its path advances only to the last sample before `end`, unless there is
-        an `event` at `end`, so that the result does not depend on how often the plant is read.
+        Of what is due at the same time, a command comes first, then a watchdog, then the host.
         """
-        still = end == self._time and not (event and self._by_frame)
-        open_end = self.drive.sampled and not event
-        if (still or open_end) and self.beats.next_ns > end:
-            return
-        times, (frames, ticks) = self.beats.due(end, ends=not open_end)
-        path = self.drive.advance(self._time, times, ticks)
-        self._time = int(times[-1])
-        if disturbed:
-            self._disturb(end)
-            p = self.drive.poses
-            path[-1] = p.x, p.y, p.heading
-        fits = self.drive.poses.x.shape == path.shape[2:]
-        if not (fits and (np.abs(path) <= POSE_MAX).all()):  # not so for NaN
-            raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
-        self._path.append(path)
-        if len(self._path) > UNCHECKED:
-            self.check()
-        exposed = frames.nonzero()[0]
-        if exposed.size:
-            self._camera.expose(times[exposed], path[exposed])
+        frame_ns = self.timetable.next_frame_ns
+        end_ns = min(until_ns, self._drive.repeats_ns, self._watchdogs.next_ns)
+        if self._frames_are_events:
+            end_ns = min(end_ns, frame_ns)
+        command = None
+        if self.transit.next_ns <= end_ns:
+            command = self.transit.pop()
+            end_ns = command.due_ns
+        elif self._watchdogs.next_ns == end_ns:
+            command = self._watchdogs.stop(end_ns)
+        at_frame = end_ns == frame_ns
+        return Step(
+            end_ns=end_ns,
+            disturbed=self.disturbances.any and (at_frame or command is not None),
+            at_frame=at_frame,
+            command=command,
+            repeats=command is None and end_ns == self._drive.repeats_ns,
+        )
 
-    def check(self) -> None:
-        """Check the true path since the last call."""
-        if self._path:
-            path = np.concatenate(self._path)
-            self.path_check.add(path[:, 0], path[:, 1])
-            self._path = []
+    def _move(self, step: Step) -> None:
+        """Move the robots to the end of the step, unless no pose is needed there.
+
+        A drive that sums up its path goes only to the last time due, unless there is an event: so
+        the path does not depend on how often the plant is read.
+        """
+        stays = step.end_ns == self._now_ns and not (step.is_event and self._frames_are_events)
+        stops_early = self._drive.sampled and not step.is_event
+        if (stays or stops_early) and self.timetable.next_ns > step.end_ns:
+            return
+        due = self.timetable.take(step.end_ns, with_end=not stops_early)
+        poses = self._drive.advance(self._now_ns, due.times_ns, due.samples)
+        self._now_ns = int(due.times_ns[-1])
+        step.part = PathPart(due, poses)
+
+    def _disturb(self, step: Step) -> None:
+        """Let the disturbances act; a frame at the end of the step shows where they put robots."""
+        if step.disturbed:
+            assert step.part is not None, "an event at a frame or command needs poses"
+            self.disturbances.act(self._drive, step.end_ns)
+            poses = self._drive.poses
+            step.part.poses[-1] = poses.x, poses.y, poses.heading
+
+    def _record(self, step: Step) -> None:
+        """Add the part to the path; WrongValueError if no log can hold it."""
+        if step.part is None:
+            return
+        poses = step.part.poses
+        of_all_robots = self._drive.poses.x.shape == poses.shape[2:]
+        if not (of_all_robots and (np.abs(poses) <= POSE_MAX).all()):  # not so for NaN
+            raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
+        self.path.add(poses)
+
+    def _expose(self, step: Step) -> None:
+        """Expose the frames that were due in the step."""
+        if step.part is None:
+            return
+        frames = step.part.due.frames.nonzero()[0]
+        if frames.size:
+            self._camera.expose(step.part.due.times_ns[frames], step.part.poses[frames])
+
+    def _receive(self, step: Step) -> None:
+        """Pass to the host the frames that have reached it."""
+        self._camera.receive(step.end_ns)
+
+    def _swerve(self, step: Step) -> None:
+        """Turn the robots by their random walk, after the frame."""
+        if step.at_frame and self._heading_walk.step_rad > 0:
+            self._heading_walk.swerve(self._drive)
+
+    def _act(self, step: Step) -> None:
+        """Give the robots their command, or let the host transmit again."""
+        if step.command is not None:
+            self._drive.apply(step.command)
+            self._watchdogs.hear(step.command)
+        elif step.repeats:
+            self._transmit_again(step.end_ns)

@@ -11,7 +11,24 @@ from tetractl.core.poses import Floats, Times
 from tetractl.model.motion import rolling
 
 roll = compiled(**ENTRY)(with_parts(rolling.roll, exact))
-_wish, _note, _count = exact(rolling.wish), exact(rolling.note), exact(rolling.count)
+_wish = exact(rolling.wish)
+_note = exact(rolling.note)
+_count = exact(rolling.count)
+
+# the rows of the array (TRAIN_ROWS, 2, N) that describes the left and right wheels of N robots
+OWED = 0
+"""The rounding error that is carried to the next transmission [counts]."""
+GAIN = 1
+"""Wheel speed of one count, as the host knows it [length unit/s]."""
+DEAD_ZONE = 2
+"""Largest count at which a wheel does not move, as the host knows it."""
+TRUE_GAIN = 3
+"""The wheel's true gain [length unit/s]."""
+TRUE_DEAD_ZONE = 4
+"""The wheel's true dead zone [counts]."""
+COUNT_LIMIT = 5
+"""Largest count that is sent; 0 if speeds are not rounded to counts."""
+TRAIN_ROWS = 6
 
 
 @compiled(**ENTRY)
@@ -29,23 +46,29 @@ def answer(
     speeds: Floats,
 ) -> None:
     """Write into `speeds` (2, 2, N) the wheel speeds sent, as the host knows them, and the true
-    ones.
+    ones, each left and right [length unit/s].
 
-    The arguments are those of `rolling.wish`. `trains` (6, 2, N) are each wheel's rounding error
-    owed [counts], gain and dead zone as known, gain and dead zone in truth, and largest count, 0 if
-    speeds are not rounded.
+    The arguments up to `sent` are those of `rolling.wish`; what is sent is also noted there. The
+    errors owed in `trains` (TRAIN_ROWS, 2, N) change.
     """
     wished = _wish(heading, u, drives, since_ns, acts_ns, known, lag_s, sent_ns, sent)
     if lag_s > 0:
         _note(acts_ns, wished, known, sent_ns, sent)
-    owed, gain, zone, limit = trains[0], trains[1], trains[2], trains[5, 0]
-    steps = _count(wished, owed, gain, zone, limit) if limit[0] > 0 else wished
+    gain = trains[GAIN]
+    zone = trains[DEAD_ZONE]
+    limit = trains[COUNT_LIMIT, 0]
+    steps = _count(wished, trains[OWED], gain, zone, limit) if limit[0] > 0 else wished
     for side in range(2):
         for i in range(heading.size):
-            known_speed = moved = steps[side, i]
+            step = steps[side, i]  # counts beyond the dead zone; without counts a speed
+            known_speed = step
+            true_step = step
             if limit[i] > 0:
-                known_speed = gain[side, i] * moved
-                counts = max(abs(moved) + zone[side, i] - trains[4, side, i], 0)
-                moved = 0.0 if moved == 0 else math.copysign(counts, moved)
+                known_speed = gain[side, i] * step
+                if step != 0:
+                    counts = abs(step) + zone[side, i] - trains[TRUE_DEAD_ZONE, side, i]
+                    true_step = math.copysign(max(counts, 0), step)
+                else:
+                    true_step = 0.0
             speeds[0, side, i] = known_speed
-            speeds[1, side, i] = trains[3, side, i] * moved
+            speeds[1, side, i] = trains[TRUE_GAIN, side, i] * true_step

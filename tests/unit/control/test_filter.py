@@ -3,6 +3,7 @@
 import math
 from copy import deepcopy
 from dataclasses import asdict, replace
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -53,6 +54,16 @@ class Late(Disturbance):
         return replace(command, late_ns=self.late_ns * (command.sent_ns >= self.since_ns))
 
 
+class Built(DisturbanceSection):
+    """The section of a disturbance that is built already."""
+
+    type: Literal["built"] = "built"
+    disturbance: Any
+
+    def build(self, setup, rng):
+        return self.disturbance
+
+
 class Turns(Disturbance):
     """Robots turn by `more` (N,) of it farther to the left, and not faster than `most` [rad/s]."""
 
@@ -88,12 +99,10 @@ def know(
     experiment = load_spec(spec, settings).experiment
     clock, section = VirtualClock(), experiment.controller
     every = (*experiment.plant.disturbances, *more)
+    if late is not None:
+        every = (*every, Built.model_construct(disturbance=late))
     simulated = experiment.plant.model_copy(update={"disturbances": every})
     plant = SimPlant(simulated, experiment.setup, clock, np.random.SeedSequence(seed))
-    if late:
-        plant.motion.transit.disturbances.append(late)
-        plant.motion._moving.append(late)
-        plant.motion._disturbs |= isinstance(late, Turns)
     plant.open()
     problem = section.problem(experiment.setup)
     estimator = StateEstimator(problem, 1 / rate, section.prior.of(problem, 0.0, experiment.setup))
@@ -216,7 +225,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
     def compare(k, problem, estimator, plant):
         if k > 4:
             held = estimator.filter.ahead(0).held
-            right.append(np.abs(held - plant.drive._held.direction) < 1e-9)
+            right.append(np.abs(held - plant.drive.held.direction) < 1e-9)
 
     know(settings, 40, 2, until=compare)
     assert np.mean(right) > 0.9

@@ -13,7 +13,8 @@ from tetractl.experiment.load import parse_spec
 from tetractl.model.motion import swimming
 from tetractl.model.swimmers import Swimmers
 from tetractl.plant import swim_kernel as kernel
-from tetractl.plant.cell_drive import CellDrive, CultureSection
+from tetractl.plant.cell_drive import CellDrive
+from tetractl.plant.sim_settings import CultureSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
@@ -37,7 +38,7 @@ def drive(walk=0.0, seed=1, **section):
     known = setup()
     quiet = {"dipole": 0.0, "drift": 0.0} | section
     made = CultureSection.model_validate(quiet)
-    random = np.random.default_rng(seed)
+    random = np.random.SeedSequence(seed)
     return CellDrive(made, known, known.a, known.speed, known.starts, walk, random)
 
 

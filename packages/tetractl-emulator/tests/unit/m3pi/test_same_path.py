@@ -12,6 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import Drivetrains
+from tetractl.plant import wheel_kernel
 
 pytestmark = pytest.mark.long
 
@@ -32,11 +33,16 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     simulated.clock.sleep_until(3 * SECOND)
     samples += simulated.samples()
     robots = [EmulatedRobot(robot.name, i) for i, robot in enumerate(ROBOTS)]
-    _, known_gain, known_zone, gain, zone, limit = simulated.drive.host.trains
-    true = Drivetrains(gain, zone, limit[0], np.zeros(3, np.bool_))
+    trains = simulated.drive.host.trains
+    limit = trains[wheel_kernel.COUNT_LIMIT, 0]
+    gain = trains[wheel_kernel.TRUE_GAIN]
+    zone = trains[wheel_kernel.TRUE_DEAD_ZONE]
+    true = Drivetrains(gain, zone, limit, np.zeros(3, np.bool_))
     fleet = EmulatedRobots(robots, true, np.full(3, 40.0), np.full(3, 0.04))
     for robot, given in zip(robots, ROBOTS, strict=True):
         robot.place(*given.start, given.heading)
+    known_gain = trains[wheel_kernel.GAIN]
+    known_zone = trains[wheel_kernel.DEAD_ZONE]
     known = replace(true, gain=known_gain, dead_zone=known_zone)
     sent = iter(commands)
     command, differences = next(sent), []

@@ -1,0 +1,42 @@
+"""The independent random streams of one simulated trial.
+
+A stream depends on the trial's seed and on its own number alone, so what one part of a simulation
+draws never changes what another part draws.
+
+The numbers are part of the result, and so is the order in which a part draws from its stream: if
+either changes, the same seed gives another trial, and logs written before no longer verify. A new
+stream gets a new number; a number is never used again.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Stream(IntEnum):
+    """The number of each stream, with what is drawn from it, in order; N is the number of robots.
+
+    Numbers from 104 to 999 are free.
+    """
+
+    CAMERA = 0
+    """Errors of the measured poses: for each frame N of x, then N of y, then N of the heading."""
+    HEADINGS = 1
+    """Random walk of the headings: N for each frame; of robots on wheels N for each sample."""
+    RADIO = 2
+    """Lost commands: N for each transmission, but none for a stop."""
+    PARAMETERS = 3
+    """Errors of the true parameters, once a trial: N of the turning rate a, then N of the speed."""
+    DISTURBANCES = 4
+    """The k-th disturbance of the spec, k = 0, 1, ..., 99, draws from stream 4 + k."""
+    CANDIDATES = 1000
+    """The cells among which a trial chooses its robots, once a trial."""
+    BODIES = 2**32 - 1
+    """What is constant in a trial and no parameter: of wheels gains, dead zones and radii; of cells
+    all properties, then the noise of their swimming."""
+
+
+def generator(seed: np.random.SeedSequence, number: int) -> np.random.Generator:
+    """Return the generator of a stream of the trial with this seed, at its beginning."""
+    key = (*seed.spawn_key, number)
+    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

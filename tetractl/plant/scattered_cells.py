@@ -1,0 +1,46 @@
+"""Random simulated cells, among which a trial chooses its robots."""
+
+import numpy as np
+
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Setup
+from tetractl.experiment.choice import Choice, RobotCandidate
+from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
+
+CELLS_MIN = 6
+"""Number of cells, if the trial chooses no more than that: a few more than trials mostly choose."""
+SURVEY_ERROR = 0.03
+"""Relative standard deviation with which a survey measures a cell's turning rate a and speed."""
+EDGE = 1 / 8
+"""Width of the strip along each edge of the arena in which no cell is, as a part of the arena."""
+
+
+def scattered_cells(
+    choice: Choice, setup: Setup, random: np.random.Generator
+) -> list[RobotCandidate]:
+    """Return cells scattered in the arena, numbered from 1, with turning rates and speeds as a
+    survey would measure them.
+
+    Positions and headings are uniform; a and speed are log-normal around the spec's.
+    """
+    arena = setup.arena
+    count = max(CELLS_MIN, choice.choose)
+    across = EDGE * arena.width
+    up = EDGE * arena.height
+    # in this order: it is part of the result
+    x = random.uniform(arena.left + across, arena.right - across, count)
+    y = random.uniform(arena.bottom + up, arena.top - up, count)
+    heading = random.uniform(-np.pi, np.pi, count)
+    a = choice.a * np.exp(random.normal(0, A_LOG_SD, count))
+    speed = choice.speed * np.exp(random.normal(0, SPEED_LOG_SD, count))
+    return [
+        RobotCandidate(
+            number=i + 1,
+            pose=Pose(float(x[i]), float(y[i]), float(heading[i])),
+            a=float(a[i]),
+            a_sd=SURVEY_ERROR * float(a[i]),
+            speed=float(speed[i]),
+            speed_sd=SURVEY_ERROR * float(speed[i]),
+        )
+        for i in range(count)
+    ]

@@ -1,0 +1,130 @@
+"""What the host of simulated robots sends: actions, the same action again, and stops."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.model.motion.rolling import wheel_speeds
+from tetractl.plant.direct import aim
+from tetractl.plant.sim_settings import SimSettings
+from tetractl.plant.transit import Transit
+from tetractl.plant.wheel_host import SimHost
+
+STOPS_MAX = 3000
+"""Largest number of stops sent until every robot has received one: those of one minute."""
+
+
+@dataclass(frozen=True, slots=True)
+class SentSpeeds:
+    """The wheel speeds of one transmission [length unit/s]; None for robots without wheels."""
+
+    left: Floats | None = None
+    """As the host knows and logs them, (N,)."""
+    right: Floats | None = None
+    true: Floats | None = None
+    """As the wheels run, (2, N); None if the robots receive the direction itself."""
+
+
+class Sender:
+    """Sends to N robots: puts commands into `transit`, and returns them as the host logs them.
+
+    `host` computes wheel speeds, None for robots that receive the direction itself; `random` draws
+    which transmissions are lost. Every call is in answer to a camera frame.
+    """
+
+    def __init__(
+        self,
+        settings: SimSettings,
+        setup: Setup,
+        host: SimHost | None,
+        transit: Transit,
+        disturbances: Sequence[Disturbance],
+        random: np.random.Generator,
+    ) -> None:
+        self._settings = settings
+        self._setup = setup
+        self._host = host
+        self._transit = transit
+        self._random = random
+        # a stop to robots without wheels can be lost only by a disturbance
+        self._repeats_stops = host is not None or bool(overriding(disturbances, "sent"))
+        self._held: Steer | Turn | FieldOff = FieldOff()
+
+    def send(self, now_ns: int, action: Steer | Turn | FieldOff, answered: Observation) -> Command:
+        """Send a new action, which is held from now on."""
+        self._held = action
+        return self._transmit(now_ns, answered, is_new=True)
+
+    def send_again(self, now_ns: int, answered: Observation) -> Command:
+        """Send the held action again, with wheel speeds for this frame."""
+        return self._transmit(now_ns, answered, is_new=False)
+
+    def send_stops(self, now_ns: int, answered: Observation) -> Command:
+        """Send a stop to every robot; if stops may be lost, send it at least `STOPS` times and
+        until every robot has received one. Return the first."""
+        robots = len(self._setup.names)
+        if self._host is not None:
+            self._host.halt(now_ns)
+        heard = np.zeros(robots, dtype=np.bool_)
+        for k in range(STOPS_MAX if self._repeats_stops else 1):
+            if k >= STOPS and heard.all():
+                break
+            sent_ns = now_ns + k * STOP_GAP_NS
+            stop = DelayedCommand(
+                sent_ns=sent_ns,
+                due_ns=self._due_ns(sent_ns, answered),
+                action=Stop(),
+                reached=np.ones(robots, dtype=np.bool_),
+                headings=answered.poses.heading,
+                wheels=np.zeros((2, robots)),
+            )
+            heard |= self._transit.send(stop, now_ns).reached
+        still = None if self._setup.wheel_radius is None else np.zeros(robots)
+        return Command(Stop(), now_ns, tuple(heard.tolist()), still, still)
+
+    def _transmit(self, now_ns: int, answered: Observation, is_new: bool) -> Command:
+        """Send the held action."""
+        speeds = self._wheel_speeds(now_ns, answered, is_new)
+        chances = self._random.uniform(size=len(self._setup.names))
+        command = DelayedCommand(
+            sent_ns=now_ns,
+            due_ns=self._due_ns(now_ns, answered),
+            action=self._held,
+            reached=chances >= self._settings.lost_commands,
+            headings=answered.poses.heading,
+            wheels=speeds.true,
+        )
+        received = self._transit.send(command, now_ns)
+        delivered = tuple(received.reached.tolist())
+        return Command(self._held, now_ns, delivered, speeds.left, speeds.right)
+
+    def _due_ns(self, sent_ns: int, answered: Observation) -> int:
+        """Return the time [ns] at which a command acts if `dead_time` is the only delay: so long
+        after the exposure of the frame that it answers, but not before it is sent."""
+        dead_time_ns = round(self._settings.dead_time * SECOND)
+        return max(sent_ns, answered.sampled_ns + dead_time_ns)
+
+    def _wheel_speeds(self, now_ns: int, answered: Observation, is_new: bool) -> SentSpeeds:
+        """Return the wheel speeds for the held action."""
+        if self._host is not None:
+            speeds = self._host.transmit(now_ns, self._held, is_new, answered)
+            return SentSpeeds(speeds.sent[0], speeds.sent[1], speeds.true)
+        if self._setup.wheel_radius is None:
+            return SentSpeeds()
+        # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged
+        left, right = self._equation_speeds(self._setup.wheel_radius, answered.poses.heading)
+        return SentSpeeds(left, right)
+
+    def _equation_speeds(self, radius: float, headings: Floats) -> tuple[Floats, Floats]:
+        """Return the left and right wheel speeds (N,) of (24)-(25) at the headings (N,)."""
+        setup = self._setup
+        sine = np.sin(aim(self._held, headings) - headings)
+        speed = np.zeros(headings.size) if isinstance(self._held, Turn) else setup.speed
+        return wheel_speeds(sine, setup.a, speed, radius)

@@ -1,0 +1,182 @@
+"""What a spec can say of a simulated plant: the fields of `plant: {type: sim}` and their checks.
+
+`simulation.py` has the plant itself. Every disturbance is off by default.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from tetractl.core.registries import DISTURBANCES, MOTIONS
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.disturbance import DisturbanceSection
+from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.registry_fields import KindName, KindSection
+from tetractl.experiment.yaml.problems import Loc
+from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S
+
+POSES_MAX = 2_000_000
+"""Largest number of true poses in a control period, all robots together; they are kept in memory
+until the period ends."""
+
+
+class MeasurementNoise(Model):
+    """Standard deviations of the normally distributed errors of each camera frame."""
+
+    position: NonNegative = 0.0
+    """Standard deviation of x and of y [length unit]."""
+    heading: NonNegative = 0.0
+    """Standard deviation of the heading [rad]."""
+
+
+class WheelDriveSection(Model):
+    """Wheels that carry out the direction; the defaults describe ideal wheels."""
+
+    rate: Positive | None = None
+    """Transmissions per second under a held direction [Hz]. Each new direction is sent at once; by
+    default there are no further transmissions.
+    """
+    recompute: bool = True
+    """Whether the host computes the wheel speeds of each transmission from the newest frame;
+    otherwise it repeats the wheel speeds of the control step.
+    """
+    lead: NonNegative | None = None
+    """The host predicts the headings this time after sending a command [s], and computes its wheel
+    speeds for them; with `wheels.lag`, it predicts the headings in which robots stopped at that
+    time come to rest. By default it uses the measured headings."""
+    count: Positive | None = None
+    """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
+    rounding error is carried to the next transmission. Not rounded by default."""
+    dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
+    """Largest count at which the host assumes that a wheel does not move; needs `count`."""
+    dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
+    """Largest difference of a wheel's true dead zone from `dead_zone` [counts]; the difference is
+    drawn uniformly from the whole numbers in [-dead_zone_error, dead_zone_error].
+    """
+    gain_error: Fraction = 0.0
+    """Each wheel's true speed is the speed sent times 1 + e, with e uniform in [-gain_error,
+    gain_error], drawn once per trial."""
+    radius_error: Fraction = 0.0
+    """Each robot's true distance from wheel to centre is the spec's times 1 + e, with e uniform in
+    [-radius_error, radius_error], drawn once per trial.
+    """
+    lag: NonNegative = 0.0
+    """Time constant with which wheels follow a received command [s]."""
+
+
+class CultureSection(Model):
+    """Simulates the robots as swimming cells with the spec's turning rates and speeds; their other
+    properties are drawn at random, see docs/explanation/cells.md. Cells turn by the paper's
+    equation (3), and `heading_noise` is the random walk of their heading.
+    """
+
+    dipole: NonNegative = DIPOLE_SD_RAD
+    """Standard deviation of the dipole's angle from a cell's axis [rad]."""
+    drift: NonNegative = DRIFT_UM_S
+    """Speed of the medium's flow [um/s]; its direction is drawn once per trial."""
+    walls: bool = True
+    """Whether the arena's edges are walls, along which cells slide."""
+
+
+class SimSettings(PlantSection):
+    """The fields of a simulated plant; `SimSection` adds what is built from them."""
+
+    simulated: ClassVar[bool] = True
+    switches_field: ClassVar[bool] = True
+    type: Literal["sim"] = "sim"
+    motion: Annotated[str, KindName(MOTIONS)] = "exact"
+    """By equations of the paper: `exact` follows (1)-(3); `arc` holds the wheel speeds of
+    (24)-(25), computed from the newest frame, between two commands; `euler` moves by (4)-(6), on
+    straight chords. Ignored with `drive`."""
+    drive: WheelDriveSection | None = None
+    """Wheels by which robots turn towards the direction; by default robots turn by the paper's
+    equation (3), without wheels. Needs the experiment's field `wheels`."""
+    cells: CultureSection | None = None
+    """Simulates swimming cells in place of points that move by `motion`, which is then ignored."""
+    camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
+    """Rate of measurements [Hz]."""
+    truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
+    """Sampling rate of the true path, by which errors and obstacle violations are computed [Hz]; at
+    least the camera rate."""
+    measurement_noise: MeasurementNoise = MeasurementNoise()
+    """Standard deviations of the camera's noise."""
+    heading_noise: NonNegative = 0.0
+    """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
+    dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """Time from the exposure of the frame used for a command or stop until the robots act on it
+    [s], as in `controller.dead_time`; a command sent after this time acts at once. Delays of
+    `drive` and `disturbances` are added."""
+    lost_commands: Fraction = 0.0
+    """Probability that a robot does not receive a command and keeps following the previous one."""
+    a_error: Fraction = 0.0
+    """The true turning rate a is the spec's times 1 + e, with e uniform in [-a_error, a_error],
+    drawn once per trial and robot."""
+    speed_error: Fraction = 0.0
+    """The true speed is the spec's times 1 + e, with e uniform in [-speed_error, speed_error],
+    drawn once per trial and robot.
+    """
+    disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
+        default=(), max_length=100
+    )
+    """Further disturbances, each applied to the result of the one before."""
+
+    @model_validator(mode="after")
+    def _truth_is_as_fine_as_the_camera(self) -> Self:
+        if self.truth_rate < self.camera_rate:
+            message = f"must be at least camera_rate, {self.camera_rate:g}"
+            raise inconsistent("truth_rate", message)
+        return self
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield location and text of each contradiction in the wheels or sampling rates."""
+        poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
+        if poses > POSES_MAX:
+            message = f"gives {poses:.3g} poses in a control period of {setup.period_s:g} s"
+            yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed; lower the rate"
+        if self.drive is not None and self.cells is not None:
+            yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
+        if self.drive is not None and setup.wheel_radius is None:
+            yield ("drive",), "needs the experiment's field 'wheels: {radius: ..}'"
+        transmissions_hz = self._transmissions_hz(setup.period_s)
+        if transmissions_hz * setup.watchdog_s <= 1:
+            robots = f"robots with a watchdog of {setup.watchdog_s:g} s"
+            message = f"at {transmissions_hz:g} Hz {robots} would stop between two commands"
+            yield ("drive",), f"{message}; shorten controller.period"
+
+    def _transmissions_hz(self, period_s: float) -> float:
+        """Return how often robots receive something [Hz]."""
+        if self.drive is None or self.drive.rate is None:
+            return 1 / period_s
+        return self.drive.rate
+
+    @property
+    def loses_frames(self) -> bool:
+        """Whether any disturbance loses frames."""
+        return any(disturbance.loses_frames for disturbance in self.disturbances)
+
+    @property
+    def planning_max_s(self) -> float:
+        """Longest time from a control step's frame to its command [s]."""
+        return sum(disturbance.planning_max_s for disturbance in self.disturbances)
+
+    @property
+    def sampling_hz(self) -> float:
+        """The rate of the true poses [Hz]."""
+        return self.truth_rate
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether the plant differs in any way from the paper's equations, measured exactly."""
+        sizes = (
+            self.measurement_noise.position,
+            self.measurement_noise.heading,
+            self.heading_noise,
+            self.dead_time,
+            self.lost_commands,
+            self.a_error,
+            self.speed_error,
+        )
+        other_robots = self.drive is not None or self.cells is not None
+        return other_robots or bool(self.disturbances) or any(size > 0 for size in sizes)

@@ -1,0 +1,112 @@
+"""When a simulation exposes camera frames and samples the true path."""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.poses import Bools, Times
+
+BLOCK_NS = 4 * SECOND
+"""The timetable is laid out for so long in advance [ns]."""
+SPARE_NS = SECOND
+"""A block goes on for so long after its end [ns], so that it has a next time: rates are 1 Hz and
+more."""
+
+
+@dataclass(frozen=True, slots=True)
+class DueTimes:
+    """The M times of one part of the path, in order."""
+
+    times_ns: Times
+    frames: Bools
+    """At which of the times a frame is exposed, (M,)."""
+    samples: Bools
+    """At which of them the true path is sampled, (M,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A part of the timetable: K times, in order and each once."""
+
+    end_ns: int
+    times_ns: Times
+    times: list[int]
+    """The same times; a list is searched faster."""
+    frames: Bools
+    samples: Bools
+    next_frames_ns: list[int]
+    """For each time the first time of a frame that is not before it [ns]."""
+
+
+class Timetable:
+    """The times of frames and of samples: each k / rate [ns] with k = 0, 1, 2, ...
+
+    The times are taken in order, each once.
+    """
+
+    def __init__(self, camera_hz: float, truth_hz: float) -> None:
+        self._camera_hz = camera_hz
+        self._truth_hz = truth_hz
+        self._taken = 0  # number of times of the block that were taken
+        self.next_ns = 0
+        """The first time that was not taken yet [ns]."""
+        self.next_frame_ns = 0
+        """The first time of a frame that was not taken yet [ns]."""
+        self._block = self._lay_out(BLOCK_NS)
+
+    def take(self, until_ns: int, with_end: bool) -> DueTimes:
+        """Take the times up to `until_ns`, that one included.
+
+        If `with_end`, `until_ns` is the last of them in any case, be it a frame's, a sample's or
+        neither.
+        """
+        if until_ns + SPARE_NS >= self._block.end_ns:
+            self._block = self._lay_out(until_ns + BLOCK_NS)
+            self._taken = 0
+        block = self._block
+        begin = self._taken
+        end = bisect_right(block.times, until_ns, begin)
+        self._taken = end
+        self.next_ns = block.times[end]
+        self.next_frame_ns = block.next_frames_ns[end]
+        ends = end > begin and block.times[end - 1] == until_ns
+        if ends or not with_end:
+            part = slice(begin, end)
+            return DueTimes(block.times_ns[part], block.frames[part], block.samples[part])
+        # the time after the last one is replaced, which is quicker than to append one
+        part = slice(begin, end + 1)
+        due = DueTimes(
+            block.times_ns[part].copy(), block.frames[part].copy(), block.samples[part].copy()
+        )
+        due.times_ns[-1] = until_ns
+        due.frames[-1] = False
+        due.samples[-1] = False
+        return due
+
+    def _lay_out(self, end_ns: int) -> Block:
+        """Return the block from the next time to `end_ns` and the spare time after it."""
+        frames_ns = _multiples(self._camera_hz, self.next_ns, end_ns + SPARE_NS)
+        samples_ns = _multiples(self._truth_hz, self.next_ns, end_ns + SPARE_NS)
+        times_ns = np.unique(np.concatenate([frames_ns, samples_ns]))
+        following = np.searchsorted(frames_ns, times_ns)
+        next_frames_ns = np.append(frames_ns, NEVER)[following]
+        following = np.searchsorted(samples_ns, times_ns)
+        next_samples_ns = np.append(samples_ns, NEVER)[following]
+        return Block(
+            end_ns=end_ns,
+            times_ns=times_ns,
+            times=times_ns.tolist(),
+            frames=next_frames_ns == times_ns,
+            samples=next_samples_ns == times_ns,
+            next_frames_ns=next_frames_ns.tolist(),
+        )
+
+
+def _multiples(rate_hz: float, since_ns: int, until_ns: int) -> Times:
+    """Return k / rate for whole k, rounded to ns, in [since_ns, until_ns]."""
+    first = int(since_ns * rate_hz / SECOND) - 1
+    last = int(until_ns * rate_hz / SECOND) + 2
+    times_ns = np.rint(np.arange(first, last + 1) * SECOND / rate_hz).astype(np.int64)
+    return times_ns[(times_ns >= since_ns) & (times_ns <= until_ns)]

@@ -1,0 +1,100 @@
+"""Commands on their way to simulated robots, and the watchdogs of robots that hear none."""
+
+import math
+from bisect import insort
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.commands import Stop
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
+
+
+class Transit:
+    """The commands in flight to N robots, in the order in which they act.
+
+    Commands to one robot do not overtake each other: one that would act before the command sent
+    before it acts together with it.
+    """
+
+    def __init__(self, robots: int, disturbances: Sequence[Disturbance]) -> None:
+        self._disturbances = overriding(disturbances, "sent")
+        self._in_flight = list[DelayedCommand]()  # by `due_ns`
+        self._last_ns = [0] * robots  # when the command sent last acts on each robot [ns]
+
+    @property
+    def settled_ns(self) -> int:
+        """The time when the last command sent so far acts on the last robot [ns]."""
+        return max(self._last_ns, default=0)
+
+    @property
+    def next_ns(self) -> int:
+        """The time when the next command acts [ns], NEVER for none."""
+        return self._in_flight[0].due_ns if self._in_flight else NEVER
+
+    def send(self, command: DelayedCommand, now_ns: int) -> DelayedCommand:
+        """Send a command `now_ns`, and return it as the robots will receive it."""
+        for disturbance in self._disturbances:
+            command = disturbance.sent(command)
+        if command.late_ns is None and command.due_ns >= max(self.settled_ns, now_ns):
+            self._add_last(command)
+        else:
+            self._add_by_robot(command, now_ns)
+        return command
+
+    def pop(self) -> DelayedCommand:
+        """Remove and return the next command."""
+        return self._in_flight.pop(0)
+
+    def _add_last(self, command: DelayedCommand) -> None:
+        """Add a command that acts on all robots at once, after every other one."""
+        self._last_ns = [command.due_ns] * len(self._last_ns)
+        self._in_flight.append(command)
+
+    def _add_by_robot(self, command: DelayedCommand, now_ns: int) -> None:
+        """Add a command in parts, one for each time at which it acts on some of the robots."""
+        robots = len(self._last_ns)
+        late_ns = [0] * robots if command.late_ns is None else command.late_ns.tolist()
+        self._last_ns = [
+            max(command.due_ns + late, last, now_ns)
+            for late, last in zip(late_ns, self._last_ns, strict=True)
+        ]
+        for due_ns in sorted(set(self._last_ns)):
+            due_now = np.array(self._last_ns) == due_ns
+            part = replace(command, due_ns=due_ns, reached=command.reached & due_now)
+            insort(self._in_flight, part, key=lambda other: other.due_ns)
+
+
+class Watchdogs:
+    """Stop each of N robots that has heard nothing for `timeout_s`; inf for no watchdogs.
+
+    The watchdog of a robot that has heard a stop, or has stopped itself, rests until the robot's
+    next command.
+    """
+
+    def __init__(self, robots: int, timeout_s: float) -> None:
+        self._timeout_s = timeout_s
+        self._expire_ns = [NEVER] * robots
+        self.next_ns = NEVER
+        """The time when the next watchdog expires [ns]."""
+
+    def hear(self, command: DelayedCommand) -> None:
+        """Begin to wait for the next command of each robot on which this one acts now."""
+        if self._timeout_s == math.inf:
+            return
+        if isinstance(command.action, Stop):
+            expires_ns = NEVER
+        else:
+            expires_ns = command.due_ns + round(self._timeout_s * SECOND)
+        for i, reached in enumerate(command.reached.tolist()):
+            if reached:
+                self._expire_ns[i] = expires_ns
+        self.next_ns = min(self._expire_ns)
+
+    def stop(self, now_ns: int) -> DelayedCommand:
+        """Return the stop that robots give themselves whose watchdog expires `now_ns`."""
+        expired = np.array(self._expire_ns) == now_ns
+        still = np.zeros((2, expired.size))
+        return DelayedCommand(now_ns, now_ns, Stop(), expired, wheels=still)

@@ -115,15 +115,17 @@ def _steps(i, own, t, upto, drift, motion, traced):
 
 
 @compiled(**INLINE_FAST)
-def backward(gradients, pull, rows):
-    """Add to a row of rows (R, L) the derivative by u of east * x + north * y of robot i after
-    signal `at`; pull is the row's number, i, at, east, north.
+def backward(gradients, i, signal, east, north, row):
+    """Add to row (L,) the derivative by u of east * x + north * y of robot i after a signal.
+
+    `by_heading` is the derivative by the heading before signal j + 1. The heading before signal j
+    moves step j, and with KEEP all later ones; signal j moves step j, and with 1 - KEEP all later
+    ones.
     """
-    row, i, at, east, north = rows[int(pull[0])], int(pull[1]), int(pull[2]), pull[3], pull[4]
     by_heading = 0.0
-    for j in range(at, -1, -1):
+    for j in range(signal, -1, -1):
         keep = gradients[KEEP, i, j]
-        by_u = east * gradients[EAST_U, i, j] + north * gradients[NORTH_U, i, j]
-        row[j] += by_u + by_heading * (1 - keep)
-        by_h = east * gradients[EAST_H, i, j] + north * gradients[NORTH_H, i, j]
-        by_heading = by_h + by_heading * keep
+        step_by_u = east * gradients[EAST_U, i, j] + north * gradients[NORTH_U, i, j]
+        step_by_heading = east * gradients[EAST_H, i, j] + north * gradients[NORTH_H, i, j]
+        row[j] += step_by_u + by_heading * (1 - keep)
+        by_heading = step_by_heading + by_heading * keep

@@ -85,8 +85,7 @@ def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     step, robot, at = 1e-6, int(rng.integers(robots)), int(last * (length - 1))
     east, north = rng.normal(size=2)
     rows = np.zeros((1, length))
-    pull = np.array([0, robot, at, east, north])
-    backward(traced(problem, signals).gradients, pull, rows)
+    backward(traced(problem, signals).gradients, robot, at, east, north, rows[0])
     ahead, behind = (
         predict(problem, signals + sign * step * toward)[at + 1, robot, :2] for sign in (1, -1)
     )

@@ -52,10 +52,10 @@ def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):
 
 @kernels.compiled()
 def slopes(work, signals):
-    levenberg._trace(work, signals)
-    levenberg._merit(work, SLACK)
-    rows = levenberg._linearise(work, 1e-9, SLACK)
-    return work.room.rows[:rows].T @ work.room.residual[:rows]
+    levenberg.predict_path(work, signals)
+    levenberg.measure(work, SLACK)
+    residuals = levenberg.linearise(work, 1e-9, SLACK)
+    return work.room.rows[:residuals].T @ work.room.residual[:residuals]
 
 
 def random_start(seed, length):

@@ -169,7 +169,8 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
     if number == 13:
         return AbortError(
             f"{name}: this user has no permission to open the port",
-            "join the group that owns the port, often dialout",
+            "join the group that owns the port, often dialout: sudo usermod -aG dialout $USER, "
+            "then log out and in again",
         )
     return AbortError(f"{name}: cannot be opened: {_why(error)}")
 

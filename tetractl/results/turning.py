@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.table.table import NONE
+from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import listing
 from tetractl.results.statistic import Statistic, Value
@@ -69,8 +70,11 @@ def _of_batch(trials: Sequence[ResultSummary]) -> Value:
         return Value({"less_certain": None}, ())
     compared = list(_compared(trials))
     if not compared:
-        text = f"{NONE} (turns are compared in {LEAST} trials or more)"
-        return Value.row(LABEL, text, True, less_certain=None)
+        text = (
+            f"{NONE} (one camera does not tell a pose that turns by up to {_hidden(trials[0]):.1f} "
+            f"rad/s while its robot drives from unequal wheels; {LEAST} trials are compared)"
+        )
+        return Value.row(LABEL, text, less_certain=None)
     odd = [(path, name, off) for path, name, off, limit in compared if abs(off) > limit]
     count = len({path for path, *_ in odd})
     text = f"{count} of {len({path for path, *_ in compared})} trials"
@@ -80,6 +84,16 @@ def _of_batch(trials: Sequence[ResultSummary]) -> Value:
     else:
         text += f", turns above {max(limit for *_, limit in compared):.2f} rad/s would be seen"
     return Value.row(LABEL, text, not odd, less_certain=count)
+
+
+def _hidden(trial: ResultSummary) -> float:
+    """Return the fastest turn [rad/s] of a pose that wheels within `wheel_error` explain: of one
+    that is so much too slow and one that is so much too fast."""
+    setup = trial.experiment.setup
+    plant = trial.experiment.plant
+    limits = plant.limits if isinstance(plant, LabSection) else LabLimits()
+    radius = setup.wheel_radius or math.inf
+    return limits.wheel_error * float(setup.speed.max()) / radius
 
 
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:

@@ -88,8 +88,13 @@ def test_what_would_be_seen_is_told_in_full_and_few_trials_are_not_compared():
     assert found.items["less_certain"] == 0
     assert "less certain" not in printed(found, summary)
     few = group(turned(5, trial_3=[0.3, 0.0, 0.0]))
-    assert few.rows["less certain"] == "- (turns are compared in 6 trials or more)"
+    assert few.rows["less certain"] == (
+        "- (one camera does not tell a pose that turns by up to 0.6 rad/s while its robot drives "
+        "from unequal wheels; 6 trials are compared)"
+    )
     assert few.items["less_certain"] is None
+    shown = " ".join(printed(few, summary).split())
+    assert "does not tell a pose that turns by up to 0.6 rad/s" in shown, "run prints this"
 
 
 def test_robots_that_did_not_drive_and_older_logs_are_left_out():

@@ -4,6 +4,7 @@
     python benchmarks/guard.py --plays 1 along    one play of some
     python benchmarks/guard.py --slow --plays 3   poses that leave slowly, from the start and later
     python benchmarks/guard.py --rate 30          frames as seldom as an AprilTag camera's
+    python benchmarks/guard.py --slip --plays 6   a pose that turns only while its robot drives
     python benchmarks/guard.py --culprits         what the reasons name, in two plays each
     python benchmarks/guard.py --alarms 1000      the same trials with nothing wrong
     python benchmarks/guard.py --batches 4        batches with a pose that turns in one trial
@@ -87,6 +88,7 @@ NAMED = {
     "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
 }
 BATCH = 12  # trials of a batch
+SLIPS = (0.1, 0.2)  # of a pose while its robot drives [rad/s]
 TURNS = (0.05, 0.1, 0.15, 0.2)  # of a pose in one trial of a batch [rad/s]
 TAIL = 5.0  # statistic above which the tail of good trials is fitted
 
@@ -139,6 +141,29 @@ def slow(kind: str) -> None:
                 camera = f", {said} camera" * (kind in CAMERA and len(offs) > 0)
                 cells += [f"{len(offs)} of {len(plays)}{camera}", f"{max(offs, default=0):.0f}"]
         print(f"| {kind} | {rate:g} {UNITS.get(kind, 'm/s')} | {' | '.join(cells)} |", flush=True)
+
+
+def slips() -> None:
+    """Print a row for each rate at which a pose turns only while its robot drives, from the first
+    command on: how trials ended, and how far the pose was off its robot then.
+    """
+    for rate in SLIPS:
+        plays = [Ghost("slip", rate, (k % 3,), at_s=0.0, limit_s=60.0) for k in range(PLAYS)]
+        results = [trial_of(play.haunt, k, RATE_HZ) for k, play in enumerate(plays)]
+        whole = list[float]()
+        stopped = list[float]()
+        for play, result in zip(plays, results, strict=True):
+            if result.outcome.complete:
+                whole.append(play.off_mm)
+            elif any(text in result.reason for text in (*NOTICED, "still moves")):
+                stopped.append(play.off_mm)
+            print(result.summary, f"{play.off_mm:.0f} mm off", file=sys.stderr, flush=True)
+        other = PLAYS - len(whole) - len(stopped)
+        print(
+            f"| {rate:g} | {len(stopped)} of {PLAYS} | {max(stopped, default=0):.0f} "
+            f"| {other} of {PLAYS} | {len(whole)} of {PLAYS} | {max(whole, default=0):.0f} |",
+            flush=True,
+        )
 
 
 def reason_of(play: Ghost, trial: int) -> str:
@@ -259,6 +284,7 @@ parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--plays", type=int, default=2, metavar="N")
 parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
 parser.add_argument("--slow", action="store_true", help="poses that leave their robots slowly")
+parser.add_argument("--slip", action="store_true", help="a pose that turns as its robot drives")
 parser.add_argument("--culprits", action="store_true", help="what the reasons name")
 parser.add_argument("--alarms", type=int, metavar="N", help="trials in which nothing is wrong")
 parser.add_argument("--batches", type=int, metavar="N", help="batches with false trials in them")
@@ -279,6 +305,13 @@ if __name__ == "__main__":
         )
         print(f"|---|---|{'--:|' * 7}")
         culprits()
+    elif options.slip:
+        print(
+            "| turn [rad/s] | stopped for it | off [mm] | ended for another reason "
+            "| complete | off [mm] |"
+        )
+        print(f"|{'--:|' * 6}")
+        slips()
     elif options.slow:
         print(
             "| pose shown | | refused | from the first command | off [mm] | at rest | off [mm] "
@@ -290,5 +323,5 @@ if __name__ == "__main__":
     else:
         print("| pose shown | | noticed | off [mm] | stop [s] | rest [s] | driven [mm] | later |")
         print("|---|---|--:|--:|--:|--:|--:|--:|")
-        for kind in options.kinds or KINDS[:-1]:
+        for kind in options.kinds or KINDS[:-2]:
             ghosts(kind)

@@ -16,7 +16,7 @@ from tetractl.lab.guard_records import GuardState
 CAMERA_HZ = 120.0
 NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
-KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn")
+KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn", "slip")
 NUMBERS = "numbers"
 PUSH_S, STEP_M, STEPS_S = 0.2, 0.004, 0.5
 CAMERA = ("origin", "scale", "rotation")
@@ -29,7 +29,8 @@ class Ghost:
     `frozen` poses repeat. A ghost goes away from its robot at a speed [m/s]: `along` its heading,
     `against` it or `sideways`. The `heading` shown turns by the speed at the wheels, or the whole
     ghost does, and drives on as a robot does (`curve`); a `turn` is a curve whose speed is in
-    rad/s. A `push` moves it by `speed` [m] within PUSH_S, and `steps` by 4 mm each half second.
+    rad/s, and a `slip` turns only while its robot drives. A `push` moves it by `speed` [m] within
+    PUSH_S, and `steps` by 4 mm each half second.
     Of the whole picture, the `origin` moves [m/s], the `scale` grows [1/s], or it turns
     about its origin (`rotation`) [rad/s]. Two robots that have exchanged their `numbers` are shown
     where they are, but each does what the other is commanded.
@@ -90,7 +91,10 @@ class Ghost:
         if self._began is None or now < self._began:
             self._last = dict(enumerate(poses))
             return poses
-        self._turned += self.speed / (WHEEL_M if self.kind in ("heading", "curve") else 1.0) * dt
+        if self.kind != "slip" or not self.lab.robots[self.who[0]].standing:
+            self._turned += (
+                self.speed / (WHEEL_M if self.kind in ("heading", "curve") else 1.0) * dt
+            )
         shown = list(poses)
         for i in self.who:
             shown[i] = self._ghost(i, poses[i], 1000 * self.speed * dt)
@@ -116,7 +120,7 @@ class Ghost:
             z = complex(pose.x, pose.y) * cmath.rect(1.0 + grown, turn) + way * (0.6 + 0.8j)
             return Pose(z.real, z.imag, pose.heading + turn)
         dx, dy = self._paths.get(i, (0.0, 0.0))
-        if self.kind in ("curve", "turn"):
+        if self.kind in ("curve", "turn", "slip"):
             x, y = pose.x - before.x, pose.y - before.y
             cos, sin = math.cos(self._turned), math.sin(self._turned)
             self._paths[i] = dx + cos * x - sin * y - x, dy + sin * x + cos * y - y

@@ -77,7 +77,7 @@ class SlowPictures(Unmodelled):
         self.spells, self.shown = given.draw(self.random), -1
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        if not self.spells.at(exposed_ns / 1e9):
+        if not self.spells.include(exposed_ns / 1e9):
             return received_ns
         before, self.shown = self.shown, exposed_ns // 100_000_000
         return received_ns + round(1e9 * self.size) if self.shown > before else None

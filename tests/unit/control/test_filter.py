@@ -234,7 +234,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
 def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     off = "plant.disturbances=[{type: marker-off, heading: 0.1}]"
     found, plant, estimator = know([*NOISY, off, "plant.dead_time=0.1"], 10)
-    sides = plant.disturbances[0]._off
+    sides = plant.disturbances[0].offsets
     assert found.heading_bias == pytest.approx(sides, abs=0.03)
     state = likely(estimator.filter)
     assert state[:, BIAS] == pytest.approx([0.0] * 3, abs=0.03)
@@ -266,7 +266,7 @@ def test_cells_are_followed_through_helix_noise_and_flow(settings):
     state = likely(estimator.filter)
     assert found.a == pytest.approx(plant.a, rel=0.1)
     assert found.speed == pytest.approx(plant.speed, rel=0.02)
-    flow = np.tile(plant.disturbances[0]._velocity, (3, 1))
+    flow = np.tile(plant.disturbances[0].velocity, (3, 1))
     assert state[:, [FLOW_X, FLOW_Y]] == pytest.approx(flow, abs=8)
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.15)
 

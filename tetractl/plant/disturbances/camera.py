@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -13,6 +14,9 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, NonNegative, Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.spells import ByTurns, Spells, SpellsSection
+
+DEVIATIONS_MAX = 4.0
+"""A frame's latency differs from the mean by at most so many standard deviations."""
 
 
 class TrackingLossSection(DisturbanceSection):
@@ -67,18 +71,19 @@ class CameraLatency(Disturbance):
     """Adds a latency to each frame."""
 
     def __init__(self, section: CameraLatencySection, rng: np.random.Generator) -> None:
-        self._normal, self._uniform = rng.standard_normal, rng.random
-        self._mean, self._deviation = section.mean, section.deviation
-        self._late_share, self._late_by = section.late_share, section.late_by
+        self._section = section
+        self._rng = rng
 
     def received(self, exposed_ns: int, received_ns: int) -> int:
         """Return the time of arrival with the latency added, never before the exposure."""
-        drawn = self._normal()
-        within = drawn if -4 < drawn < 4 else math.copysign(4.0, drawn)
-        latency = self._mean + self._deviation * within
-        if self._uniform() < self._late_share:
-            latency += self._late_by * self._uniform()
-        return received_ns + round(latency * SECOND) if latency > 0 else received_ns
+        section = self._section
+        deviations = self._rng.standard_normal()
+        if abs(deviations) > DEVIATIONS_MAX:
+            deviations = math.copysign(DEVIATIONS_MAX, deviations)
+        latency_s = section.mean + section.deviation * deviations
+        if self._rng.random() < section.late_share:
+            latency_s += section.late_by * self._rng.random()
+        return received_ns + round(max(latency_s, 0.0) * SECOND)
 
 
 class FrameLossSection(DisturbanceSection):
@@ -101,18 +106,24 @@ class FrameLossSection(DisturbanceSection):
 
 
 class FrameLoss(Disturbance):
-    """Loses frames by a Markov chain with two states; the first frame is not lost."""
+    """Loses frames by a Markov chain with two states, received and lost; the first frame is not
+    lost. A burst of mean length b ends with the probability 1 / b, and one begins with such a
+    probability that `share` of the frames are lost in the long run."""
 
     def __init__(self, section: FrameLossSection, rng: np.random.Generator) -> None:
-        self._begin = section.share / (1 - section.share) / section.burst
-        self._end = 1 / section.burst
+        self._burst_begins = section.share / (1 - section.share) / section.burst
+        self._burst_ends = 1 / section.burst
         self._rng = rng
-        self._losing = False
+        self._losing = False  # whether the next frame is lost
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
         """Return the time of arrival unchanged, None for a frame that is lost."""
-        lost, draw = self._losing, self._rng.random()
-        self._losing = draw >= self._end if lost else draw < self._begin
+        lost = self._losing
+        chance = self._rng.random()
+        if lost:
+            self._losing = chance >= self._burst_ends
+        else:
+            self._losing = chance < self._burst_begins
         return None if lost else received_ns
 
 
@@ -139,18 +150,20 @@ class FrozenCamera(Disturbance):
     """During an interval, repeats the last measurement before it, or loses the frames."""
 
     def __init__(self, repeats: bool, spells: Spells) -> None:
-        self._repeats, self._spells = repeats, spells
-        self._last: tuple[Poses, Bools] | None = None
+        self._repeats = repeats
+        self._spells = spells
+        self._last: tuple[Poses, Bools] | None = None  # measurement before the interval
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
         """Return the measurement; during an interval, the last measurement before the interval."""
-        if self._last is None or not (self._repeats and self._spells.at(time_s)):
-            self._last = poses, valid
+        frozen = self._repeats and self._spells.include(time_s)
+        if self._last is None or not frozen:
+            self._last = (poses, valid)
         return self._last
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
         """Return the time of arrival unchanged, None for a frame that is lost."""
-        lost = not self._repeats and self._spells.at(exposed_ns / SECOND)
+        lost = not self._repeats and self._spells.include(exposed_ns / SECOND)
         return None if lost else received_ns
 
 
@@ -169,12 +182,12 @@ class MarkerOffSection(DisturbanceSection):
 class MarkerOff(Disturbance):
     """Adds an offset (N,) [rad] to each robot's measured heading."""
 
-    def __init__(self, off: Floats) -> None:
-        self._off = off
+    def __init__(self, offsets: Floats) -> None:
+        self.offsets = offsets
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
         """Return the poses with the offsets added to the headings."""
-        return Poses(poses.x, poses.y, poses.heading + self._off), valid
+        return Poses(poses.x, poses.y, poses.heading + self.offsets), valid
 
 
 class StaleCameraSection(SpellsSection):
@@ -189,16 +202,28 @@ class StaleCameraSection(SpellsSection):
         return StaleCamera(self.age, self.draw(rng))
 
 
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What a frame that was exposed at `time_s` shows."""
+
+    time_s: float
+    poses: Poses
+    valid: Bools
+
+
 class StaleCamera(Disturbance):
     """Stores the measurements and, during an interval, shows those of `age_s` [s] earlier."""
 
     def __init__(self, age_s: float, spells: Spells) -> None:
-        self._age_s, self._spells = age_s, spells
-        self._kept: deque[tuple[float, Poses, Bools]] = deque()
+        self._age_s = age_s
+        self._spells = spells
+        self._recent: deque[Measurement] = deque()  # those of the last `age_s` and one before
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
         """Return the poses; in an interval, the newest poses that are at least `age_s` old."""
-        self._kept.append((time_s, poses, valid))
-        while len(self._kept) > 1 and self._kept[1][0] <= time_s - self._age_s:
-            self._kept.popleft()
-        return self._kept[0][1:] if self._spells.at(time_s) else (poses, valid)
+        self._recent.append(Measurement(time_s, poses, valid))
+        while len(self._recent) > 1 and self._recent[1].time_s <= time_s - self._age_s:
+            self._recent.popleft()
+        if not self._spells.include(time_s):
+            return poses, valid
+        return self._recent[0].poses, self._recent[0].valid

@@ -36,21 +36,28 @@ class Radio(Disturbance):
     """Delays each transmission, and draws which robots receive it."""
 
     def __init__(self, section: RadioSection, robots: int, rng: np.random.Generator) -> None:
-        self._section, self._rng = section, rng
+        self._section = section
+        self._rng = rng
         self._late_ns = None  # without a spread, no random number is drawn
         if section.spread > 0:
             self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return the transmission with its delays, and with the robots that receive it."""
-        section, rng = self._section, self._rng
-        late_ns, drawn = command.late_ns, rng.random(1 + command.reached.size)
-        delay_ns = round((section.delay + section.jitter * float(drawn[0])) * SECOND)
-        if self._late_ns is not None:
-            late_ns = self._late_ns if late_ns is None else late_ns + self._late_ns
-        due_ns, reached = command.due_ns + delay_ns, command.reached & (drawn[1:] >= section.loss)
-        more = command.headings, command.wheels
-        return DelayedCommand(command.sent_ns, due_ns, command.action, reached, late_ns, *more)
+        section = self._section
+        chances = self._rng.random(1 + command.reached.size)  # of the delay, then of each robot
+        delay_s = section.delay + section.jitter * float(chances[0])
+        late_ns = command.late_ns
+        if late_ns is None:
+            late_ns = self._late_ns
+        elif self._late_ns is not None:
+            late_ns = late_ns + self._late_ns
+        return replace(
+            command,
+            due_ns=command.due_ns + round(delay_s * SECOND),
+            reached=command.reached & (chances[1:] >= section.loss),
+            late_ns=late_ns,
+        )
 
 
 class SilentRadioSection(SpellsSection):
@@ -71,7 +78,7 @@ class SilentRadio(Disturbance):
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return the command, which reaches no robot while the radio is silent."""
-        if not self._spells.at(command.sent_ns / SECOND):
+        if not self._spells.include(command.sent_ns / SECOND):
             return command
         return replace(command, reached=np.zeros_like(command.reached))
 
@@ -99,7 +106,8 @@ class PlanningTime(Disturbance):
     """Draws the planning time of each control step."""
 
     def __init__(self, section: PlanningTimeSection, rng: np.random.Generator) -> None:
-        self._section, self._rng = section, rng
+        self._section = section
+        self._rng = rng
 
     def planning_s(self, time_s: float) -> float:
         """Return the planning time of one control step [s]."""

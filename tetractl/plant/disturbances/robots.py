@@ -83,8 +83,9 @@ class Sticking(Disturbance):
     """Makes each robot stick, independently of the others."""
 
     def __init__(self, section: StickingSection, robots: int, rng: np.random.Generator) -> None:
-        free_s, stuck_s = section.every, section.duration
-        self._free = ByTurns(robots, lambda: rng.exponential(free_s), lambda: stuck_s)
+        self._free = ByTurns(
+            robots, lambda: rng.exponential(section.every), lambda: section.duration
+        )
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Return turning rates and speeds, 0 for the robots that stick."""
@@ -114,19 +115,20 @@ class Wander(Disturbance):
     """Draws errors of turning rate and speed, with statistics independent of the rate of calls."""
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
-        self._size = np.array([[section.a], [section.speed]])
-        self._time_s, self._rng = section.time, rng
-        self._state = rng.standard_normal((2, robots))
-        self._last_s = 0.0
+        self._deviations = np.array([[section.a], [section.speed]])
+        self._correlation_s = section.time
+        self._rng = rng
+        self._state = rng.standard_normal((2, robots))  # of a and speed, of standard deviation 1
+        self._last_s = 0.0  # the time of this state
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Return turning rates and speeds with the errors at this time."""
-        kept = np.exp(-(time_s - self._last_s) / self._time_s)
+        correlation = np.exp(-(time_s - self._last_s) / self._correlation_s)
         self._last_s = time_s
-        drawn = self._rng.standard_normal(self._state.shape)
-        self._state = kept * self._state + np.sqrt(1 - kept**2) * drawn
-        in_a, in_speed = np.exp(self._size * self._state)
-        return a * in_a, speed * in_speed
+        fresh = self._rng.standard_normal(self._state.shape)
+        self._state = correlation * self._state + np.sqrt(1 - correlation**2) * fresh
+        a_factor, speed_factor = np.exp(self._deviations * self._state)
+        return a * a_factor, speed * speed_factor
 
 
 class StartErrorSection(DisturbanceSection):
@@ -147,10 +149,15 @@ class StartError(Disturbance):
     """Draws the errors of the start poses."""
 
     def __init__(self, section: StartErrorSection, rng: np.random.Generator) -> None:
-        self._section, self._rng = section, rng
+        self._section = section
+        self._rng = rng
 
     def placed(self, poses: Poses) -> Poses:
         """Return the start poses with the errors added."""
         x, y, heading = self._rng.uniform(-1, 1, (3, poses.x.size))
-        off, turned = self._section.position, self._section.heading
-        return Poses(poses.x + off * x, poses.y + off * y, poses.heading + turned * heading)
+        section = self._section
+        return Poses(
+            poses.x + section.position * x,
+            poses.y + section.position * y,
+            poses.heading + section.heading * heading,
+        )

@@ -33,7 +33,7 @@ class Spells:
         self._begin_s = rng.uniform(*section.between, section.times)
         self._end_s = self._begin_s + section.duration
 
-    def at(self, time_s: float) -> bool:
+    def include(self, time_s: float) -> bool:
         """Return whether a time is within an interval."""
         return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
 
@@ -48,9 +48,10 @@ class ByTurns:
     def __init__(
         self, robots: int, well_s: Callable[[], float], unwell_s: Callable[[], float]
     ) -> None:
-        self._durations_s = (unwell_s, well_s)  # indexed by whether a robot is well
+        self._well_s = well_s
+        self._unwell_s = unwell_s
         self._well = np.ones(robots, dtype=np.bool_)
-        self._until_s = [well_s() for _ in range(robots)]
+        self._until_s = [well_s() for _ in range(robots)]  # when each robot's state changes next
 
     def well(self, time_s: float) -> Bools:
         """Return whether each robot is undisturbed at `time_s` (N,); later calls must not have
@@ -58,6 +59,7 @@ class ByTurns:
         for i, until_s in enumerate(self._until_s):
             while until_s <= time_s:
                 self._well[i] = not self._well[i]
-                until_s += self._durations_s[int(self._well[i])]()
+                draw_duration_s = self._well_s if self._well[i] else self._unwell_s
+                until_s += draw_duration_s()
                 self._until_s[i] = until_s
         return self._well

@@ -21,8 +21,9 @@ class FlowSection(DisturbanceSection):
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":
         """Return this disturbance for one trial."""
-        drawn = rng.uniform(-np.pi, np.pi)
-        angle = drawn if self.direction is None else self.direction
+        angle = rng.uniform(-np.pi, np.pi)  # drawn in any case: it is part of the result
+        if self.direction is not None:
+            angle = self.direction
         return Flow(self.speed * np.array([np.cos(angle), np.sin(angle)]))
 
 
@@ -30,13 +31,13 @@ class Flow(Disturbance):
     """Carries each swimming cell with a flow of velocity (2,) [length unit/s]."""
 
     def __init__(self, velocity: Floats) -> None:
-        self._velocity = velocity
+        self.velocity = velocity
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Return the poses after the flow has carried the cells for `seconds`."""
-        along = moving * seconds
-        x, y = self._velocity
-        return Poses(poses.x + x * along, poses.y + y * along, poses.heading)
+        moving_s = moving * seconds
+        x_rate, y_rate = self.velocity
+        return Poses(poses.x + x_rate * moving_s, poses.y + y_rate * moving_s, poses.heading)
 
 
 class WobbleSection(DisturbanceSection):
@@ -64,14 +65,17 @@ class Wobble(Disturbance):
     """
 
     def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:
-        self._radius, self._rate = section.radius, 2 * np.pi * section.frequency
-        self._speed, self._phase = speed, phase
-        self._moving = np.zeros_like(phase)
+        self._radius = section.radius
+        self._rate_rad_s = 2 * np.pi * section.frequency
+        self._speed = speed
+        self._phase = phase
+        self._moving = np.zeros_like(phase)  # which cells swam up to now
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Return the poses after the swimming cells have moved on along their helices."""
-        before, self._moving = self._phase, moving
-        self._phase = before + self._rate * seconds * moving
+        before = self._phase
+        self._moving = moving
+        self._phase = before + self._rate_rad_s * seconds * moving
         across = self._radius * (np.sin(self._phase) - np.sin(before))
         x = poses.x - across * np.sin(poses.heading)
         y = poses.y + across * np.cos(poses.heading)
@@ -79,6 +83,6 @@ class Wobble(Disturbance):
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
         """Return the poses with the headings of the bodies."""
-        sideways = self._radius * self._rate * np.cos(self._phase) * self._moving
-        tilt = np.arctan2(sideways, np.maximum(self._speed, 1e-300))
+        sideways = self._radius * self._rate_rad_s * np.cos(self._phase) * self._moving
+        tilt = np.arctan2(sideways, np.maximum(self._speed, np.finfo(float).tiny))
         return Poses(poses.x, poses.y, poses.heading + tilt), valid

@@ -263,10 +263,15 @@ class FilterBank:
         bank.score[:] = -(((bank.tau - old.tau[best, robots]) / REOPEN_STD_S) ** 2) / 2
         turns = self._misfit[INNOVATIONS.index("heading")] > 1
         for k, of in enumerate(tried[1:], 1):
-            cov, rows = bank.cov[group == k], group == k
-            cov[..., at.LN_W, :] = cov[..., at.LN_W] = 0.0
-            cov[..., at.LN_W, at.LN_W] = SATURATION_STD**2
-            bank.cov[rows], bank.state[rows, :, :, at.LN_W] = cov, of
+            rows = group == k
+            cov = bank.cov[rows]
+            # the filter without a limit has explained the turns by a small a, and is sure of it
+            for state, std in ((at.LN_A, self._std[at.LN_A]), (at.LN_W, SATURATION_STD)):
+                cov[..., state, :] = 0.0
+                cov[..., state] = 0.0
+                cov[:, :, 0, state, state] = std**2
+            bank.cov[rows] = cov
+            bank.state[rows, :, :, at.LN_W] = of
             bank.score[rows] += np.where(turns, SATURATED, -np.inf)
         self._model.walk[at.LN_W] = TURNING[1].drift
         self._bank, self._steps[:], self._misfit = bank, GRID.step_s, 0 * self._misfit

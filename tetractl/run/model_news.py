@@ -8,9 +8,46 @@ from dataclasses import dataclass, field
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
 from tetractl.core.setup import Setup
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab_section import LabSection
 
 FITS_S = 5.0  # time without a misfit after which the model fits again [s]
 SURE = 3.0  # least change of an estimate that is news, in standard deviations
+DELAY_S = 0.01  # least error of a stated dead time that is news [s]
+
+
+@dataclass(frozen=True, slots=True)
+class StatedDelay:
+    """The time from a command to its effect that a spec states [s], and whether the spec states its
+    camera's `latency` too, whose error is an error of this time."""
+
+    dead_time_s: float
+    has_latency: bool
+
+
+def stated_delay(experiment: Experiment) -> StatedDelay:
+    """Return what a spec states of the time from a command to its effect."""
+    plant = experiment.plant
+    has_latency = isinstance(plant, LabSection) and hasattr(plant.camera, "latency")
+    return StatedDelay(experiment.controller.dead_time, has_latency)
+
+
+def other_delay(known: Estimate, stated: StatedDelay) -> str:
+    """Return in words that commands act later or earlier than a spec states, by more than standard
+    deviations explain; "" if they do not or it is not known."""
+    now_s = known.dead_time
+    if now_s is None or known.dead_time_std is None:
+        return ""
+    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE * known.dead_time_std):
+        return ""
+    text = (
+        f"commands act {now_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
+        "is controller.dead_time right"
+    )
+    if not stated.has_latency:
+        return f"{text}?"
+    way = "short" if now_s > stated.dead_time_s else "long"
+    return f"{text}, or lab.camera.latency too {way}?"
 
 
 def turning(known: Estimate, i: int) -> str:
@@ -48,12 +85,14 @@ def learnt(known: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
 @dataclass(slots=True)
 class ModelNews:
     """Tells changes of how a controller's model fits: each part that does not fit once, until all
-    have fitted for FITS_S. Of each robot the first time that it stands is said: screen and log show
-    every time."""
+    have fitted for FITS_S, and meanwhile, once, that commands act at another time than `stated`. Of
+    each robot the first time that it stands is said: screen and log show every time."""
 
+    stated: StatedDelay | None = None
     _said: set[str] = field(default_factory=set)  # what does not fit
     _before: Estimate | None = None  # the estimate when it was said
     _unfit_ns: int = 0  # time at which something last did not fit
+    _delay_said: bool = False  # whether the dead time was said to differ from the stated one
     _stood: set[str] = field(default_factory=set)  # who has stood
 
     def of(self, known: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
@@ -68,6 +107,9 @@ class ModelNews:
             if new := unfit - self._said:
                 self._said |= new
                 yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
+            if self.stated and not self._delay_said and (text := other_delay(known, self.stated)):
+                self._delay_said = True
+                yield "warning", text
         elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:
             found = "; ".join(learnt(known, self._before, setup)) or "with the same values"
             self._said, self._before = set(), None

@@ -28,7 +28,7 @@ from tetractl.core.tour import TourMeasure, told_dead
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.model_news import ModelNews
+from tetractl.run.model_news import ModelNews, StatedDelay
 from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
@@ -53,6 +53,7 @@ class Trial:
     clock: Clock
     observers: Sequence[Observer]
     interrupt: Interrupt
+    delay: StatedDelay | None = None
     _solve_ns: list[int] = field(default_factory=list)
     _misses: int = 0
     _turning: bool = False  # whether robots turn on the spot
@@ -62,10 +63,11 @@ class Trial:
     _dead: int = 0  # number of robots that do not move while others drive
     # frames newer than the frame of the last step
     _between: list[Observation] = field(default_factory=list)
-    _model: ModelNews = field(default_factory=ModelNews)
+    _model: ModelNews = field(init=False)
 
     def __post_init__(self) -> None:
         setup = self.start.setup
+        self._model = ModelNews(self.delay)
         self._tour = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
 
     def run(self) -> Result:

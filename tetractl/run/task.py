@@ -31,6 +31,7 @@ from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.model_news import stated_delay
 from tetractl.run.run_trial import Trial
 
 
@@ -211,6 +212,7 @@ def run_with(
             clock=clock,
             observers=[*writers, *observers],
             interrupt=interrupt,
+            delay=stated_delay(spec.experiment),
         ).run()
 
 

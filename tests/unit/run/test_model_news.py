@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from support.trials import experiment
 
 from tetractl.core.plan import Estimate
-from tetractl.run.model_news import FITS_S, ModelNews
+from tetractl.run.model_news import FITS_S, ModelNews, StatedDelay
 
 SETUP = experiment().setup
 ROBOTS, NAME = len(SETUP.names), SETUP.names[0]
@@ -44,6 +45,41 @@ def test_what_was_learnt_is_said_with_numbers():
     for text, changed in cases.items():
         found = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
         assert found == [f"the model fits again: {text}"]
+
+
+@pytest.mark.parametrize(
+    ("dead_time", "std", "asked"),
+    [
+        (
+            0.06,
+            0.004,
+            "0.060 s after they are sent, not 0.030 s: is controller.dead_time right, or "
+            "lab.camera.latency too short?",
+        ),
+        (
+            0.0,
+            0.006,
+            "0.000 s after they are sent, not 0.030 s: is controller.dead_time right, or "
+            "lab.camera.latency too long?",
+        ),
+        (0.06, 0.02, ""),
+        (0.036, 0.001, ""),
+    ],
+)
+def test_a_latency_that_is_wrong_is_named(dead_time, std, asked):
+    """Regression: a latency 50 ms wrong was only a model that does not fit."""
+    news = ModelNews(StatedDelay(0.03, has_latency=True))
+    known = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
+    texts = [text for s in (1, 2) for _, text in news.of(known, SETUP, round(1e9 * s))]
+    assert texts[1:] == ([f"commands act {asked}"] if asked else [])
+
+
+def test_a_dead_time_is_not_questioned_while_the_model_fits():
+    news = ModelNews(StatedDelay(0.03, has_latency=False))
+    assert [*news.of(FITS, SETUP, 0)] == []
+    (_, (level, text)) = news.of(UNFIT, SETUP, 1)
+    assert level == "warning"
+    assert text.endswith("0.110 s after they are sent, not 0.030 s: is controller.dead_time right?")
 
 
 def test_a_robot_that_stands_is_named_once():

@@ -129,37 +129,58 @@ def fill(descriptor):
     assert not select.select([], [descriptor], [], 0)[1]
 
 
-BROKEN = ["full terminal", "full pipe", "closed pipe", "full disk", "closed terminal"]
+def started(folder, which, descriptor):
+    """A run with one standard stream on `descriptor`, and the other one on a pipe."""
+    (folder / "spec.yaml").write_text(QUICK)
+    other = {"stdout": "stderr", "stderr": "stdout"}[which]
+    streams = {which: descriptor, other: subprocess.PIPE}
+    return subprocess.Popen(
+        [TETRACTL, "run", "spec.yaml", "--out", "logs"],
+        cwd=folder,
+        env=environment(),
+        text=True,
+        stdin=subprocess.DEVNULL,
+        **streams,
+    )
 
 
-@pytest.mark.parametrize("broken", first_of(BROKEN))
+@pytest.mark.parametrize("broken", first_of(["full disk", "closed pipe", "closed terminal"]))
 @pytest.mark.parametrize("which", first_of(["stderr", "stdout"]))
-def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
-    (tmp_path / "spec.yaml").write_text(QUICK)
+def test_a_stream_that_fails_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
     with stream(broken) as descriptor:
-        other = {"stdout", "stderr"} - {which}
-        process = subprocess.Popen(
-            [TETRACTL, "run", "spec.yaml", "--out", "logs"],
-            cwd=tmp_path,
-            env=environment(),
-            text=True,
-            stdin=subprocess.DEVNULL,
-            **{which: descriptor, other.pop(): subprocess.PIPE},
-        )
-        if (
-            which == "stdout" and broken == "full pipe"
-        ):  # its reader may still come: it is waited for
-            while "trial 3 of 3" not in process.stderr.readline():
-                pass
-            process.send_signal(signal.SIGINT)
+        process = started(tmp_path, which, descriptor)
         out, err = process.communicate(timeout=PATIENCE_S)
     assert len(list((tmp_path / "logs").glob("*.mcap"))) == 3
-    told = broken in ("full disk", "closed terminal")
-    assert process.returncode == (1 if which == "stdout" and told else 0), err
+    told = which == "stdout" and broken != "closed pipe"
+    assert process.returncode == (1 if told else 0), err
     if which == "stderr":
         assert "3 of 3 trials valid" in out
     else:
         assert "look at one with: tetractl replay logs/trial-000.mcap" in err
+
+
+@pytest.mark.parametrize("full", first_of(["full pipe", "full terminal"]))
+def test_a_signal_ends_a_run_whose_messages_nobody_reads(tmp_path, full):
+    with stream(full) as descriptor:
+        process = started(tmp_path, "stderr", descriptor)
+        while not (tmp_path / "logs").exists() and process.poll() is None:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(0.02)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+
+
+@pytest.mark.parametrize("full", first_of(["full pipe", "full terminal"]))
+def test_a_signal_leaves_out_the_results_that_nobody_reads(tmp_path, full):
+    with stream(full) as descriptor:
+        process = started(tmp_path, "stdout", descriptor)
+        while "trial 3 of 3" not in process.stderr.readline():
+            pass
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert "look at one with: tetractl replay logs/trial-000.mcap" in err
 
 
 @pytest.fixture(scope="module")

@@ -14,28 +14,26 @@ def main() -> None:
     import atexit
     import sys
 
-    from tetractl.cli.streams import open_streams, settle
+    from tetractl.cli.unread import close_stdout, open_streams, say_at_once
     from tetractl.core.errors import Exit
     from tetractl.run.interrupt import ignore_signals, leave_on_signals
 
     atexit.register(ignore_signals)
-    messages = open_streams()
-
-    def say() -> None:
-        messages.writer.urge(b"error: interrupted\n")
-        messages.writer.finish()
-
-    leave_on_signals(Exit.INTERRUPTED, say)
+    open_streams()
+    leave_on_signals(Exit.INTERRUPTED, lambda: say_at_once(b"error: interrupted\n"))
     if (limit := _address_limit()) < 1e9:  # bytes; with fewer, OpenBLAS retries without end
-        text = f"error: {limit / 1e6:.0f} MB of address space are allowed, 1000 are needed\n"
-        messages.writer.urge(text.encode() + b"  hint: ulimit -v unlimited\n")
-        messages.writer.finish()
+        print(
+            f"error: {limit / 1e6:.0f} MB of address space are allowed, 1000 are needed",
+            "  hint: ulimit -v unlimited",
+            sep="\n",
+            file=sys.stderr,
+        )
         sys.exit(Exit.FAILED)
     from tetractl.cli.app import run_app
 
     code = run_app()
     leave_on_signals(code)
-    settle()
+    close_stdout()
     sys.exit(code)
 
 

@@ -12,7 +12,7 @@ import typer
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option, out_option, switch
-from tetractl.cli.streams import hung_up_unread
+from tetractl.cli.unread import hung_up_unread
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 from tetractl.lab.serial_port import PortHeldError, stop_beside

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import argument, option, out_option, switch
-from tetractl.cli.streams import first_signal_callback
+from tetractl.cli.unread import notice_of_signals
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.run.interrupt import Interrupt, leave_on_signals
@@ -90,7 +90,7 @@ def study(
                 f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
                 f" {', '.join(named[:4])}{more}; run them again with --rerun-outdated"
             )
-        interrupt = Interrupt(first_signal_callback(STOPPING))
+        interrupt = Interrupt(notice_of_signals(STOPPING))
         if cluster is None and tasks:
             options.warm_up_arms(loaded, partial(ui.announce_compiling, quiet))
         found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

@@ -12,7 +12,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from tetractl.cli import ui
-from tetractl.cli.streams import first_signal_callback, hung_up_unread
+from tetractl.cli.unread import give_up_unread, hung_up_unread, notice_of_signals
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 from tetractl.run.interrupt import Interrupt, interrupted_once, leave_on_signals
 
@@ -116,7 +116,7 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
     loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
     warm_up(loaded.experiment, partial(ui.announce_compiling, options.quiet))
     gc.freeze()  # exempts the compiler's objects from garbage collection
-    interrupt = Interrupt(first_signal_callback(STOPPING))
+    interrupt = Interrupt(notice_of_signals(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
     with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab):
         yield interrupt
@@ -221,7 +221,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
             with interrupted_once():
                 show(contrast([describe(open_batch([folder]))]), "json" if json else "table")
     except KeyboardInterrupt:
-        first_signal_callback(b"")()
+        give_up_unread()
         ui.tell("the statistics were left out")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass

@@ -29,9 +29,9 @@ Handler = Callable[[int, FrameType | None], Any] | int | None
 class Interrupt:
     """Counts requests to stop; raises KeyboardInterrupt only in code marked `breakable`."""
 
-    def __init__(self, notice: Callable[[], object] = lambda: None) -> None:
+    def __init__(self, notice: Callable[[int], object] = lambda count: None) -> None:
         self.count = 0
-        self.notice = notice  # called at the first request, in the signal's handler
+        self.notice = notice  # called with `count` at each request, in the signal's handler
         self.broke = False  # whether KeyboardInterrupt was raised in breakable code
         self._breakable = False
 
@@ -43,9 +43,8 @@ class Interrupt:
     def request(self) -> None:
         """Count a request; from the second on, raise KeyboardInterrupt in breakable code."""
         self.count += 1
-        if self.count == 1:
-            self.notice()
-        else:
+        self.notice(self.count)
+        if self.count > 1:
             self._break()
 
     @contextmanager

@@ -1,0 +1,169 @@
+"""Standard streams without a reader: no message raises, and no signal waits for a reader.
+
+Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
+of the observers only (`run.task.ObserverRelay`): if it lasts, the trial ends and robots stop.
+"""
+
+import io
+import os
+import select
+import signal
+import stat
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+STDOUT = 1
+STDERR = 2
+GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
+"""What `poll` says of a closed stream; Windows has no `poll`."""
+
+
+class Messages(io.FileIO):
+    """Writes to stderr; what cannot be written, as on a closed terminal or a full disk, is lost.
+
+    It has no buffer, because the lock of one would keep a thread from handling signals while
+    another thread waits for a reader.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(STDERR, "w", closefd=False)
+
+    def write(self, data: "ReadableBuffer", /) -> int:
+        """Write bytes, waiting for the reader; return their number, as if all were written."""
+        piece = bytes(data)
+        rest = piece
+        with suppress(OSError):
+            while rest:
+                count = super().write(rest)
+                if count is None:  # another program made the terminal non-blocking
+                    select.select([], [self], [])
+                else:
+                    rest = rest[count:]
+        return len(piece)
+
+
+def open_streams() -> None:
+    """Replace `sys.stderr` by a stream of `Messages`, and let both streams escape the characters
+    that their encoding lacks.
+
+    A closed standard descriptor is opened on the null device, so that no log gets its number.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
+    escapes = "backslashreplace"
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors=escapes)
+    else:  # the descriptor was closed
+        sys.stdout = os.fdopen(STDOUT, "w", encoding=encoding, errors=escapes, closefd=False)
+    sys.stderr = io.TextIOWrapper(
+        Messages(), encoding=encoding, errors=escapes, line_buffering=True
+    )
+
+
+def close_stdout() -> None:
+    """Write the rest of the results; if that fails, lose them, so that the interpreter, which
+    writes them again as it ends, does not fail too."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        _lose(STDOUT)
+
+
+def say_at_once(text: bytes) -> None:
+    """Write a short line to stderr if it takes it now: safe in a signal handler."""
+    if _accepts(STDERR):
+        with suppress(OSError):
+            os.write(STDERR, text)
+
+
+def notice_of_signals(text: bytes) -> Callable[[int], None]:
+    """Return the `notice` of an `Interrupt`: prints `text` at the first signal, and lets no
+    signal wait for a reader."""
+
+    def notice(count: int) -> None:
+        give_up_unread()
+        if count == 1:
+            say_at_once(text)
+
+    return notice
+
+
+def give_up_unread() -> None:
+    """Lose all that is printed from now on to a standard stream that accepts nothing now.
+
+    Threads that wait for its reader go on; main thread only.
+    """
+    stuck = [stream for stream in (STDOUT, STDERR) if not _accepts(stream)]
+    for stream in stuck:
+        _lose(stream)
+    if stuck:  # a signal ends the wait of a thread, which then writes to the null device
+        signal.signal(signal.SIGURG, lambda *_: None)
+        for thread in threading.enumerate():
+            if thread is not threading.main_thread() and thread.ident is not None:
+                signal.pthread_kill(thread.ident, signal.SIGURG)
+
+
+def _accepts(stream: int) -> bool:
+    """Return whether a stream takes a line without waiting, or fails without waiting."""
+    if not hasattr(select, "poll"):  # Windows
+        return True
+    poll = select.poll()
+    poll.register(stream, select.POLLOUT)
+    return bool(poll.poll(0))
+
+
+def _lose(stream: int) -> None:
+    """Connect a standard stream to the null device."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream)
+    os.close(null)
+
+
+@contextmanager
+def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
+    """If `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
+
+    Only a pipe, a socket or a terminal has a reader: if both streams are files, no signal is sent.
+    If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,
+    before `Interrupt.watch`.
+    """
+    if not hasattr(select, "poll"):  # Windows, where no robots move
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None
+    main, ended = threading.get_ident(), threading.Event()
+    poll, left = select.poll(), 0
+    for one in (1, 2) if robots and not unattended else ():
+        mode = os.fstat(one).st_mode
+        if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(one):
+            poll.register(one, 0)  # 0: report errors only
+            left += 1
+
+    def watch(left: int) -> None:
+        while left and not ended.is_set():
+            for one, event in poll.poll(200):
+                if event & GONE:
+                    poll.unregister(one)
+                    left -= 1
+        if not ended.is_set():
+            signal.pthread_kill(main, signal.SIGHUP)
+
+    thread = threading.Thread(target=watch, args=(left,), name="readers", daemon=True)
+    try:
+        if left:
+            thread.start()
+        yield
+    finally:
+        ended.set()
+        if left:
+            thread.join()
+        if before is not None:
+            signal.signal(signal.SIGHUP, before)

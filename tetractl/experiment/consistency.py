@@ -1,6 +1,18 @@
-"""Checks that the sections of a spec do not contradict each other."""
+"""The errors of a spec whose parts are valid, but contradict each other.
 
-from collections.abc import Iterator, Mapping
+`errors_of` applies every rule to a spec that is loaded. There are three kinds of rules:
+
+- of entries: `same_names`, `misplaced`. They read the valid robots and obstacles of a spec, so that
+  they find errors also in a spec of which another part is invalid.
+- of sections, the list `SECTION_RULES`. They check a lab that a command chooses again.
+- of places and memory: `too_large`, `overlapping`, `unreachable`.
+
+A spec in a log, which tetractl has written, may have places that a person's spec may not have:
+there, starts may have been measured.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,127 +20,100 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
+from tetractl.experiment.finding import Finding, error
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.section_abilities import KeepsClear
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
+MEMORY_GB = 1.0
+"""Most memory of a control step [GB]."""
+GB_PER_NUMBER = 8e-9
+"""Memory of a number of 64 bits [GB]."""
 
-def same_names(robots: Mapping[int, Robot]) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each name that an earlier robot has already."""
-    first: dict[str, int] = {}
-    for i, robot in robots.items():
-        if first.setdefault(robot.name, i) != i:
-            message = f"robots.{first[robot.name]} has this name already; names must differ"
-            yield ("robots", i, "name"), message
+Findings = Iterator[Finding]
 
 
-def misplaced(
-    arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
-) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each contradiction between the places in a person's spec.
+@dataclass(frozen=True, slots=True)
+class Entries:
+    """The valid parts of a spec; robots and obstacles by their index in its lists."""
 
-    `robots` and `obstacles` hold the valid entries of these lists by their index in the spec. A
-    spec in a log may have such places: there, starts may have been measured.
+    arena: Arena | None
+    robots: Mapping[int, Robot]
+    obstacles: Mapping[int, ShapeSection]
+
+
+def errors_of(entries: Entries, experiment: Experiment | None, written: bool) -> Findings:
+    """Yield the errors of a spec; `experiment` is None if a part is invalid, and `written` is
+    whether tetractl has written the spec into a log.
     """
-    places: list[tuple[int, Loc, Point]] = [
-        (i, loc, point)
-        for i, robot in robots.items()
-        for loc, point in (
-            (("start",), robot.start),
-            (("target",), robot.target),
-            *((("via", at), point) for at, point in enumerate(robot.via)),
-        )
-    ]
-    points = np.array([point for _, _, point in places], dtype=float).reshape(-1, 2)
-    inside = {j: _inside(obstacle, points) for j, obstacle in obstacles.items()}
-    for row, (i, field, point) in enumerate(places):
-        loc: Loc = ("robots", i, *field)
+    yield from same_names(entries)
+    if not written:
+        yield from misplaced(entries)
+    if experiment is None:
+        return
+    yield from section_errors(experiment)
+    yield from too_large(experiment)
+    if not written:
+        yield from overlapping(experiment)
+        yield from unreachable(experiment)
+
+
+def section_errors(experiment: Experiment) -> Findings:
+    """Yield the contradictions between the sections of controller, plant and lab."""
+    for rule in SECTION_RULES:
+        yield from rule(experiment)
+
+
+# rules of entries
+
+
+def same_names(entries: Entries) -> Findings:
+    """Names differ."""
+    first: dict[str, int] = {}
+    for i, robot in entries.robots.items():
+        earlier = first.setdefault(robot.name, i)
+        if earlier != i:
+            message = f"robots.{earlier} has this name already; names must differ"
+            yield error(("robots", i, "name"), message)
+
+
+def misplaced(entries: Entries) -> Findings:
+    """Starts, targets and way-points are in the arena and in no obstacle; no obstacle is entirely
+    outside the arena.
+    """
+    arena = entries.arena
+    places = _places(entries.robots)
+    points = np.array([point for _, point in places], dtype=float).reshape(-1, 2)
+    inside = {j: _inside(obstacle, points) for j, obstacle in entries.obstacles.items()}
+    for row, (where, point) in enumerate(places):
         if arena is not None and not arena.bounds.contains(*point):
-            yield loc, f"is outside the arena; must be within {_extent(arena)}"
-        for j, obstacle in obstacles.items():
+            yield error(where, f"is outside the arena; must be within {_extent(arena)}")
+        for j, obstacle in entries.obstacles.items():
             if inside[j][row]:
-                yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
-    for j, obstacle in obstacles.items():
+                message = f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
+                yield error(where, message)
+    for j, obstacle in entries.obstacles.items():
         if arena is not None and not _touches(arena, obstacle):
             message = f"is entirely outside the arena, which is {_extent(arena)}"
-            yield ("obstacles", j), message
+            yield error(("obstacles", j), message)
 
 
-def overlapping(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each start at which a robot's body overlaps an earlier robot's."""
-    radius = experiment.controller.body_radius
-    if experiment.chosen is not None:
-        return
-    for field, i, other, gap in nearest(experiment.setup):
-        if field == "start" and gap < 2 * radius:
-            message = f"bodies of radius {radius:g} overlap; move one of them"
-            yield ("robots", i, field), f"is {gap:.4g} from the start of {other}: {message}"
-
-
-def unreachable(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each target at which a robot's body would be in an obstacle or, if
-    plans keep to the walls, over the arena's edge."""
-    control = experiment.controller
-    if not isinstance(control, KeepsClear) or experiment.chosen is not None:
-        return
-    setup = experiment.setup
-    x, y = setup.targets.T
-    gaps = [shape.distance(x, y) for shape in setup.obstacles]
-    if control.collision.walls:
-        gaps.append(setup.arena.inside(x, y))
-    nearest_gap = np.min(gaps, axis=0, initial=np.inf)
-    for i in np.flatnonzero(nearest_gap < setup.body_radius).tolist():
-        where = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
-        message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
-        yield ("robots", i, "target"), f"{where}: {message}"
-
-
-def nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:
-    """Yield "start" or "target", a robot's index, the nearest earlier robot, and its distance."""
-    for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
-        for i in range(1, len(points)):
-            gaps = np.hypot(*(points[:i] - points[i]).T)
-            yield field, i, setup.names[int(gaps.argmin())], float(gaps.min())
-
-
-def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text if a control step would need more memory than 1 GB."""
-    held = 8e-9 * experiment.controller.numbers_held(experiment.setup)
-    if held > 1:
-        yield (
-            ("controller",),
-            f"a control step would need some {held:.3g} GB of memory, more than "
-            "1 GB; use fewer particles, robots or signals",
-        )
-
-
-def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each contradiction in the sections of controller and plant."""
-    control = experiment.controller
-    if control.switches_field and not experiment.plant.switches_field:
-        message = f"cannot switch the field off, as controller {control.type} does"
-        yield ("plant",), f"{message}; simulations can"
-    if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
-        yield ("controller",), f"{control.type} supports neither way-points nor a hold; mpc does"
-    for loc, message in control.contradictions(experiment.setup):
-        yield ("controller", *loc), message
-    for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
-        if isinstance(plant, LabSection) and experiment.chosen is not None:
-            for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
-                if not section.settles:
-                    message = (
-                        f"{section.type} cannot find the robots of a trial; name them in robots"
-                    )
-                    yield (name, device), message
-        if plant is not None:
-            for loc, message in plant.contradictions(experiment.setup):
-                yield (name, *loc), message
+def _places(robots: Mapping[int, Robot]) -> list[tuple[Loc, Point]]:
+    """Return the location in the spec of each start, target and way-point, and the point."""
+    places: list[tuple[Loc, Point]] = []
+    for i, robot in robots.items():
+        places.append((("robots", i, "start"), robot.start))
+        places.append((("robots", i, "target"), robot.target))
+        for leg, point in enumerate(robot.via):
+            places.append((("robots", i, "via", leg), point))
+    return places
 
 
 def _extent(arena: Arena) -> str:
-    at = arena.bounds
-    return f"x {at.left:g} to {at.right:g}, y {at.bottom:g} to {at.top:g}"
+    """Return the arena's bounds as text."""
+    bounds = arena.bounds
+    return f"x {bounds.left:g} to {bounds.right:g}, y {bounds.bottom:g} to {bounds.top:g}"
 
 
 def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
@@ -139,10 +124,127 @@ def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
     """Return whether an obstacle meets the arena's edge or has a corner inside the arena."""
-    at = arena.bounds
-    x = np.array([at.left, at.right, at.right, at.left])
-    y = np.array([at.bottom, at.bottom, at.top, at.top])
+    bounds = arena.bounds
+    x = np.array([bounds.left, bounds.right, bounds.right, bounds.left])
+    y = np.array([bounds.bottom, bounds.bottom, bounds.top, bounds.top])
     with np.errstate(over="ignore", invalid="ignore"):
         if obstacle.shape().cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
             return True
-    return any(at.contains(*corner) for corner in obstacle.shape().outline().tolist())
+    return any(bounds.contains(*corner) for corner in obstacle.shape().outline().tolist())
+
+
+# rules of sections
+
+
+def field_that_stays_on(experiment: Experiment) -> Findings:
+    """A controller that switches the field off has a plant that can do so."""
+    control = experiment.controller
+    if control.switches_field and not experiment.plant.switches_field:
+        message = f"cannot switch the field off, as controller {control.type} does"
+        yield error(("plant",), f"{message}; simulations can")
+
+
+def tour_without_tourist(experiment: Experiment) -> Findings:
+    """A spec with way-points or a hold has a controller for them."""
+    control = experiment.controller
+    if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
+        message = f"{control.type} supports neither way-points nor a hold; mpc does"
+        yield error(("controller",), message)
+
+
+def controller_contradicted(experiment: Experiment) -> Findings:
+    """The controller's own rules."""
+    control = experiment.controller
+    for loc, message in control.contradictions(experiment.setup):
+        yield error(("controller", *loc), message)
+
+
+def plant_contradicted(experiment: Experiment) -> Findings:
+    """Devices that have to find the robots of a trial can; and the plant's and lab's own rules."""
+    for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
+        if isinstance(plant, LabSection) and experiment.chosen is not None:
+            for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
+                if not section.settles:
+                    message = "cannot find the robots of a trial; name them in robots"
+                    yield error((name, device), f"{section.type} {message}")
+        if plant is not None:
+            for loc, message in plant.contradictions(experiment.setup):
+                yield error((name, *loc), message)
+
+
+SECTION_RULES: tuple[Callable[[Experiment], Findings], ...] = (
+    field_that_stays_on,
+    tour_without_tourist,
+    controller_contradicted,
+    plant_contradicted,
+)
+"""In the order in which a command that takes the first error applies them."""
+
+
+# rules of places and memory
+
+
+def too_large(experiment: Experiment) -> Findings:
+    """A control step needs no more memory than `MEMORY_GB`."""
+    needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
+    if needed_gb > MEMORY_GB:
+        yield error(
+            ("controller",),
+            f"a control step would need some {needed_gb:.3g} GB of memory, more than "
+            "1 GB; use fewer particles, robots or signals",
+        )
+
+
+def overlapping(experiment: Experiment) -> Findings:
+    """No robot's body overlaps that of an earlier robot at the start."""
+    if experiment.chosen is not None:
+        return
+    radius = experiment.controller.body_radius
+    for i, neighbour in nearest_starts(experiment.setup):
+        if neighbour.distance < 2 * radius:
+            message = f"bodies of radius {radius:g} overlap; move one of them"
+            place = f"is {neighbour.distance:.4g} from the start of {neighbour.name}"
+            yield error(("robots", i, "start"), f"{place}: {message}")
+
+
+def unreachable(experiment: Experiment) -> Findings:
+    """At no target would a robot's body be in an obstacle or, if plans keep to the walls, over the
+    arena's edge.
+    """
+    control = experiment.controller
+    if not isinstance(control, KeepsClear) or experiment.chosen is not None:
+        return
+    setup = experiment.setup
+    x, y = setup.targets.T
+    gaps = [shape.distance(x, y) for shape in setup.obstacles]
+    if control.collision.walls:
+        gaps.append(setup.arena.inside(x, y))
+    nearest_gap = np.min(gaps, axis=0, initial=np.inf)
+    for i in np.flatnonzero(nearest_gap < setup.body_radius).tolist():
+        place = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
+        message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
+        yield error(("robots", i, "target"), f"{place}: {message}")
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """The nearest of the earlier robots: its name, and the distance to it [length unit]."""
+
+    name: str
+    distance: float
+
+
+def nearest_starts(setup: Setup) -> Iterator[tuple[int, Neighbour]]:
+    """Yield the index of each robot but the first, and the nearest earlier robot at the start."""
+    return _nearest(setup, setup.starts.xy)
+
+
+def nearest_targets(setup: Setup) -> Iterator[tuple[int, Neighbour]]:
+    """Yield the index of each robot but the first, and the earlier robot of the nearest target."""
+    return _nearest(setup, setup.targets)
+
+
+def _nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, Neighbour]]:
+    for i in range(1, len(points)):
+        gaps = np.hypot(*(points[:i] - points[i]).T)
+        yield i, Neighbour(setup.names[int(gaps.argmin())], float(gaps.min()))

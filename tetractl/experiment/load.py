@@ -14,14 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.trial import OWN_FILES, Start
-from tetractl.experiment.consistency import (
-    misplaced,
-    overlapping,
-    same_names,
-    section_contradictions,
-    too_large,
-    unreachable,
-)
+from tetractl.experiment.consistency import Entries, errors_of
 from tetractl.experiment.controller import as_given, without_retired
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.explain import explain
@@ -212,23 +205,15 @@ def _experiment(
         experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)
     except ValidationError as error:
         document.problems.extend(explain(error, document))
-    arena, robots, obstacles = _valid_parts(document.data)
-    found = list(same_names(robots))
-    if not written:
-        found += misplaced(arena, robots, obstacles)
-    if experiment is not None:
-        found += [*section_contradictions(experiment), *too_large(experiment)]
-        if not written:
-            found += [*overlapping(experiment), *unreachable(experiment)]
-    for loc, message in found:
-        place = document.place(loc)
-        document.problems.append(place.problem(loc, message, place.text))
+    for error in errors_of(_valid_entries(document.data), experiment, written):
+        place = document.place(error.where)
+        document.problems.append(place.problem(error.where, error.text, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
     return experiment, attached, given
 
 
-def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:
+def _valid_entries(data: dict[str, Any]) -> Entries:
     """Return the valid arena, robots and obstacles, even if other parts of the spec are invalid."""
 
     def valid(kind: Any, values: Any) -> Iterator[tuple[int, Any]]:
@@ -241,4 +226,4 @@ def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], 
 
     arena = dict(valid(Arena, [data.get("arena")])).get(0)
     robots = dict(valid(Robot, data.get("robots")))
-    return arena, robots, dict(valid(Obstacle, data.get("obstacles")))
+    return Entries(arena, robots, dict(valid(Obstacle, data.get("obstacles"))))

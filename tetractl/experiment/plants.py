@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from tetractl.core.errors import SpecError, UsageError, printable
 from tetractl.core.registries import PLANTS
 from tetractl.experiment.base import Model
-from tetractl.experiment.consistency import section_contradictions
+from tetractl.experiment.consistency import section_errors
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.explain import validated
 from tetractl.experiment.lab_section import LabSection
@@ -51,8 +51,8 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
     folder = loaded.path.parent if loaded.path else Path()
     lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
     loaded = replace(loaded, experiment=_with(experiment, plant=lab, lab=None))
-    for loc, message in section_contradictions(loaded.experiment):
-        raise SpecError(f"{loaded.name}: {dotted(loc)} {message}")
+    for error in section_errors(loaded.experiment):
+        raise SpecError(f"{loaded.name}: {dotted(error.where)} {error.text}")
     if lab.calibration is None:
         return loaded
     path = folder / lab.calibration
@@ -134,8 +134,9 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
             if value != {} or loc[-1] not in holder:
                 merged.put(holder, loc, value, document.place(at))
     updated = validated(Experiment, merged)
-    for loc, message in section_contradictions(updated):
-        raise SpecError(f"{origin}: with this calibration, {dotted(loc)} {message}")
+    for error in section_errors(updated):
+        where = dotted(error.where)
+        raise SpecError(f"{origin}: with this calibration, {where} {error.text}")
     return updated
 
 

@@ -7,6 +7,8 @@ import pytest
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
+from tetractl.experiment.consistency import Entries, same_names
+from tetractl.experiment.finding import Severity
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
@@ -223,6 +225,19 @@ controller: {{type: mpc, period: 100, collision: {{margin: {big}}}}}
             return
     for warning in find_warnings(loaded):
         assert "\n" not in str(warning)
+
+
+def test_rules_of_consistency_find_errors_and_rules_of_plausibility_find_warnings():
+    experiment = load_spec(
+        THREE, ["controller.period=0.2", "controller.signal_periods=1", "controller.horizon_max=20"]
+    ).experiment
+    (warning,) = beyond_the_plan(CheckContext(experiment))  # red needs more than 30 signals
+    assert warning.severity is Severity.WARNING
+    assert warning.hint
+    robot = experiment.robots[0]
+    (error,) = same_names(Entries(arena=None, robots={0: robot, 1: robot}, obstacles={}))
+    assert error.severity is Severity.ERROR
+    assert error.where == ("robots", 1, "name")
 
 
 def test_what_the_optimiser_solves_is_never_called_out_of_reach():

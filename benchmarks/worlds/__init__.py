@@ -17,6 +17,7 @@ from anywhere import CONTROLLER, EDGE_MM, robots, scattered
 from disturbed import HURT, HURTING, RATES, WORLD
 from solverbench.problems import OURS, experiment
 
+from tetractl.core.commands import Steer
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
@@ -25,6 +26,7 @@ from tetractl.plant.disturbances.camera import FrozenCameraSection
 
 HURTS = "silent", "sticking", "stale", "repeating", "no-frames", "marker", "battery", "wander"
 BENCH, CELLS = "three_m3pi_bench.yaml", "tetrahymena_bench.yaml"
+BENCHMARK = "near-equal", "five-robots", "paper-bench", "one-cell"
 Random = np.random.Generator
 Truth = dict[str, Floats]
 """What holds at a trial's end: a, speed, `side` (N,), dead_time (1,), and who `lives` (N,)."""
@@ -67,6 +69,21 @@ class Later(Unmodelled):
 
     def truth(self, known: Truth) -> Truth:
         return known | {"dead_time": known["dead_time"] + self.size * self.began}
+
+
+class SparseRadio(Unmodelled):
+    """Of the directions only one in `size` [s] gets out; stops and turns all do."""
+
+    def draw(self) -> None:
+        self.next_ns = 0
+
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
+        if not isinstance(command.action, Steer):
+            return command
+        if command.sent_ns < self.next_ns:
+            return replace(command, reached=np.zeros_like(command.reached))
+        self.next_ns = command.sent_ns + round(1e9 * self.size)
+        return command
 
 
 class SlowPictures(Unmodelled):
@@ -223,6 +240,7 @@ class Light(Unmodelled):
 
 KINDS: dict[str, type[Unmodelled]] = {
     "later": Later,
+    "sparse-radio": SparseRadio,
     "slow-pictures": SlowPictures,
     "sides": Sides,
     "saturated": Saturated,
@@ -340,6 +358,9 @@ WORLDS = {
     # one thing each that the model lacks, or that few plans allow
     "sides": _hurt("sides", 0.2),
     "later": _hurt("later", 0.1),
+    # at 20 Hz one direction of four gets out; 30 % of the commands lost, by each robot on its own
+    "sparse-radio": _hurt("sparse-radio", 0.2),
+    "lossy-radio": World(_radio("loss: 0.3")),
     "slow-pictures": _hurt("slow-pictures", 0.06),
     # the same with a dead time from sending; `plant.dead_time` counts from the exposure, so that
     # late pictures shorten what is left of it
@@ -357,6 +378,8 @@ WORLDS = {
     "slide": _hurt("slide", 12.0),
     "strip": _hurt("strip", 300.0),
     "lens": _hurt("lens", 0.01),
+    # of experiments/benchmark
+    **{name: World((), base=f"benchmark/{name}.yaml") for name in BENCHMARK},
     # cells
     "cells": World((), base=CELLS),
     "cells-body": _cells(BODY, *ANY_CELL),

@@ -44,6 +44,7 @@ from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.passage import AHEAD, FAR, LOST, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
+from tetractl.control.standings import Standings
 from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
@@ -206,8 +207,8 @@ class Mpc:
     """The controller of one trial.
 
     `plan` is called once a control step. Between two steps it keeps the `progress` of the trial,
-    the `course` of the leg, and what the `estimator` and the `time` have counted. `key` seeds all
-    random numbers; `timer()`, the time [ns], is read for deadlines alone.
+    the `course` of the leg, and what `estimator`, `time` and `standings` have counted. `key` seeds
+    all random numbers; `timer()`, the time [ns], is read for deadlines alone.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -223,6 +224,7 @@ class Mpc:
         )
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
+        self.standings = Standings(setup.names)
         self.legs = setup.legs
         self.progress = Progress(Leg(0, 0.0, 0, False, Outcome.ARRIVED))
         self.course = self._course(0, setup.starts)
@@ -236,6 +238,7 @@ class Mpc:
         """Decide what the robots do in one step, or end the trial."""
         self.time.seen(observation, last_command)
         motion = self.estimator.seen(observation, last_command, earlier)
+        self.standings.see(self.estimator.estimate)
         dead = self.estimator.losses.dead
         if dead.any() and self.setup.loss and self.setup.loss.ends:
             raise ControlError(told_dead(self.setup.names, dead))
@@ -328,9 +331,18 @@ class Mpc:
             spent_s=self.time.passed_s - self.progress.leg.began_s,
             period_s=problem.period,
             patience_s=section.patience_s(self.setup),
+            sticking_hz=self._sticking_hz,
         )
         left_s = self.time.left_s + held_periods * section.period
         return Step(problem, warm, section.horizon_max, left_s / problem.period, value)
+
+    @property
+    def _sticking_hz(self) -> float:
+        """How often robots on wheels were found to stick [1/s]. Cells, which rest by themselves and
+        then go on, have 0: with such a price some trials ended far from their targets."""
+        if self.setup.wheel_radius is None:
+            return 0.0
+        return self.standings.rate_hz(self.time.passed_s)
 
     def _outcome(self, step: Step, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""

@@ -21,14 +21,14 @@ whether robots would stay clear if that happened at any one signal of a plan.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.control.collision import Collision
 from tetractl.control.evaluate import compiled_drive
 from tetractl.control.kernels import clearance
-from tetractl.control.kernels.motion import flat
+from tetractl.control.kernels.motion import Flat, flat
 from tetractl.control.kernels.prediction import unheard
 from tetractl.core.plan import Estimate, Problem, Region
 from tetractl.core.poses import Floats, Poses
@@ -37,24 +37,43 @@ from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
 
 LOST = 0.75  # deviation by a lost command, as a fraction of a period's path
-SIGMAS = 2.0
+SIGMAS = 2.0  # standard deviations by which uncertain values are taken into account
 TESTED = np.linspace(0, 1, 5)  # parts of a time at which paths under a held direction are tested
 SAMPLE_S = 0.15  # time step of paths under a held direction [s]
 
 
-def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estimate | None) -> float:
+def off_course(
+    speed: Floats, period_s: float, dead_time_s: float, estimate: Estimate | None
+) -> float:
     """Return the greatest deviation of any robot from its plan in a control period [length
-    unit].
+    unit]; `estimate` is None for a certain motion.
     """
-    if known is None:
+    if estimate is None:
         return LOST * max(speed.tolist()) * period_s
-    a, a_std, v_std = known.a.tolist(), known.a_std.tolist(), known.speed_std.tolist()
-    tau_std, blind = known.dead_time_std or 0.0, dead_time_s + period_s
-    off = [
-        LOST * v * period_s + SIGMAS * (v * tau_std + (v * a_std[i] / a[i] + v_std[i]) * blind)
-        for i, v in enumerate(speed.tolist())
-    ]
-    return max(off)
+    a = estimate.a.tolist()
+    a_std = estimate.a_std.tolist()
+    v_std = estimate.speed_std.tolist()
+    tau_std_s = estimate.dead_time_std or 0.0
+    blind_s = dead_time_s + period_s
+    greatest = 0.0
+    for i, v in enumerate(speed.tolist()):
+        lost = LOST * v * period_s
+        uncertain = v * tau_std_s + (v * a_std[i] / a[i] + v_std[i]) * blind_s
+        greatest = max(greatest, lost + SIGMAS * uncertain)
+    return greatest
+
+
+@dataclass(frozen=True, slots=True)
+class Unheard:
+    """What `Margins.clear_unheard` computes once for a problem: the robots' motion, the time steps
+    under a held direction, and the obstacles and the separation that robots keep."""
+
+    problem: Problem
+    motion: Flat
+    step_s: float
+    steps: int
+    obstacles: Obstacles
+    separation: float
 
 
 class Margins:
@@ -65,13 +84,18 @@ class Margins:
     def __init__(
         self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats, radius: float = 0.0
     ) -> None:
-        self._asked: tuple[Problem, tuple[Any, ...], tuple[Any, ...]] | None = None
-        self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
-        self._targets, self._radius = targets, radius
-        x, y = targets[:, 0].copy(), targets[:, 1].copy()
-        self._nearest = near = self._gaps(x, y).min(axis=1)
-        self._least = np.where(near > radius, radius, clearance.ROOM * np.maximum(near, 0.0))
-        self._apart = clearance.least_apart(x, y)
+        self._bare = Obstacles.of(shapes, 0.0, walls)
+        self._bodies = Obstacles.of(shapes, radius, walls)
+        self._radius = radius
+        self._targets = targets
+        x = targets[:, 0].copy()
+        y = targets[:, 1].copy()
+        # for each obstacle, the distance of the nearest target and the least margin, (O,)
+        self._nearest = self._gaps(x, y).min(axis=1)
+        touched = clearance.ROOM * np.maximum(self._nearest, 0.0)
+        self._least = np.where(self._nearest > radius, radius, touched)
+        self._targets_apart = clearance.least_apart(x, y)
+        self._unheard: Unheard | None = None  # of the problem asked about last
 
     def around(
         self,
@@ -79,15 +103,15 @@ class Margins:
         collision: Collision,
         period_s: float,
         dead_time_s: float,
-        known: Estimate | None,
+        estimate: Estimate | None,
     ) -> tuple[Region, float]:
         """Return the obstacles of a problem, grown by the margins of `collision`, and its
         separation. Adaptive margins grow by the distance that robots may leave their course, given
-        the estimate `known`, which is None for a certain motion."""
+        the estimate, which is None for a certain motion."""
         if not collision.adaptive:
             margin = np.full(self._bare.count, collision.margin + collision.radius)
             return self._bare.grown(margin), problem.separation
-        off = off_course(problem.speed, period_s, dead_time_s, known)
+        off = off_course(problem.speed, period_s, dead_time_s, estimate)
         apart = collision.separation + 2 * off if collision.separation else 0.0
         grown = self.obstacles(problem.poses, collision.margin + collision.radius + off)
         return grown, self.separation(problem.poses, apart)
@@ -95,25 +119,40 @@ class Margins:
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no
         robot unless its body touches them."""
-        x, y = np.array(poses.x), np.array(poses.y)  # an observation's are read-only, another type
-        bare, at = self._bare, (x, y, self._nearest, self._least)
+        bare = self._bare
         grown = Obstacles(np.empty_like(bare.rows), np.empty_like(bare.walls), bare.boxes)
-        clearance.grow(bare.rows, bare.walls, bare.boxes, *at, margin, grown.rows, grown.walls)
+        clearance.grow(
+            bare.rows,
+            bare.walls,
+            bare.boxes,
+            np.array(poses.x),  # a copy: an observation's are read-only, which is another type
+            np.array(poses.y),
+            self._nearest,
+            self._least,
+            margin,
+            grown.rows,
+            grown.walls,
+        )
         return grown
 
     def _gaps(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point (P,) to each obstacle, (O, P), negative inside."""
-        found = np.empty((self._bare.count, len(x)))
-        clearance.gaps(self._bare.rows, self._bare.walls, x, y, found)
-        return found
+        gaps = np.empty((self._bare.count, len(x)))
+        clearance.gaps(self._bare.rows, self._bare.walls, x, y, gaps)
+        return gaps
 
     def entered(self, path: Floats) -> bool:
         """Return whether a body would touch an obstacle or another body, margins ignored, on the
         way along path (M, N, 3), or would go deeper if it touches one at the beginning.
         """
-        bare, bodies = self._bare, self._bodies
-        obstacles = bare.rows, bare.walls, bodies.rows, bodies.walls
-        return clearance.enters(*obstacles, self._radius, path)
+        return clearance.enters(
+            self._bare.rows,
+            self._bare.walls,
+            self._bodies.rows,
+            self._bodies.walls,
+            self._radius,
+            path,
+        )
 
     def meets(self, problem: Problem, held: Floats, seconds: float) -> bool:
         """Return whether a body enters an obstacle within `seconds`, in which robots follow `held`
@@ -137,14 +176,29 @@ class Margins:
         that is less, and `apart` from each other, or the problem's separation if that is less.
         Times and distances are the same whenever the same problem is asked about.
         """
-        if self._asked is None or self._asked[0] is not problem:
-            of, steps = flat(problem), max(1, math.ceil(seconds / SAMPLE_S))
-            motion = of.parameters, of.drift, seconds / steps, steps, of.rest
-            grown = self.obstacles(problem.poses, margin)
-            kept = grown.rows, grown.walls, min(apart, problem.separation)
-            self._asked = problem, motion, kept
-        _, motion, kept = self._asked
-        return unheard(signals, *motion, path, *kept)
+        if self._unheard is None or self._unheard.problem is not problem:
+            steps = max(1, math.ceil(seconds / SAMPLE_S))
+            self._unheard = Unheard(
+                problem=problem,
+                motion=flat(problem),
+                step_s=seconds / steps,
+                steps=steps,
+                obstacles=self.obstacles(problem.poses, margin),
+                separation=min(apart, problem.separation),
+            )
+        held = self._unheard
+        return unheard(
+            signals,
+            held.motion.parameters,
+            held.motion.drift,
+            held.step_s,
+            held.steps,
+            held.motion.rest,
+            path,
+            held.obstacles.rows,
+            held.obstacles.walls,
+            held.separation,
+        )
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
@@ -152,10 +206,11 @@ class Margins:
         `apart`.
         """
         nearest = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf).reshape(x.shape)
-        one, other = np.triu_indices(x.shape[-1], 1)
-        between = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
-        least = between.min(axis=-1, initial=np.inf) - apart
-        return np.minimum(nearest.min(axis=-1) - self._radius, least)
+        i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
+        between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
+        to_robots = between.min(axis=-1, initial=np.inf) - apart
+        to_obstacles = nearest.min(axis=-1) - self._radius
+        return np.minimum(to_obstacles, to_robots)
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: `wanted`, or the least present distance between two robots
@@ -163,5 +218,6 @@ class Margins:
         """
         if len(self._targets) < 2 or wanted <= 0:
             return 0.0
-        least = min(clearance.least_apart(poses.x, poses.y), self._apart)
-        return min(wanted, max(clearance.ROOM * least, min(2 * self._radius, least)))
+        present = min(clearance.least_apart(poses.x, poses.y), self._targets_apart)
+        bodies = min(2 * self._radius, present)
+        return min(wanted, max(clearance.ROOM * present, bodies))

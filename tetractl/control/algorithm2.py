@@ -17,7 +17,7 @@ from tetractl.control.mpc_section import PsoMpc
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Limits, Outcome, Plan
+from tetractl.core.plan import End, Limits, Outcome, Plan, Search
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import Host
@@ -27,7 +27,9 @@ class Algorithm2:
     """The controller of one trial; `key` seeds all its random numbers."""
 
     def __init__(self, section: PsoMpc, setup: Setup, key: int, host: Host) -> None:
-        self.section, self.key, self.optimizer = section, key, host.wrap(section.optimizer)
+        self.section = section
+        self.key = key
+        self.optimizer = host.wrap(section.optimizer)
         self.estimator = StateEstimator(
             section.problem(setup), section.period, section.known(setup), loss=setup.loss
         )
@@ -36,7 +38,7 @@ class Algorithm2:
         limit_s = section.time_limit if section.time_limit < steps_s else math.inf
         self.time = TrialTime(limit_s, section.period)
         self.warm: Floats | None = None  # u_(warm), None before the first step
-        self.k = 0
+        self.k = 0  # control steps planned
 
     def plan(
         self,
@@ -56,23 +58,24 @@ class Algorithm2:
         if self.warm is not None and not len(self.warm):
             return Outcome.SEQUENCE_COMPLETED
         key = mix(self.key, self.k)
-        searches = [
-            self.optimizer.search(problem, h, start, mix(key, h), Limits())  # 3, 21: u_(h) = pso()
-            for h, start in self._candidates()
-        ]
+        searches: list[Search] = []
+        for length, start in self._candidates():  # 2, 11
+            search = self.optimizer.search(problem, length, start, mix(key, length), Limits())
+            searches.append(search)  # 3, 21: u_(h) = pso(u_gb^0)
         best = int(np.argmin([search.cost for search in searches]))  # 5, 23: the u_(h) of least J
         plan = make_plan(searches, best, key, compiled_foresee(problem, searches[best].signals))
-        self.warm, self.k = plan.signals[1:], self.k + 1  # 6, 24
+        self.warm = plan.signals[1:]  # 6, 24
+        self.k += 1
         return plan.of_all(self.estimator.left, observation.poses)  # 7, 25: exert u_(opt)(1)
 
     def _candidates(self) -> Iterator[tuple[int, Floats | None]]:
         """Yield each length to search, counted in signals, with its u_gb^0."""
         if self.warm is None:
-            for h in range(1, self.section.horizon_max + 1):  # 2: for h = 1 ... h_max
-                yield h, None  # 3
+            for length in range(1, self.section.horizon_max + 1):  # 2: for h = 1 ... h_max
+                yield length, None  # 3: NULL
             return
         count = len(self.warm)  # 10: H
         if count > 1:
             yield count - 1, self.warm[1:]  # 18-20: its last H - 1 signals
-        yield count, self.warm
+        yield count, self.warm  # 18-20: all its H signals
         yield count + 1, np.append(self.warm, 0.0)  # 16-17: and a 0

@@ -25,6 +25,8 @@ from tetractl.experiment.controller import OptimizerSection
 
 ENDED = (None, StopReason.TARGET, StopReason.EVALUATIONS, None)
 """Why a search ended, by what its kernel returns; None if all rounds are done."""
+UNLIMITED = 2**62
+"""Number of evaluations that no search reaches."""
 
 
 class Multistart(OptimizerSection):
@@ -100,7 +102,11 @@ class Multistart(OptimizerSection):
 
 
 class _PolishedProgress(Progress):
-    """The progress of a search that polishes, with the workspace of the kernels."""
+    """The progress of a search that polishes, with the arrays of the kernels.
+
+    A kernel searches until it ends or, with a deadline, until the next look at the clock; then it
+    is called again and goes on.
+    """
 
     def __init__(
         self,
@@ -113,48 +119,91 @@ class _PolishedProgress(Progress):
         from tetractl.control.kernels import levenberg, multistart, rollout
 
         super().__init__(length, limits)
-        self.section, self.problem, self.warm, self.kernels = section, problem, warm, multistart
-        self.step = float(problem.speed.max()) * problem.period  # of the fastest robot
         growth = section.growth(problem)
+        self.section = section
+        self.kernels = multistart
+        longest_step = float(problem.speed.max()) * problem.period
+        self.slack = section.slack * longest_step
         self.patience = round(section.patience * growth)
-        steps = round(section.steps * growth)
-        count, particles = min(section.polished, section.particles), section.particles
-        knots = min(round(section.knots * growth), length)
-        self.laid = levenberg.lay_out_polish(problem, length), rollout.lay_out(problem, particles)
-        self.work = multistart.workspace(
-            get_ident(), count, particles, knots, length, steps, section.rounds
+        self.polish = levenberg.lay_out_polish(problem, length)
+        self.rollout = rollout.lay_out(problem, section.particles)
+        self.arrays = multistart.workspace(
+            thread=get_ident(),
+            count=min(section.polished, section.particles),
+            particles=section.particles,
+            knots=min(round(section.knots * growth), length),
+            length=length,
+            steps_max=round(section.steps * growth),
+            rounds=section.rounds,
         )
-        self.work.begin(np.empty((0, length)) if warm is None else warm[None])
-        # iterations between two looks at the deadline
-        each = len(self.laid[0].room.residual) * len(problem.a) * length
-        self.look = max(1, multistart.BETWEEN_LOOKS // each) if limits.timed else 0
+        self.warm = np.empty(0) if warm is None else warm
+        self.arrays.begin(np.empty((0, length)) if warm is None else warm[None])
+        robot_steps = len(self.polish.room.residual) * len(problem.a) * length  # of an iteration
+        self.iterations_between_looks = max(1, multistart.BETWEEN_LOOKS // robot_steps)
 
     def run(self, key: int, rounds: int) -> None:
-        """Polish the starts with which `work` begins, and those of `rounds` that are scattered."""
-        kernels, section, limits, work = self.kernels, self.section, self.limits, self.work
-        warm = np.empty(0) if self.warm is None else self.warm
-        search = section.tolerance, section.slack * self.step, self.patience
-        most = 2**62 if limits.evaluations is None else limits.evaluations
-        # a look is given the evaluations with which the search would end then, so that a rerun of
-        # the search can end at the same look
-        least = self.evaluations + (1 if len(warm) else 2 + section.particles * (rounds > 0))
-        look = -1 if limits.timed and limits.expired(least) else self.look
+        """Polish the starts with which `arrays` begin, and those of `rounds` that are scattered."""
+        if not self.limits.timed:
+            how = self._call(key, rounds, look=0)
+            self.ended = ENDED[how]
+        elif self.limits.expired(self._least_evaluations(rounds)):
+            self._cut_short(key, rounds)
+        else:
+            self._run_to_deadline(key, rounds)
+        self.best = self.arrays.best.copy()
+        self.cost = float(self.arrays.costs[0])
+
+    def _run_to_deadline(self, key: int, rounds: int) -> None:
+        """Search, and look at the clock every few iterations, until the search or time ends."""
         while True:
-            how = kernels.search(
-                *self.laid, np.uint64(key), warm, rounds, *search, most, look, work
-            )
-            if not math.isfinite(work.costs[1]):
-                require_finite(work.costs[1:])
-            self.history += work.history[: work.at[kernels.KEPT]].tolist()
-            work.at[kernels.KEPT] = 0
-            self.evaluations, begun = int(work.at[kernels.EVALUATIONS]), int(work.at[kernels.BEGUN])
-            if look >= 0 and how != kernels.UNDER_WAY:
+            how = self._call(key, rounds, look=self.iterations_between_looks)
+            if how != self.kernels.UNDER_WAY:
                 self.ended = ENDED[how]
+                return
+            begun = int(self.arrays.at[self.kernels.BEGUN])
+            # the evaluations with which the search would end now, so that a rerun of the search can
+            # end at the same look; a polish under way is evaluated once more
+            if self.limits.expired(self.evaluations + begun + 1 if begun else self.evaluations):
                 break
-            if look >= 0 and not limits.expired(self.evaluations + begun + bool(begun)):
-                continue
-            self.ended = StopReason.DEADLINE  # even if what is ended early is good enough
-            if look < 0 or not begun:
-                break
-            look = -1  # ends the polish under way
-        self.best, self.cost = work.best.copy(), float(work.costs[0])
+        self.ended = StopReason.DEADLINE
+        if begun:
+            self._cut_short(key, rounds)
+
+    def _cut_short(self, key: int, rounds: int) -> None:
+        """End the polish under way as it is, or the first one before it improves its start; the
+        reason is the deadline, even if the result is good enough.
+        """
+        self._call(key, rounds, look=-1)
+        self.ended = StopReason.DEADLINE
+
+    def _least_evaluations(self, rounds: int) -> int:
+        """Return the evaluations of a search that is cut short before it begins."""
+        if len(self.warm):
+            return 1
+        return 2 + self.section.particles if rounds > 0 else 2
+
+    def _call(self, key: int, rounds: int, look: int) -> int:
+        """Search on by the kernel, take over its history and its evaluations, and return how it
+        ended; for `look`, see `tetractl.control.kernels.multistart.search`.
+        """
+        limit = self.limits.evaluations
+        how = self.kernels.search(
+            self.polish,
+            self.rollout,
+            np.uint64(key),
+            self.warm,
+            rounds,
+            self.section.tolerance,
+            self.slack,
+            self.patience,
+            UNLIMITED if limit is None else limit,
+            look,
+            self.arrays,
+        )
+        if not math.isfinite(self.arrays.costs[1]):
+            require_finite(self.arrays.costs[1:])
+        entries = self.arrays.at[self.kernels.KEPT]
+        self.history += self.arrays.history[:entries].tolist()
+        self.arrays.at[self.kernels.KEPT] = 0
+        self.evaluations = int(self.arrays.at[self.kernels.EVALUATIONS])
+        return how

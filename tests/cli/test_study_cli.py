@@ -4,7 +4,7 @@ import csv
 import signal
 
 import pytest
-from support.studies import FAILING, Running, logs, results, tetractl, write
+from support.studies import FAILING, SMALL, Running, logs, results, tetractl, write
 
 from tetractl.api import run_study
 from tetractl.log.read.reader import content_digest, read_result
@@ -69,6 +69,18 @@ def test_a_study_is_checked_previewed_and_run_from_python_alike(whole, tmp_path,
     assert [len(one.trials) for one in batches.values()] == [5] * 8
     totals = [row["total_error_mm"] for row in table(folder / "out")]
     assert [row["total_error_mm"] for row in table(tmp_path / "again")] == totals
+
+
+def test_the_whole_log_of_a_trial_with_a_brief_one_is_made_by_rerun(tmp_path):
+    """Regression: rerun read from the brief log what only a whole log has."""
+    write(tmp_path, SMALL)
+    study("study.yaml", "--out", "out", "--logs", "none", "--jobs", 1, cwd=tmp_path).ok()
+    brief = "out/dead_time=0.1/trial-001.mcap"
+    done = tetractl("rerun", brief, "--out", "again", cwd=tmp_path).ok()
+    again = tmp_path / "again" / "trial-001.mcap"
+    assert f"the content digests agree: {content_digest(again)}" in done.stderr
+    assert again.stat().st_size > 2 * (tmp_path / brief).stat().st_size
+    assert tetractl("verify", again, cwd=tmp_path).ok()
 
 
 @pytest.mark.long

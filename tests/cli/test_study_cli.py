@@ -83,6 +83,15 @@ def test_the_whole_log_of_a_trial_with_a_brief_one_is_made_by_rerun(tmp_path):
     assert tetractl("verify", again, cwd=tmp_path).ok()
 
 
+def test_a_study_says_that_rows_of_an_earlier_version_are_not_read(tmp_path):
+    write(tmp_path, SMALL)
+    (tmp_path / "out" / "dead_time=0").mkdir(parents=True)
+    (tmp_path / "out" / "dead_time=0" / "trials.jsonl").write_text("{}\n")
+    done = study("study.yaml", "--out", "out", "--dry-run", cwd=tmp_path).ok()
+    assert "out/dead_time=0/trials.jsonl: rows of an earlier version are not read" in done.stderr
+    assert "6 of 6 trials" in done.stdout
+
+
 @pytest.mark.long
 def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
     write(tmp_path)

@@ -75,6 +75,7 @@ def study(
     rule = options.Logs.parse(logs)
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
+    ui.tell_of_earlier_rows(folder, "trials.jsonl")
     store = loaded.store(folder)
     if dry_run:
         store.read()

@@ -78,6 +78,18 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
         tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
 
 
+def tell_of_earlier_rows(folder: Path, name: str) -> None:
+    """Print on stderr that rows of an earlier version, files of this name in a folder or in the
+    folders in it, are not read."""
+    places = [path for pattern in (name, f"*/{name}") for path in sorted(folder.glob(pattern))]
+    if places:
+        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        tell(
+            f"notice: {places[0]}{more}: rows of an earlier version are not read; tetractl 0.1.0 at"
+            " commit 3c59e143 reads them"
+        )
+
+
 def rig_of(experiment: "Experiment") -> "Rig":
     """Return the rig of an experiment's lab, real or emulated, for a command without a trial."""
     from numpy.random import SeedSequence

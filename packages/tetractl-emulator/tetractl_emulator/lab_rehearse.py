@@ -81,6 +81,7 @@ def rehearse(
             raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
+    ui.tell_of_earlier_rows(folder, "days.jsonl")
     kept = RecordStore(folder, f"{loaded.hash} {seed} {faults}", FIELDS)
     rows, wanted = kept.records, range(first, first + days)
     play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults)

@@ -121,7 +121,8 @@ class Timed(Mpc):
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        moved, begin = self._moving, time.thread_time()
+        moved = self.progress.moving
+        begin = time.thread_time()
         found = super().plan(observation, last_command, earlier)
         if moved:
             self.seconds.append(time.thread_time() - begin)

@@ -85,3 +85,6 @@ if not TYPE_CHECKING:  # a type checker that sees `__getattr__` accepts every na
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+del TYPE_CHECKING

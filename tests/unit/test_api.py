@@ -264,3 +264,7 @@ def test_importing_the_face_imports_next_to_nothing():
     done = subprocess.run(command, env=path, capture_output=True, text=True, check=True)
     assert len(done.stdout.split()) < 10, done.stdout
     assert not {"numpy", "numba", "pydantic", "typing"} & {*done.stdout.split()}
+
+
+def test_the_package_has_no_names_but_its_own():
+    assert not hasattr(tetractl, "TYPE_CHECKING")

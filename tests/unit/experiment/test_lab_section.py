@@ -62,7 +62,7 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
         (
             "camera:",
             "robots: []\ncamera:",
-            r"m:3:1: robots: unknown key; known here: measured, camera, actuator",
+            r"m:3:1: robots: unknown key; known here: measured, emulated, camera, actuator",
         ),
     ],
 )

@@ -181,6 +181,7 @@ def test_without_a_terminal_one_line_a_step(folder):
     assert told == [
         "  0.00 s  info: trial 0 of three-m3pi starts",
         "  8.20 s  info: sequence completed after 41 control steps",
+        "  8.20 s  sequence completed, final total error 83.8 mm true",
     ]
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line
@@ -214,8 +215,8 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     assert done.stderr.startswith("damaged: cut.mcap.part: ")
     assert "lost: cut.mcap.part: " in done.stderr
     done = run("plot", "cut.mcap.part", "--kind", "errors", cwd=folder)
-    assert (done.returncode, done.stdout) == (1, "cut-error.png\n")
-    assert (folder / "cut-error.png").read_bytes().startswith(b"\x89PNG")
+    assert (done.returncode, done.stdout) == (1, "cut-errors.png\n")
+    assert (folder / "cut-errors.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("kind", first_of(["trajectory", "convergence", "errors", "over-time"]))

@@ -66,4 +66,4 @@ def test_verify_still_notices_a_start_that_was_changed(log, tmp_path):
     changed = RawLog(log, records=records, channels=contents.channels)
     done = tetractl(tmp_path, "verify", rewrite(changed, tmp_path / "changed.mcap", {}))
     assert done.returncode == 1
-    assert "trial: /result[0].total_error: logged" in done.stdout
+    assert "trial: /result[0]" in done.stdout

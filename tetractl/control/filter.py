@@ -139,8 +139,16 @@ class FilterBank:
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
-        times = turns, prior.lag, prior.watchdog
-        self._model = FilterModel(in_rows(prior), noise, walk, *times, prior.sticks, prior.coarse)
+        self._model = FilterModel(
+            parameters=in_rows(prior),
+            noise=noise,
+            walk=walk,
+            helix=turns,
+            lag=prior.lag,
+            watchdog=prior.watchdog,
+            sticks=prior.sticks,
+            coarse=prior.coarse,
+        )
         self._sent = np.empty((2, 3 * KEPT_COMMANDS))  # send times [s], and directions [rad]
         self._when, self._u = self._sent[:, :0]
         self._last: Observation | None = None  # the last frame used

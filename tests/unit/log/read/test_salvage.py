@@ -1,5 +1,6 @@
 """However a file is damaged, what is read is what was written, and the damage is reported."""
 
+import math
 import random
 from dataclasses import replace
 
@@ -136,7 +137,7 @@ def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
             poses = replace(seen.poses, x=np.where(valid, seen.poses.x, 1e9))
             samples[i] = replace(sample, observation=replace(seen, poses=poses, valid=valid))
     contents = scan(write(made, tmp_path / "trial.mcap"))
-    spoilt = rewrite(contents, tmp_path / "no.mcap", stating(contents, RESULT, steps=-1))
+    spoilt = rewrite(contents, tmp_path / "no.mcap", stating(contents, RESULT, duration_s=math.nan))
     summary = read_result(spoilt)
     assert summary.recovered
     assert max(summary.result.robot_errors) < 1e6
@@ -151,7 +152,7 @@ def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
 def test_without_any_pose_there_is_no_result(tmp_path):
     contents = scan(write(trial(steps=1), tmp_path / "trial.mcap"))
     none = {"times": b"", "poses": b"", "truth": b"", "valid": []}
-    empty = stating(contents, FRAMES, **none) | stating(contents, RESULT, steps=-1)
+    empty = stating(contents, FRAMES, **none) | stating(contents, RESULT, duration_s=math.nan)
     with pytest.raises(LogError, match="no poses to compute it from"):
         read_result(rewrite(contents, tmp_path / "empty.mcap", empty))
 

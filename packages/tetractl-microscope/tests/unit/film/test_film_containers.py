@@ -83,7 +83,7 @@ def test_a_folder_may_have_a_file_of_times(tmp_path):
     for text, says in (
         ("time_s\n1\n2\n", "has 2 times for 3 pictures"),
         ("time_s\n1\n1\n2\n", "line 3: the time is not after that before"),
-        ("t\n1\n2\n3\n", "line 2: has no finite number in column time_s"),
+        ("t\n1\n2\n3\n", "column t states no unit"),
     ):
         file.write_text(text)
         with pytest.raises(UsageError, match=says):

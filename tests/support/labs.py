@@ -12,6 +12,7 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.motion.rolling import wheel_speeds
@@ -203,7 +204,12 @@ class FakeLab:
     supervision: LabSupervision
 
 
-def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) -> FakeLab:
+def fake_lab(
+    setup: Setup,
+    limits: LabLimits | None = None,
+    checks_of: ChecksOf = robot_checks,
+    **actuator: object,
+) -> FakeLab:
     clock = SteppedClock()
     world = World(setup, clock)
     camera, moved, supervision = (
@@ -212,7 +218,14 @@ def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) 
         LabSupervision(),
     )
     rig = Rig(
-        camera, moved, limits or LabLimits(), setup, clock, supervision.emergency, threaded=False
+        camera,
+        moved,
+        limits or LabLimits(),
+        setup,
+        clock,
+        supervision.emergency,
+        threaded=False,
+        checks_of=checks_of,
     )
     clock.steps.append(rig.loop.step)
     return FakeLab(LabPlant(rig, supervision), camera, moved, world, clock, supervision)

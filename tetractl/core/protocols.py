@@ -1,7 +1,7 @@
 """The protocols of plants, controllers, observers and the lab's devices."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
@@ -18,6 +18,7 @@ from tetractl.core.commands import (
     Turn,
     Verdict,
 )
+from tetractl.core.findings import Finding, RobotPlace
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
 from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
 from tetractl.core.trial import Result, Start, Step
@@ -157,6 +158,42 @@ class Actuator(Device, Protocol):
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its status, for at most `timeout_s`, and return the answers; only
         before a run."""
+        ...
+
+
+class GuardCheck(Protocol):
+    """One check of what robots do in a lab; an actuator's section names the list of its robots'.
+
+    `start` is called before each run, then `sent` for each transmission, `pose` for each new pose
+    that its robot can have reached, `frame` for each frame once its poses are accepted, and `tick`
+    before each ruling. Between runs `pause` is called in place of `pose`. Findings take effect in
+    the order in which they are yielded. Lengths are in the spec's length unit, times ns.
+    """
+
+    def start(self) -> None:
+        """Forget what was seen before: robots start from rest."""
+        ...
+
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        ...
+
+    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
+        """Check the newest pose of a robot in a run, by its last accepted one."""
+        ...
+
+    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+        """Check the newest pose of a robot in a pause between two runs."""
+        ...
+
+    def frame(
+        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
+    ) -> Iterable[Finding]:
+        """Check the last accepted poses (N,) of a frame in a run, whose poses have the `times`."""
+        ...
+
+    def tick(self, robots: Sequence[RobotPlace]) -> Iterable[Finding]:
+        """Check where the robots (N,) are at a tick of a run."""
         ...
 
 

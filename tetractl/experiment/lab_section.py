@@ -105,6 +105,8 @@ class ActuatorSection(DeviceSection):
 
     calibration: ClassVar[str] = ""
     """The function that implements `calibrate`, as "module:function"; "" if there is none."""
+    checks: ClassVar[str] = "tetractl.lab.guard_checks:robot_checks"
+    """The function that makes the guard's checks of the robots, as "module:function"."""
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
         """Yield, as `contradictions`, each contradiction with the lab's camera."""

@@ -9,12 +9,12 @@ stopped together continue to be steered while one is not tracked. `abort` is fin
 the spec's length unit, times ns on the run's clock.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 from tetractl.core.clock import SECOND
+from tetractl.core.findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
@@ -22,20 +22,23 @@ from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.culprit import Culprit
 from tetractl.lab.damage_count import DamageCount
 from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.guard_checks import ChecksOf, GuardChecks, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
-from tetractl.lab.motion_check import REPEATS, STILL, MotionCheck
-from tetractl.lab.places import Places
+from tetractl.lab.motion_check import REPEATS, STILL
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 
-NOISE_MM = 2.0  # largest error of a pose
 DAMAGED_MAX = 20  # number of damaged pictures or datagrams within a second
 
 
 @dataclass(slots=True)
 class Guard:
-    """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks."""
+    """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks.
+
+    `checks_of` makes the list of checks of the robots: of wheeled ones by default.
+    """
 
     rules: GuardRules
+    checks_of: ChecksOf = robot_checks
     state: GuardState = GuardState.PREFLIGHT
     reason: str = ""
     emergency: bool = False
@@ -43,9 +46,7 @@ class Guard:
     lost: dict[int, int] = field(default_factory=dict)  # robots, and when each was last seen [ns]
     outdated: int = 0  # frames dropped since the last start because they were not newer
     _filters: list[PoseFilter] = field(default_factory=list)
-    _motion: MotionCheck = field(init=False)
-    drift: DriftCheck = field(init=False)
-    _places: Places = field(init=False)
+    _checks: GuardChecks = field(init=False)
     culprit: Culprit = field(init=False)
     _last_frame_ns: int | None = None
     _apart: bool = False  # whether the poses of the newest frame have times of their own
@@ -55,8 +56,6 @@ class Guard:
     _warnings: list[str] = field(default_factory=list)  # warnings not yet returned
     # robots seen to move in a pause as no command does, and how
     moved: dict[int, str] = field(default_factory=dict)
-    # since when each was seen so [ns], and its last pose before
-    _strays: dict[int, tuple[int, Pose]] = field(default_factory=dict)
     _driven: bool = False  # whether `go` was called: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
@@ -82,12 +81,13 @@ class Guard:
             PoseFilter(motion_limits(speed, turning))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
         ]
-        sight, largest_mm = rules.sight, NOISE_MM + rules.sight.largest[0]
-        noise = largest_mm / mm if rules.individual else 0.0
-        self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise, sight, mm)
-        self.drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error, sight)
-        self._places = Places(rules.arena, rules.obstacles, limits.reaction, largest_mm / mm)
+        self._checks = self.checks_of(rules)
         self.culprit = Culprit(rules.names, self.drift, mm)
+
+    @property
+    def drift(self) -> DriftCheck:
+        """The check of motion over the whole trial."""
+        return self._checks.drift
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -105,11 +105,9 @@ class Guard:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
             self._driven, self.outdated = True, 0
-            self._motion.restart()
-            self.drift.rest()
-            self._places.restart()
+            for check in self._checks.checks:
+                check.start()
             self._disobedient.clear()
-            self._strays.clear()
             for track in self._filters:  # motion before the run is ignored: robots were carried
                 track.forget()
 
@@ -144,11 +142,8 @@ class Guard:
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        # cells wander: their speed and turning rate may be off by much more than wheels are
-        share = self.rules.limits.wheel_error if self.rules.individual else 0.7
-        self._places.sent(speed, turning)
-        self._motion.sent(now_ns, speed, turning, share)
-        self.drift.sent(now_ns, speed, turning)
+        for check in self._checks.checks:
+            check.sent(now_ns, speed, turning)
 
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
@@ -168,8 +163,8 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         times = frame.times([track.seen_ns for track in self._filters])
-        self._apart, judged = bool(frame.exposed_ns), self._motion.times
-        self._motion.frame(times)
+        self._apart, judged = bool(frame.exposed_ns), self._checks.motion.times
+        self._checks.motion.frame(times)
         self.culprit.see(now, frame.poses, times)
         fresh = list[bool]()
         gone_ns = self.rules.limits.untracked_abort * SECOND
@@ -192,11 +187,10 @@ class Guard:
         poses = tuple(track.pose for track in self._filters)
         own = tuple(track.seen_ns for track in self._filters) if self._apart else ()
         accepted = AcceptedFrame(frame, poses, tuple(fresh), own)
-        if self._active and self.rules.individual:
-            wrong, ghosts = self.drift.frame(now, times, accepted.poses, self._motion.seen)
-            if wrong:
-                self.abort(wrong, suspect=ghosts[0] if len(ghosts) == 1 else None)
-                self._ghosts |= dict.fromkeys(ghosts, wrong)
+        if self._active:
+            for check in self._checks.checks:
+                for finding in check.frame(now, times, accepted.poses):
+                    self._take(finding)
         return accepted
 
     def lose(self, i: int, reason: str) -> None:
@@ -213,7 +207,7 @@ class Guard:
         """Continue with another body in place of a lost robot."""
         del self.lost[i]
         self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
-        self._motion.forget(i)
+        self._checks.motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
         """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
@@ -262,7 +256,8 @@ class Guard:
         # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
         turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
         fresh &= self._ahead or now_ns - self._steered_ns < turn_ns
-        moving = tracked if fresh and self.rules.individual else (fresh,) * len(tracked)
+        one_by_one = fresh and not self.rules.stopped_together
+        moving = tracked if one_by_one else (fresh,) * len(tracked)
         well = zip(moving, tracked, self._left, strict=True)
         held = any(left and not (move and seen) for move, seen, left in well)
         self.state = GuardState.HOLD if held else GuardState.RUN
@@ -287,19 +282,37 @@ class Guard:
         if fault or before is None:
             return fault
         if not self._active:
-            if self._driven and self.rules.individual:
-                self._watch_pause(i, before, pose, now_ns)
+            if self._driven:
+                for check in self._checks.checks:
+                    for finding in check.pause(i, before, pose, now_ns):
+                        self._take(finding)
             return ""
         if pose == before:  # a robot may stand, or a picture is frozen: not a motion to compare
-            return REPEATS if track.refused == REPEATS or self._motion.stays(i) else ""
-        fault = self._motion.disagrees(i, before, pose)
-        if fault and not self.rules.individual:  # disobeying cells only cause a warning
-            self._motion.forget(i)
-            self._warn(f"{self.rules.names[i]} {fault}")
-            return ""
-        if fault:
-            self._disobedient.add(i)
+            stays = track.refused == REPEATS or self._checks.motion.stays(i)
+            return REPEATS if stays else ""
+        fault = ""
+        for check in self._checks.checks:
+            for finding in check.pose(i, before, pose):
+                if isinstance(finding, Refuse):
+                    self._disobedient.add(i)
+                    fault = fault or finding.text
+                else:
+                    self._take(finding)
         return fault
+
+    def _take(self, finding: Finding) -> None:
+        """Let a finding of a check take effect."""
+        match finding:
+            case Moved():
+                self.moved.setdefault(finding.robot, finding.text)
+            case Lose():
+                self.lose(finding.robot, finding.text)
+            case Warn():
+                self._warn(finding.text)
+            case Abort():
+                suspect = finding.false[0] if len(finding.false) == 1 else None
+                self.abort(finding.text, suspect=suspect)
+                self._ghosts |= dict.fromkeys(finding.false, finding.text)
 
     def _at_once(self, i: int) -> Pose | None:
         """Return the accepted pose of robot i, brought to the newest frame's time if its own is
@@ -309,16 +322,6 @@ class Guard:
         if track.pose is None or not self._apart or late_ns <= 0:
             return track.pose
         return self.drift.carried(i, track.pose, track.seen_ns, late_ns)
-
-    def _watch_pause(self, i: int, before: Pose, pose: Pose, now_ns: int) -> None:
-        since_ns, last = self._strays.get(i, (now_ns, before))
-        fault = self._motion.disagrees(i, last, pose)
-        if not fault:
-            self._strays.pop(i, None)
-            return
-        self._strays[i] = since_ns, last
-        if now_ns - since_ns > UNTRACKED_STOP_S * SECOND:
-            self.moved.setdefault(i, fault)
 
     def _warn(self, text: str) -> None:
         """Add a warning, unless it was given before."""
@@ -360,27 +363,13 @@ class Guard:
         return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
-        """Abort before a robot leaves the arena, touches another or enters an obstacle; a cell that
-        leaves is lost, and one that meets an obstacle swims on."""
-        rules, limits = self.rules, self.rules.limits
-        coming: list[tuple[str, Pose, Pose]] = []
-        for i, pose in enumerate(poses):
-            if i in self.lost and rules.individual:
-                pose = self._filters[i].pose  # the robot stands at its last pose
-            if pose is None:
-                continue
-            way = 0.0 if i in self.lost or not self._ahead else rules.speeds[i] * limits.reaction
-            dx, dy = way * math.cos(pose.heading), way * math.sin(pose.heading)
-            then = Pose(pose.x + dx, pose.y + dy, pose.heading)
-            if self._places.outside(then) > self._places.outside(pose):
-                leave = self.abort if rules.individual else partial(self.lose, i)
-                leave(f"{rules.names[i]} is about to leave the arena")
-            if rules.individual and self._places.enters(i, pose):
-                self.abort(f"{rules.names[i]} is about to enter an obstacle")
-            coming.append((rules.names[i], pose, then))
-        for i, (name, now, then) in enumerate(coming):
-            for other, other_now, other_then in coming[:i]:
-                gap = math.hypot(then.x - other_then.x, then.y - other_then.y)
-                before = math.hypot(now.x - other_now.x, now.y - other_now.y)
-                if min(gap, before) * rules.mm < limits.separation_mm and gap <= before:
-                    self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
+        """Check where the robots are, whose `poses` (N,) are those at the newest frame."""
+        reaction = self.rules.limits.reaction
+        robots: list[RobotPlace] = []
+        for i, (pose, track) in enumerate(zip(poses, self._filters, strict=True)):
+            stands = i in self.lost or not self._ahead
+            way = 0.0 if stands else self.rules.speeds[i] * reaction
+            robots.append(RobotPlace(pose, track.pose, i in self.lost, way))
+        for check in self._checks.checks:
+            for finding in check.tick(robots):
+                self._take(finding)

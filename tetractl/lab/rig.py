@@ -4,6 +4,7 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from pkgutil import resolve_name
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
@@ -13,6 +14,7 @@ from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.device_abilities import SettlesRobots, TracksCells
 from tetractl.lab.guard import Guard
+from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
@@ -23,7 +25,7 @@ class Rig:
     Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
     `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
     `frames` are the camera frames that the guard accepted. `emulated` names the devices that the
-    plant emulates, whether or not they say so.
+    plant emulates, whether or not they say so. `checks_of` makes the guard's checks.
     """
 
     def __init__(
@@ -37,12 +39,15 @@ class Rig:
         wake: threading.Event | None = None,
         threaded: bool = True,
         emulated: Sequence[str] = (),
+        checks_of: ChecksOf = robot_checks,
     ) -> None:
         self.camera, self.actuator, self.limits = camera, actuator, limits
         self._emulated = frozenset(emulated)
         self.setup, self.clock = setup, clock
         self.mm = setup.metres / MM  # millimetres per length unit of the spec
-        self.guard = Guard(guard_rules(setup, limits, actuator.individual))
+        self._checks_of = checks_of
+        together = not actuator.individual
+        self.guard = Guard(guard_rules(setup, limits, together), checks_of)
         self.loop = InnerLoop(
             camera,
             actuator,
@@ -105,7 +110,8 @@ class Rig:
         if isinstance(self.actuator, SettlesRobots):
             self.actuator.settle(setup)
         self.tracker.settle(setup, numbers)
-        self.guard = Guard(guard_rules(setup, self.limits, self.actuator.individual))
+        together = not self.actuator.individual
+        self.guard = Guard(guard_rules(setup, self.limits, together), self._checks_of)
         self.loop.restart(self.guard)
         self.frames = self.loop.frames
         wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
@@ -156,10 +162,11 @@ def build_rig(
     wake = threading.Event()
     camera = lab.camera.build(setup, clock, wake.set)
     actuator = lab.actuator.build(setup, clock)
-    return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake)
+    checks_of = resolve_name(lab.actuator.checks)
+    return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake, checks_of=checks_of)
 
 
-def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> GuardRules:
+def guard_rules(setup: Setup, limits: LabLimits, together: bool = False) -> GuardRules:
     """Return the guard's rules for a setup, with lengths in the spec's length unit."""
     per_mm = MM / setup.metres
     silence_s = setup.period_s * (limits.late_steps + 1)
@@ -173,7 +180,7 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         mm=1 / per_mm,
         silence_ns=round(max(silence_s, 0.5) * SECOND),
         wheel_radius=setup.wheel_radius or 0.0,
-        individual=individual,
+        stopped_together=together,
         goes_on=setup.loss is not None and not setup.loss.ends,
         sight=setup.sight,
     )

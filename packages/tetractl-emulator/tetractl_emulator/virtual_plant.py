@@ -127,7 +127,14 @@ class EmulatedPlantSection(RigSection):
         live = isinstance(clock, LiveClock)
         devices = camera, actuator, self.limits, setup, clock
         emulated = self.emulated_devices
-        rig = Rig(*devices, watched.emergency, wake, threaded=live, emulated=emulated)
+        rig = Rig(
+            *devices,
+            watched.emergency,
+            wake,
+            threaded=live,
+            emulated=emulated,
+            checks_of=resolve_name(self.actuator.checks),
+        )
         if live:
             rig.after_close(clock.start())
         else:

@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tetractl.core.clock import SECOND
+from tetractl.core.findings import Abort, Lose, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard import Guard
+from tetractl.lab.guard_checks import Check, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState
 
 pytestmark = pytest.mark.slow
@@ -34,8 +36,8 @@ PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))
 class Course:
     """A guard fed frames at 125 Hz; `at` is the time of the last one."""
 
-    def __init__(self, rules=RULES):
-        self.guard = Guard(rules)
+    def __init__(self, rules=RULES, checks_of=robot_checks):
+        self.guard = Guard(rules, checks_of)
         self.at = 0
         self.number = 0
         self.bad = 0
@@ -155,13 +157,13 @@ def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_o
     assert (course.guard.state is not GuardState.ABORT) == goes_on, course.guard.reason
 
 
-@pytest.mark.parametrize("individual", [True, False])
-def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(individual):
-    course = running(replace(RULES, goes_on=True, individual=individual))
+@pytest.mark.parametrize("together", [False, True])
+def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(together):
+    course = running(replace(RULES, goes_on=True, stopped_together=together))
     guard, lost = course.guard, (None, PLACES[1])
     ruling = course.frames(40, lost)
     assert list(guard.lost) == [0]
-    assert ruling.moving == (not individual, True)
+    assert ruling.moving == (together, True)
     assert ruling.state is GuardState.RUN
     course.frames(5)  # it is there again
     assert course.seen.fresh == (False, True)
@@ -356,12 +358,6 @@ def test_a_robot_is_stopped_before_its_body_enters_an_obstacle():
     assert drive.x == pytest.approx(700.0 - 47.0 - ahead, abs=3.0)
 
 
-def test_cells_which_cannot_be_stopped_may_meet_obstacles():
-    drive = Drive(obstacles=(BOX,), told=0.0, individual=False, done=(50.0, 0.0, 0.0))
-    assert drive.go(5.0).state is GuardState.RUN
-    assert drive.x > 700.0
-
-
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_it_but_not_go_deeper():
     touched = replace(BOX, radius=210.0)  # 17 mm deep at the start
     assert Drive(obstacles=(touched,), done=(-50.0, 0.0, 0.0)).go(0.1).state is GuardState.RUN
@@ -430,28 +426,36 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     assert guard.jumps == refused + 500
 
 
-def test_cells_that_do_not_move_as_commanded_are_warned_of_once():
-    """They wander, and swim on without a field: only a pose that repeats ends the run."""
-    course = running(replace(RULES, individual=False))
-    warnings = []
-    for k in range(300):
-        course.guard.sent(course.at, (200.0, 100.0), (0.0, 0.0))
-        poses = Pose(500.0 + k % 2, 500.0, 0.3), Pose(500.0 - 0.5 * k, 1500.0, 0.0)
-        warnings += course.frame(poses).warnings
-        course.guard.steered(course.at)
-    assert course.guard.state is GuardState.RUN
-    backward, still = warnings
-    assert backward.startswith("blue moves backward")
-    assert still.startswith("green does not swim")
+class Finds(Check):
+    """A check that finds what it was given, at the first tick."""
+
+    def __init__(self, *findings):
+        self._findings = findings
+
+    def tick(self, robots):
+        yield from self._findings
 
 
-def test_a_cell_whose_pose_repeats_ends_the_run():
-    course = running(replace(RULES, individual=False))
-    for k in range(100):
-        course.guard.sent(course.at, (200.0, 100.0), (0.0, 0.0))
-        course.frame((Pose(500.0 + 1.6 * k, 500.0, 0.0), PLACES[1]))
-        course.guard.steered(course.at)
-    assert course.guard.reason.startswith("blue is not tracked: its pose repeats to the last bit")
+@pytest.mark.parametrize(
+    ("finding", "state", "reason", "lost", "warnings"),
+    [
+        (Warn("one"), GuardState.RUN, "", [], ("one",)),
+        (Lose(1, "two"), GuardState.RUN, "", [1], ("two: the run goes on without this robot",)),
+        (Abort("three"), GuardState.ABORT, "three", [], ()),
+    ],
+    ids=["warn", "lose", "abort"],
+)
+def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost, warnings):
+    def checks_of(rules):
+        return replace(robot_checks(rules), checks=(Finds(finding),))
+
+    course = Course(replace(RULES, goes_on=True), checks_of)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    ruling = course.frame()
+    assert (ruling.state, ruling.reason, list(course.guard.lost)) == (state, reason, lost)
+    assert ruling.warnings == warnings
 
 
 def test_rest_lets_nothing_move_and_needs_a_new_go():

@@ -104,6 +104,7 @@ class FieldSection(ActuatorSection):
     """A magnetic field steers all cells; a current driver on a serial port feeds the coils."""
 
     device: ClassVar[str] = "tetractl_microscope.coils.actuator:FieldActuator"
+    checks: ClassVar[str] = "tetractl_microscope.cell_checks:cell_checks"
     settles: ClassVar[bool] = True
     type: Literal["field"]
     port: str = Field(min_length=1, max_length=500)

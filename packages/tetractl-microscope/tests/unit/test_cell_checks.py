@@ -1,0 +1,87 @@
+"""What the guard makes of cells: they wander, swim on without a field, and cannot be stopped."""
+
+import numpy as np
+import pytest
+from tetractl_microscope.cell_checks import cell_checks
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.guard import Guard
+from tetractl.lab.guard_records import GuardRules, GuardState
+
+FRAME_NS = SECOND // 125
+SPEEDS = (200.0, 100.0)
+BOX = Shape(np.array([[700.0, 400.0], [800.0, 400.0], [800.0, 700.0], [700.0, 700.0]]), 47.0)
+
+
+def swimming(obstacles=(), goes_on=False):
+    """A guard of two cells in an arena of 2000, whose run has just begun."""
+    rules = GuardRules(
+        names=("one", "two"),
+        speeds=SPEEDS,
+        turning=(6.0, 3.0),
+        arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
+        limits=LabLimits(),
+        obstacles=obstacles,
+        stopped_together=True,
+        goes_on=goes_on,
+    )
+    guard = Guard(rules, cell_checks)
+    show(guard, 0, [Pose(500.0, 500.0, 0.0), Pose(500.0, 1500.0, 0.0)])
+    guard.ready()
+    guard.go(0)
+    return guard
+
+
+def show(guard, frame, poses):
+    """Show a guard a frame of a run in which both cells are commanded straight on."""
+    now = frame * FRAME_NS
+    guard.see(CameraFrame(frame, now, now, tuple(poses)))
+    guard.steered(now)
+    guard.sent(now, SPEEDS, (0.0, 0.0))
+    return guard.tick(now)
+
+
+def straight(frame, robot, y):
+    """Where a cell is that swims as it is commanded."""
+    return Pose(500.0 + SPEEDS[robot] * frame * FRAME_NS / SECOND, y, 0.0)
+
+
+def test_cells_that_do_not_move_as_commanded_are_warned_of_once():
+    guard, warnings = swimming(), []
+    for k in range(1, 300):
+        poses = Pose(500.0 + k % 2, 500.0, 0.0), Pose(500.0 - 0.5 * k, 1500.0, 0.0)
+        warnings += show(guard, k, poses).warnings
+    assert guard.state is GuardState.RUN
+    backward, still = warnings
+    assert backward.startswith("two moves backward")
+    assert still.startswith("one does not swim")
+
+
+def test_a_cell_whose_pose_repeats_ends_the_run():
+    guard = swimming()
+    for k in range(1, 100):
+        show(guard, k, [straight(k, 0, 500.0), Pose(500.0, 1500.0, 0.0)])
+    assert guard.reason.startswith("two is not tracked: its pose repeats to the last bit")
+
+
+def test_a_cell_that_meets_an_obstacle_swims_on():
+    guard = swimming(obstacles=(BOX,))
+    for k in range(1, 250):
+        poses = [straight(k, 0, 500.0), straight(k, 1, 1500.0)]
+        assert show(guard, k, poses).state is GuardState.RUN, guard.reason
+    assert poses[0].x > 850.0
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_cell_that_leaves_the_arena_is_lost_and_ends_a_run_that_may_lose_none(goes_on):
+    guard = swimming(goes_on=goes_on)
+    ends = GuardState.RUN if goes_on else GuardState.ABORT
+    for k in range(1, 940):
+        show(guard, k, [straight(k, 0, 500.0), straight(k, 1, 1500.0)])
+    assert guard.state is ends
+    assert list(guard.lost) == ([0] if goes_on else [])
+    assert guard.reason == ("" if goes_on else "one is about to leave the arena")

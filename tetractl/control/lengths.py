@@ -15,7 +15,7 @@ from tetractl.core.protocols import Optimizer
 
 GROWTH = 1.2  # ratio of successive lengths tried for a detour
 SPREAD = 1.3  # ratio of successive lengths tried at rest
-FINE = 0.05  # precision of the shortest good length, as a fraction of it
+VAIN = 10  # number of searches in a row that find no shorter plan, after which none is tried
 SPREAD_WORK = 3e7  # evaluations x signals x robots after which no longer ones are tried: 0.25 s
 SIGNALS = 6  # least number of signals per robot in a plan for several robots
 
@@ -65,48 +65,69 @@ class Searcher:
 
     def search(self, length: int, start: Floats | None = None) -> Search | None:
         """Search sequences of one length; return None if the limits do not allow it."""
-        return self._search(self.problem, length, start)
+        tries = sum(search.length == length for search in self.found)
+        key = mix(self._key, length)
+        if tries:  # another search of the same length has other random numbers
+            key = mix(key, tries)
+        return self._search(self.problem, length, start, key)
 
-    def _search(self, problem: Problem, length: int, start: Floats | None) -> Search | None:
+    def _search(
+        self, problem: Problem, length: int, start: Floats | None, key: int
+    ) -> Search | None:
         """Search sequences of one length for a problem, unless the limits do not allow it."""
         if self.found and self._expired(0):
             return None
         limits = Limits(None, self._expired)
-        key = mix(self._key, length)
         search = self._optimizer.search(problem, length, start, key, limits)
         self.found.append(search)
         return search
 
     def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
         """Search growing lengths, of which `least` is the shortest and `most` the longest that can
-        be good, until a plan is good; return whether one was found.
+        be good, until a plan is good, and then shorter ones; return whether one was found."""
+        length = self._grow(least, most, good)
+        if length is None:
+            return False
+        self._shorten(least, length, good)
+        return True
 
-        Bisection between the last two lengths then approaches the shortest good length, up to a
-        difference of the fraction FINE of the length.
-        """
+    def _grow(self, least: int, most: int, good: Callable[[Search], bool]) -> int | None:
+        """Search growing lengths until a plan is good; return its length, None if none is."""
         # several robots hardly ever reach their targets along straight lines
         several = self.problem.a.size > 1
-        length, failed = min(round(SPREAD * least) if several else least, most), least - 1
+        length = min(round(SPREAD * least) if several else least, most)
         while True:
-            found = self.search(length)
-            if found is None:
-                return False
-            if good(found):
-                break
+            search = self.search(length)
+            if search is None:
+                return None
+            if good(search):
+                return length
             spent = sum(one.evaluations * one.length for one in self.found)
             if length == most or spent * self.problem.a.size > SPREAD_WORK:
-                return False
-            length, failed = min(most, max(length + 1, round(SPREAD * length))), length
-        while length - failed > max(1, FINE * length):
-            middle = (length + failed) // 2
-            found = self.search(middle)
-            if found is None:
-                break
-            if good(found):
+                return None
+            length = min(most, max(length + 1, round(SPREAD * length)))
+
+    def _shorten(self, least: int, length: int, good: Callable[[Search], bool]) -> None:
+        """Search plans shorter than a good one of `length` by bisection from `least` on.
+
+        A search of a length fails by chance, and the shorter the plan the more often. The bisection
+        is therefore repeated, with other random numbers, until VAIN searches in a row were in vain.
+        """
+        failed = least - 1
+        vain = 0
+        while length > least and vain < VAIN:
+            middle = (failed + length) // 2
+            search = self.search(middle)
+            if search is None:
+                return
+            if good(search):
                 length = middle
+                vain = 0
             else:
                 failed = middle
-        return True
+                vain += 1
+            if failed >= length - 1:
+                failed = least - 1
 
     def onward(
         self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
@@ -117,7 +138,7 @@ class Searcher:
         """
         before = len(self.found)
         for start in starts:
-            found = self._search(problem, len(start), start)
+            found = self._search(problem, len(start), start, mix(self._key, len(start)))
             if found is None or good(found):
                 break
         costs = [search.cost for search in self.found]

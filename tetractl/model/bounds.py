@@ -34,6 +34,7 @@ a linear programme.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
@@ -57,15 +58,16 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
 
     `turned` >= 0 is the difference of their start headings [rad]; all arguments broadcast.
     """
-    rate = (a_1 + a_2) / 2
+    rate = (a_1 + a_2) / 2  # k
     relative = np.abs(a_1 - a_2) / rate
-    both = np.hypot(relative, turned)
+    slope = np.hypot(relative, turned)  # B
     # e^(k t) at the time when D = 2, the solution of a quadratic equation
-    growth = (2 + np.sqrt(4 + relative**2)) / (turned + both)
+    growth = (2 + np.sqrt(4 + relative**2)) / (turned + slope)
     until = np.clip(np.log(growth) / rate, 0.0, seconds)
-    grown = (turned * np.sinh(rate * until) + both * (np.cosh(rate * until) - 1)) / rate
-    found = np.minimum(grown, 2 * until) + 2 * (seconds - until)
-    return np.where(turned + both > 0, found, 0.0)
+    # the integral of D up to that time; from then on min(D, 2) is 2
+    grown = (turned * np.sinh(rate * until) + slope * (np.cosh(rate * until) - 1)) / rate
+    bound = np.minimum(grown, 2 * until) + 2 * (seconds - until)
+    return np.where(turned + slope > 0, bound, 0.0)  # else both turn alike
 
 
 @np.errstate(all="ignore")
@@ -75,36 +77,52 @@ def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> floa
     With `alike`, the bound is for robots with equal turning rates and equal start headings.
     """
     alone = reach(setup, seconds)
-    one, other = np.triu_indices(len(alone), 1)
-    moving = (setup.speed[one] > 0) & (setup.speed[other] > 0)
-    one, other = one[moving], other[moving]
-    turned = np.abs(wrap(setup.starts.heading[one] - setup.starts.heading[other]))
-    apart = np.zeros(len(one)) if alike else drift(setup.a[one], setup.a[other], turned, seconds)
-    way = (setup.targets - setup.starts.xy) / np.where(setup.speed > 0, setup.speed, 1)[:, None]
-    gaps = np.linalg.norm(way[one] - way[other], axis=1) - apart
-    both = np.minimum(setup.speed[one], setup.speed[other]) * gaps
-    gain = both - alone[one] - alone[other]
-    telling = np.flatnonzero(gain > 0)
-    telling = telling[np.argsort(-gain[telling], kind="stable")[:PAIRS_MAX]]
-    if not telling.size or not np.isfinite(alone).all() or not np.isfinite(both[telling]).all():
+    pairs, pair_errors = _pair_bounds(setup, seconds, alike)
+    gain = pair_errors - alone[pairs[:, 0]] - alone[pairs[:, 1]]
+    raising = np.flatnonzero(gain > 0)
+    raising = raising[np.argsort(-gain[raising], kind="stable")[:PAIRS_MAX]]
+    finite = np.isfinite(alone).all() and np.isfinite(pair_errors[raising]).all()
+    if not raising.size or not finite:
         return float(alone.sum())
-    return _least_sum(alone, np.column_stack([one, other])[telling], both[telling])
+    return _least_sum(alone, pairs[raising], pair_errors[raising])
 
 
-def _least_sum(alone: Floats, pairs: np.ndarray, both: Floats) -> float:
-    """Return the least e_1 + ... + e_N with e_i >= alone_i, and e_i + e_j >= both for each pair."""
+def _pair_bounds(setup: Setup, seconds: float, alike: bool) -> tuple[NDArray[np.int64], Floats]:
+    """Return the pairs (P, 2) of robots that move, and the lower bound of e_1 + e_2 of each (P,).
+
+    With `alike`, the robots of a pair turn alike: G = 0.
+    """
+    i, j = np.triu_indices(len(setup.names), 1)
+    moving = (setup.speed[i] > 0) & (setup.speed[j] > 0)
+    i = i[moving]
+    j = j[moving]
+    headings = setup.starts.heading
+    if alike:
+        apart = np.zeros(len(i))
+    else:
+        turned = np.abs(wrap(headings[i] - headings[j]))
+        apart = drift(setup.a[i], setup.a[j], turned, seconds)
+    speed = np.where(setup.speed > 0, setup.speed, 1)
+    p = (setup.targets - setup.starts.xy) / speed[:, None]
+    gaps = np.linalg.norm(p[i] - p[j], axis=1) - apart
+    return np.column_stack([i, j]), np.minimum(setup.speed[i], setup.speed[j]) * gaps
+
+
+def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
+    """Return the least e_1 + ... + e_N with e_i >= alone_i, and e_i + e_j >= its error for each
+    pair."""
     from scipy.optimize import linprog
     from scipy.sparse import coo_array
 
     rows = np.repeat(np.arange(len(pairs)), 2)
     sums = coo_array((-np.ones(rows.size), (rows, pairs.ravel())), (len(pairs), len(alone)))
-    scale = max(both.max(), 1.0)  # the solver's tolerances are absolute
+    scale = max(pair_errors.max(), 1.0)  # the solver's tolerances are absolute
     solved = linprog(
         np.ones(len(alone)),
         A_ub=sums.tocsr(),
-        b_ub=-both / scale,
+        b_ub=-pair_errors / scale,
         bounds=np.column_stack([alone / scale, np.full(len(alone), np.inf)]),
     )
     # if the solver fails, each single pair still bounds the total
-    fallback = alone.sum() + np.max(both - alone[pairs].sum(axis=1))
+    fallback = alone.sum() + np.max(pair_errors - alone[pairs].sum(axis=1))
     return float(solved.fun * scale if solved.success else fallback)

@@ -51,19 +51,20 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 
     def around(point: Floats) -> Bools:
         """Return the 3 x 3 cells around a point (2,)."""
-        row, column = np.abs(y - point[1]).argmin(), np.abs(x - point[0]).argmin()
+        row = np.abs(y - point[1]).argmin()
+        column = np.abs(x - point[0]).argmin()
         cells = np.zeros_like(free)
         cells[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
         return cells
 
-    found = np.zeros(len(setup.targets))
+    least = np.zeros(len(setup.targets))
     for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
         reached = connected(around(start), free)
         if reached.any() and not (reached & around(target)).any():
             rows, columns = np.nonzero(reached)
             nearest = np.hypot(x[columns] - target[0], y[rows] - target[1]).min()
-            found[i] = max(nearest - side / math.sqrt(2), 0.0)
-    return found
+            least[i] = max(nearest - side / math.sqrt(2), 0.0)
+    return least
 
 
 def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
@@ -79,7 +80,8 @@ def connected(cells: Bools, free: Bools) -> Bools:
     The cells grow by their free neighbours, and by the free runs of rows and columns that they are
     in, until nothing is added. (SciPy's `ndimage.label` takes 0.15 s to import.)
     """
-    reached, all_runs = cells & free, (_runs(free), _runs(free.T).T)
+    reached = cells & free
+    all_runs = (_runs(free), _runs(free.T).T)
     while True:
         tall = reached.copy()
         tall[1:] |= reached[:-1]

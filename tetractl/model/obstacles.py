@@ -34,12 +34,16 @@ class Obstacles:
         cls, shapes: Sequence[Shape] = (), margin: float = 0.0, walls: Bounds | None = None
     ) -> Self:
         """Return the union of shapes and of the walls of an arena, all grown by a margin."""
-        most = max((len(shape.corners) for shape in shapes), default=0)
-        rows, boxes = np.zeros((len(shapes), 6 + 2 * most)), np.zeros((len(shapes), 4))
-        for row, box, shape in zip(rows, boxes, shapes, strict=True):
-            row[:2], box[:] = (shape.radius, len(shape.corners)), replace(shape, radius=0.0).box
-            row[6 : 6 + shape.corners.size] = shape.corners.ravel()
-        bare = cls(rows, np.array([] if walls is None else astuple(walls), dtype=np.float64), boxes)
+        corners_max = max((len(shape.corners) for shape in shapes), default=0)
+        rows = np.zeros((len(shapes), 6 + 2 * corners_max))
+        boxes = np.zeros((len(shapes), 4))
+        for i, shape in enumerate(shapes):
+            rows[i, 0] = shape.radius
+            rows[i, 1] = len(shape.corners)
+            rows[i, 6 : 6 + shape.corners.size] = shape.corners.ravel()
+            boxes[i] = replace(shape, radius=0.0).box
+        edges = () if walls is None else astuple(walls)
+        bare = cls(rows, np.array(edges, dtype=np.float64), boxes)
         return bare.grown(np.full(bare.count, margin))
 
     @property
@@ -49,7 +53,8 @@ class Obstacles:
 
     def grown(self, margins: Floats) -> Self:
         """Return the obstacles, each grown by its own margin, (O,)."""
-        rows, walls = self.rows.copy(), self.walls
+        rows = self.rows.copy()
+        walls = self.walls
         rows[:, 0] += margins[: len(rows)]
         rows[:, 2:6] = self.boxes + OUTWARD * rows[:, :1]
         if walls.size:
@@ -60,7 +65,8 @@ class Obstacles:
     def shapes(self) -> tuple[Shape, ...]:
         """The shapes, as the readable functions below use them."""
         corners = [row[6 : 6 + 2 * int(row[1])].reshape(-1, 2) for row in self.rows]
-        return tuple(Shape(at, row[0]) for at, row in zip(corners, self.rows, strict=True))
+        radii = self.rows[:, 0]
+        return tuple(Shape(*shape) for shape in zip(corners, radii, strict=True))
 
     @property
     def inside(self) -> Bounds | None:
@@ -70,10 +76,11 @@ class Obstacles:
     def distances(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point to each obstacle (O, ...), negative inside."""
         x, y = np.broadcast_arrays(x, y)
-        found = [shape.distance(x, y) for shape in self.shapes]
-        if (at := self.inside) is not None:
-            found += [x - at.left, y - at.bottom, at.right - x, at.top - y]
-        return np.stack(found) if found else np.empty((0, *x.shape))
+        distances = [shape.distance(x, y) for shape in self.shapes]
+        arena = self.inside
+        if arena is not None:
+            distances += [x - arena.left, y - arena.bottom, arena.right - x, arena.top - y]
+        return np.stack(distances) if distances else np.empty((0, *x.shape))
 
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point is in an obstacle, p(s) of (13); x, y broadcast."""
@@ -84,8 +91,9 @@ class Obstacles:
         touched = np.zeros(np.broadcast(x0, y0, x1, y1).shape, dtype=np.bool_)
         for shape in self.shapes:
             touched |= shape.cross(x0, y0, x1, y1)
-        if (at := self.inside) is not None:
-            touched |= (at.inside(x0, y0) <= 0) | (at.inside(x1, y1) <= 0)
+        arena = self.inside
+        if arena is not None:
+            touched |= (arena.inside(x0, y0) <= 0) | (arena.inside(x1, y1) <= 0)
         return touched
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -95,10 +103,10 @@ class Obstacles:
     def at_least(self, x: Floats, y: Floats) -> Floats:
         """Return a lower bound of `distance`, or of 0 inside, that is quick to compute: the
         distance to the nearest box of a shape, or wall; inf if there is no obstacle."""
-        found = np.full(x.shape, np.inf)
+        least_squared = np.full(x.shape, np.inf)
         for left, bottom, right, top in self.rows[:, 2:6].tolist():
             east = np.maximum(np.maximum(left - x, x - right), 0.0)
             north = np.maximum(np.maximum(bottom - y, y - top), 0.0)
-            found = np.minimum(found, east * east + north * north)
-        found = np.sqrt(found)
-        return found if self.inside is None else np.minimum(found, self.inside.inside(x, y))
+            least_squared = np.minimum(least_squared, east * east + north * north)
+        least = np.sqrt(least_squared)
+        return least if self.inside is None else np.minimum(least, self.inside.inside(x, y))

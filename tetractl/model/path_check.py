@@ -27,7 +27,8 @@ class PathCheck:
     """
 
     def __init__(self, obstacles: Obstacles, arena: Bounds, count: int) -> None:
-        self.obstacles, self.arena = obstacles, arena
+        self.obstacles = obstacles
+        self.arena = arena
         self.entered = np.zeros(count, dtype=np.bool_)
         self.clearance = np.full(count, np.inf)
         self.edge = np.full(count, np.inf)
@@ -45,19 +46,24 @@ class PathCheck:
         `known` (M, N) is False, the position is the last known one, from which no distance to
         another robot follows.
         """
-        x, y = (np.ascontiguousarray(column.T) for column in (x, y))  # (N, M): reduced 10x faster
-        seen = x if known is None else np.where(known.T, x, np.nan)
-        self.apart = np.minimum(self.apart, separations(seen, y))
+        x = np.ascontiguousarray(x.T)  # (N, M): reduced 10x faster
+        y = np.ascontiguousarray(y.T)
+        tracked_x = x if known is None else np.where(known.T, x, np.nan)
+        self.apart = np.minimum(self.apart, separations(tracked_x, y))
         if self._last is not None:
-            x, y = np.hstack([self._last[0], x]), np.hstack([self._last[1], y])
+            last_x, last_y = self._last
+            x = np.hstack([last_x, x])
+            y = np.hstack([last_y, y])
         self._last = (x[:, -1:], y[:, -1:])
-        self.edge = np.fmin(self.edge, _least(self.arena.inside(x, y)))
+        inside = self.arena.inside(x, y)
+        self.edge = np.fmin(self.edge, np.fmin.reduce(inside, axis=1))
         if self.obstacles.count:
             self._approach(x, y)
 
     def _approach(self, x: Floats, y: Floats) -> None:
         """Add samples (N, M) to what is known of obstacles."""
-        near = self._near(x, y) if x.shape[1] > FEW else np.ones(x.shape, dtype=np.bool_)
+        every_sample = np.ones(x.shape, dtype=np.bool_)
+        near = self._near(x, y) if x.shape[1] > FEW else every_sample
         i, m = near.nonzero()
         gaps = self.obstacles.distance(x[i, m], y[i, m])
         np.fmin.at(self.clearance, i, gaps)
@@ -70,10 +76,12 @@ class PathCheck:
         """Return which samples (N, M) may be the nearest to an obstacle so far, or the last one
         before a step that touches one."""
         at_least = self.obstacles.at_least(x, y)
-        robots, first = np.arange(len(x)), np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
-        least = np.fmin(self.clearance, self.obstacles.distance(x[robots, first], y[robots, first]))
-        steps = sum(np.fmax.reduce(np.abs(np.diff(z)), axis=1, initial=0.0) for z in (x, y))
-        return at_least <= (np.fmax(least, steps) + self._slack)[:, None]
+        robots = np.arange(len(x))
+        nearest = np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
+        distance = self.obstacles.distance(x[robots, nearest], y[robots, nearest])
+        clearance = np.fmin(self.clearance, distance)  # that of the whole path is not greater
+        step_max = _greatest_step(x) + _greatest_step(y)
+        return at_least <= (np.fmax(clearance, step_max) + self._slack)[:, None]
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
         """Return the verdict on the path so far, with the final poses `final`."""
@@ -87,8 +95,9 @@ class PathCheck:
         )
 
 
-def _least(each: Floats) -> Floats:
-    return np.fmin.reduce(each, axis=1)
+def _greatest_step(coordinates: Floats) -> Floats:
+    """Return the greatest difference of successive samples (N, M) of each robot, (N,)."""
+    return np.fmax.reduce(np.abs(np.diff(coordinates)), axis=1, initial=0.0)
 
 
 def separations(x: Floats, y: Floats) -> Floats:
@@ -120,8 +129,9 @@ def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdic
             for begin in range(0, len(samples), BLOCK):
                 block = samples[begin : begin + BLOCK]
                 check.add(block[:, :1], block[:, 1:2])
-            whole.entered[robot], whole.clearance[robot] = check.entered[0], check.clearance[0]
+            whole.entered[robot] = check.entered[0]
+            whole.clearance[robot] = check.clearance[0]
             whole.edge[robot] = check.edge[0]
-    seen = np.where(known[..., None], path[..., :2], np.nan)
-    whole.apart = separations(seen[..., 0].T, seen[..., 1].T)
+    tracked = np.where(known[..., None], path[..., :2], np.nan)
+    whole.apart = separations(tracked[..., 0].T, tracked[..., 1].T)
     return whole.verdict(final)

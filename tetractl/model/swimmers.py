@@ -33,6 +33,9 @@ DRIFT_UM_S = 3.0  # guess: slow flow of the medium
 RESTS_S = 6.0, 1.0  # guess: means until a cell rests, or backs off and turns, and of its duration
 REST_STRAY = 0.2  # guess: random walk of its position meanwhile, over its speed [sqrt(s)]
 REST_TURN = 1.0  # guess: random walk of its heading meanwhile [rad/sqrt(s)]
+DIVIDED_LENGTH = 0.8  # guess: length of a cell that has divided, over the mother's
+DIVIDED_MAGNET = 0.3, 0.7  # guess: bounds of the share of the magnet that one of them gets
+DIVIDED_TURN_RAD = 0.4, 0.8  # guess: bounds of the angle by which each turns aside
 
 
 def speed_factor(celsius: float) -> float:
@@ -106,16 +109,18 @@ class Swimmers:
 
     def copy(self) -> Self:
         """Return an independent copy of the cells."""
-        return replace(self, **{name: each.copy() for name, each in vars(self).items()})
+        return replace(self, **{name: values.copy() for name, values in vars(self).items()})
 
     def joined(self, others: "Swimmers") -> "Swimmers":
         """Return these cells followed by others."""
-        theirs = vars(others)
-        return Swimmers(**{name: np.append(own, theirs[name]) for name, own in vars(self).items()})
+        appended = {
+            name: np.append(values, getattr(others, name)) for name, values in vars(self).items()
+        }
+        return Swimmers(**appended)
 
     def kept(self, which: Bools) -> "Swimmers":
         """Return the cells for which a mask (N,) is true."""
-        return Swimmers(**{name: each[which] for name, each in vars(self).items()})
+        return Swimmers(**{name: values[which] for name, values in vars(self).items()})
 
     def laid_out(
         self,
@@ -128,15 +133,27 @@ class Swimmers:
         `field` is B / B_ref times the unit vector of u; the turning rate is proportional to its
         length. `drift` [um/s] is the medium's flow, `walls` [um] are edges along which cells slide.
         """
-        edges = -math.inf, math.inf, -math.inf, math.inf
-        if walls is not None:
-            edges = walls.left, walls.right, walls.bottom, walls.top
-        state = self.x, self.y, self.heading, self.phase, self.depth
-        own = self.a, self.bias, self.speed, self.walk, 2 * math.pi * self.helix_hz, self.helix_um
-        rows = (*state, *own, 1.0 - self.resting, *field, *drift, *edges)
-        body = np.empty((len(rows), len(self)))
-        for i, row in enumerate(rows):
-            body[i] = row
+        if walls is None:
+            walls = Bounds(-math.inf, -math.inf, math.inf, math.inf)
+        body = np.empty((swimming.ROWS, len(self)))
+        body[swimming.X] = self.x
+        body[swimming.Y] = self.y
+        body[swimming.HEADING] = self.heading
+        body[swimming.PHASE] = self.phase
+        body[swimming.DEPTH] = self.depth
+        body[swimming.A] = self.a
+        body[swimming.BIAS] = self.bias
+        body[swimming.SPEED] = self.speed
+        body[swimming.WALK] = self.walk
+        body[swimming.TURN] = 2 * math.pi * self.helix_hz
+        body[swimming.HELIX] = self.helix_um
+        body[swimming.GOING] = np.where(self.resting, 0.0, 1.0)
+        body[swimming.FIELD], body[swimming.FIELD + 1] = field
+        body[swimming.FLOW], body[swimming.FLOW + 1] = drift
+        body[swimming.WALLS] = walls.left
+        body[swimming.WALLS + 1] = walls.right
+        body[swimming.WALLS + 2] = walls.bottom
+        body[swimming.WALLS + 3] = walls.top
         return body
 
     def swim(
@@ -152,7 +169,11 @@ class Swimmers:
         # plain floats: for a few cells ten times faster than arrays
         body = self.laid_out(field, drift, walls).tolist()
         swimming.step(body, seconds, noise.tolist())
-        self.x, self.y, self.heading, self.phase, self.depth = np.array(body[:5])
+        self.x = np.array(body[swimming.X])
+        self.y = np.array(body[swimming.Y])
+        self.heading = np.array(body[swimming.HEADING])
+        self.phase = np.array(body[swimming.PHASE])
+        self.depth = np.array(body[swimming.DEPTH])
 
     def rest(self, cell: int, resting: bool = True) -> None:
         """Make a cell rest, or swim again if not `resting`."""
@@ -164,23 +185,28 @@ class Swimmers:
         Both cells have the mother's width and 0.8 of its length, and share its magnet unequally.
         """
         daughter = self.kept(np.arange(len(self)) == cell)
-        both = self.copy()
-        both.length[cell] *= 0.8
-        daughter.length *= 0.8
-        part = random.uniform(0.3, 0.7)
-        both.a[cell] *= 2 * part
-        daughter.a *= 2 * (1 - part)
-        turn = random.uniform(0.4, 0.8)
-        both.heading[cell] += turn
-        daughter.heading -= turn
-        return both.joined(daughter)
+        cells = self.copy()
+        cells.length[cell] *= DIVIDED_LENGTH
+        daughter.length *= DIVIDED_LENGTH
+        share = random.uniform(*DIVIDED_MAGNET)
+        cells.a[cell] *= 2 * share
+        daughter.a *= 2 * (1 - share)
+        turn_rad = random.uniform(*DIVIDED_TURN_RAD)
+        cells.heading[cell] += turn_rad
+        daughter.heading -= turn_rad
+        return cells.joined(daughter)
 
 
 def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
     """Return the arena's edges [um], moved inwards by `rim_um`."""
-    um, arena = setup.metres * 1e6, setup.arena
-    low = arena.left * um + rim_um, arena.bottom * um + rim_um
-    return Bounds(*low, arena.right * um - rim_um, arena.top * um - rim_um)
+    um = setup.metres * 1e6
+    arena = setup.arena
+    return Bounds(
+        left=arena.left * um + rim_um,
+        bottom=arena.bottom * um + rim_um,
+        right=arena.right * um - rim_um,
+        top=arena.top * um - rim_um,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,8 +234,10 @@ def bodies(cells: Swimmers) -> Bodies:
 
     At the speed v on a helix of frequency f and radius r, the tilt is at most atan(2 pi f r / v).
     """
-    across, deep = cells.helix_um * np.cos(cells.phase), cells.helix_um * np.sin(cells.phase)
-    turning, (left_x, left_y) = 2 * math.pi * cells.helix_hz, to_the_left(cells.heading, across)
+    across = cells.helix_um * np.cos(cells.phase)  # to the left of the axis
+    deep = cells.helix_um * np.sin(cells.phase)
+    turning = 2 * math.pi * cells.helix_hz
+    left_x, left_y = to_the_left(cells.heading, across)
     return Bodies(
         x=cells.x + left_x,
         y=cells.y + left_y,

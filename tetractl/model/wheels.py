@@ -10,15 +10,36 @@ an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.clock import NEVER
 from tetractl.core.poses import Bools, Floats, Poses, Times
-from tetractl.model.motion.rolling import LAG, ROWS, STILL, count, note, roll, wish
+from tetractl.model.motion.rolling import (
+    HEADING,
+    LAG,
+    LEFT,
+    LEFT_TARGET,
+    MOVES,
+    RIGHT,
+    RIGHT_TARGET,
+    ROWS,
+    STANDS_BELOW,
+    TURNS,
+    X,
+    Y,
+    count,
+    note,
+    roll,
+    wish,
+)
 
 COUNT_MAX = 127
+"""Largest count of a wheel: counts are sent as signed bytes."""
+ENTRIES_AT_FIRST = 8
+"""Number of entries of `SentRates` at first; it doubles when they are in use."""
 Counts = tuple[int, int]
 """Counts of one robot's two wheels, each in -COUNT_MAX..COUNT_MAX."""
 STOP: Counts = (0, 0)
@@ -52,8 +73,9 @@ class Drivetrains:
 
     def speeds(self, counts: CountArray) -> Floats:
         """Return the wheel speeds [length unit/s] for counts."""
-        own = self._swapped(counts)
-        return self.gain * (np.sign(own) * np.maximum(np.abs(own) - self.dead_zone, 0))
+        by_wheel = self._by_wheel(counts)
+        beyond = np.maximum(np.abs(by_wheel) - self.dead_zone, 0)
+        return self.gain * (np.sign(by_wheel) * beyond)
 
     def counts(self, speeds: Floats, owed: Floats) -> tuple[CountArray, Floats]:
         """Return the counts to send for speeds, and the rounding errors `owed` [counts] (2, N) to
@@ -67,26 +89,39 @@ class Drivetrains:
             raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
         owed = owed.copy()
         steps = count(speeds, owed, self.gain, self.dead_zone, self.limit)
-        return self._swapped((steps + np.sign(steps) * self.dead_zone).astype(np.int64)), owed
+        by_wheel = (steps + np.sign(steps) * self.dead_zone).astype(np.int64)
+        return self._by_wheel(by_wheel), owed
 
-    def _swapped(self, pairs: CountArray) -> CountArray:
-        return np.where(self.swap, pairs[::-1], pairs) if self.swap.any() else pairs
-
-
-def nothing_sent(robots: int) -> tuple[Times, Floats]:
-    """Return `sent_ns` and `sent` of `wish` for robots that stand."""
-    sent_ns = np.full(8, NEVER)
-    sent_ns[0] = 0
-    return sent_ns, np.zeros((9, robots))
+    def _by_wheel(self, counts: CountArray) -> CountArray:
+        """Return counts by wheel for counts by motor channel, or the other way round."""
+        return np.where(self.swap, counts[::-1], counts) if self.swap.any() else counts
 
 
-def with_room(sent_ns: Times, sent: Floats) -> tuple[Times, Floats]:
-    """Return `sent_ns` (Q,) and `sent` (Q + 1, N) with room for another command."""
-    if sent_ns[-2] == NEVER:
-        return sent_ns, sent
-    unused_ns = np.full_like(sent_ns, NEVER)
-    unused = np.zeros_like(sent[1:])
-    return np.concatenate([sent_ns, unused_ns]), np.concatenate([sent, unused])
+class SentRates(NamedTuple):
+    """The turning rates that were sent to N robots: the arguments `sent_ns` and `sent` of `wish`,
+    which forgets those that it no longer needs."""
+
+    times_ns: Times
+    """When each of them acts, oldest first, (Q,); NEVER for entries not in use."""
+    rates: Floats
+    """The true rates at the first time, then those sent [rad/s], (Q + 1, N)."""
+
+    @classmethod
+    def none(cls, robots: int) -> Self:
+        """Return the rates of robots that stand, with room for a few."""
+        times_ns = np.full(ENTRIES_AT_FIRST, NEVER)
+        times_ns[0] = 0
+        return cls(times_ns, np.zeros((ENTRIES_AT_FIRST + 1, robots)))
+
+    def with_room(self) -> "SentRates":
+        """Return the same rates with room for another one."""
+        if self.times_ns[-2] == NEVER:
+            return self
+        unused_ns = np.full_like(self.times_ns, NEVER)
+        unused = np.zeros_like(self.rates[1:])
+        return SentRates(
+            np.concatenate([self.times_ns, unused_ns]), np.concatenate([self.rates, unused])
+        )
 
 
 class WheelHost:
@@ -100,18 +135,27 @@ class WheelHost:
     def __init__(
         self, a: Floats, speed: Floats, radius: Floats, lag_s: float, drivetrains: Drivetrains
     ) -> None:
-        self.drivetrains, self._lag_s = drivetrains, lag_s
+        self.drivetrains = drivetrains
+        self._lag_s = lag_s
         self._known = np.array([a, speed, radius])
-        self._sent = nothing_sent(a.size)
+        self._sent = SentRates.none(a.size)
         self._owed = np.zeros((2, a.size))
 
     def wished(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
         """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`."""
-        towards = np.full(heading.shape, u)
-        how = drives, since_ns, acts_ns, self._known, self._lag_s
-        return wish(heading, towards, *how, *self._sent)
+        return wish(
+            heading,
+            np.full(heading.shape, u),
+            drives,
+            since_ns,
+            acts_ns,
+            self._known,
+            self._lag_s,
+            self._sent.times_ns,
+            self._sent.rates,
+        )
 
     def counts(self, wished: Floats) -> CountArray:
         """Return the counts (2, N) to send for wheel speeds (2, N)."""
@@ -122,12 +166,13 @@ class WheelHost:
         """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
         speeds and the turning rates [rad/s] of the robots, (N,) each."""
         if self._lag_s > 0:
-            self._sent = with_room(*self._sent)
-            note(acts_ns, speeds, self._known, *self._sent)
+            self._sent = self._sent.with_room()
+            note(acts_ns, speeds, self._known, self._sent.times_ns, self._sent.rates)
         return body_velocity(speeds[0], speeds[1], self._known[2])
 
 
 NOTHING = np.zeros((0, 0))
+"""No random numbers, for robots whose headings do not swerve."""
 
 
 class WheeledRobots:
@@ -143,10 +188,13 @@ class WheeledRobots:
     roll = staticmethod(roll)
 
     def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
-        self.body = body = np.zeros((ROWS, radius.size))
+        self.body = np.zeros((ROWS, radius.size))
         self.radius = radius
-        self.pose, self.wheels, self.targets, self._rates, _ = np.split(body, (3, 5, 7, 9))
-        body[LAG], body[STILL] = lag_s, still
+        self.pose = self.body[X : HEADING + 1]
+        self.wheels = self.body[LEFT : RIGHT + 1]
+        self.targets = self.body[LEFT_TARGET : RIGHT_TARGET + 1]
+        self.body[LAG] = lag_s
+        self.body[STANDS_BELOW] = still
         self.poses = poses
         self.scale(np.ones(radius.size), np.ones(radius.size))
 
@@ -157,11 +205,14 @@ class WheeledRobots:
 
     @poses.setter
     def poses(self, poses: Poses) -> None:
-        self.pose[:] = poses.x, poses.y, poses.heading
+        self.body[X] = poses.x
+        self.body[Y] = poses.y
+        self.body[HEADING] = poses.heading
 
     def scale(self, turning: Floats, speed: Floats) -> None:
         """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
-        self._rates[:] = turning / (2 * self.radius), speed / 2
+        self.body[TURNS] = turning / (2 * self.radius)
+        self.body[MOVES] = speed / 2
 
     def drive(
         self,

@@ -9,7 +9,18 @@ from tetractl.core.commands import Steer, Stop
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.motion.swimming import FIELD, GOING, HELIX, PHASE, SPEED, A, steps_until
+from tetractl.model.motion.swimming import (
+    FIELD,
+    GOING,
+    HEADING,
+    HELIX,
+    PHASE,
+    SPEED,
+    A,
+    X,
+    Y,
+    steps_until,
+)
 from tetractl.model.swimmers import Swimmers, to_the_left, walls_of
 from tetractl.plant.random_streams import Stream, generator
 from tetractl.plant.sim_settings import CultureSection
@@ -75,9 +86,9 @@ class CellDrive:
         body = self.body
         to_the_left_um = body[HELIX] * np.cos(body[PHASE])
         x_um, y_um = to_the_left(poses.heading, to_the_left_um)
-        body[0] = poses.x * self._unit_um - x_um
-        body[1] = poses.y * self._unit_um - y_um
-        body[2] = poses.heading
+        body[X] = poses.x * self._unit_um - x_um
+        body[Y] = poses.y * self._unit_um - y_um
+        body[HEADING] = poses.heading
         self._poses = poses
 
     @property

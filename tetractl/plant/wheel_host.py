@@ -9,7 +9,7 @@ from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.model.motion.rolling import note
-from tetractl.model.wheels import COUNT_MAX, nothing_sent, with_room
+from tetractl.model.wheels import COUNT_MAX, SentRates
 from tetractl.plant.direct import aim
 from tetractl.plant.sim_settings import WheelDriveSection
 
@@ -43,7 +43,7 @@ class SimHost:
         self._known = np.array([setup.a, setup.speed, np.full(robots, setup.wheel_radius)])
         self._lag_s = 0.0 if section.lead is None else setup.lag_s
         self._lead_ns = round((section.lead or 0.0) * SECOND)
-        self._sent = nothing_sent(robots)
+        self._sent = SentRates.none(robots)
         self._speeds = WheelSpeeds(np.zeros((2, robots)), np.zeros((2, robots)))
         self.trains = true_trains(section, robots, random)
         """Wheels as calibrated and in truth, (TRAIN_ROWS, 2, N) of `wheel_kernel`."""
@@ -54,8 +54,8 @@ class SimHost:
         """Transmit nothing more from now on, because a stop is sent."""
         self.repeats_ns = NEVER
         still = np.zeros((2, self._known.shape[1]))
-        self._sent = with_room(*self._sent)
-        note(now_ns + self._lead_ns, still, self._known, *self._sent)
+        self._sent = self._sent.with_room()
+        note(now_ns + self._lead_ns, still, self._known, self._sent.times_ns, self._sent.rates)
 
     def transmit(
         self, now_ns: int, action: Steer | Turn | FieldOff, is_new: bool, frame: Observation
@@ -86,7 +86,7 @@ class SimHost:
         since_ns = acts_ns if self._section.lead is None else frame.sampled_ns
         headings = frame.poses.heading
         speeds = np.empty((2, *self.trains.shape[1:]))
-        self._sent = with_room(*self._sent)
+        self._sent = self._sent.with_room()
         self._answer(
             headings.copy(),
             aim(action, headings).copy(),
@@ -95,7 +95,8 @@ class SimHost:
             acts_ns,
             self._known,
             self._lag_s,
-            *self._sent,
+            self._sent.times_ns,
+            self._sent.rates,
             self.trains,
             speeds,
         )

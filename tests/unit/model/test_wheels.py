@@ -11,11 +11,10 @@ from tetractl.model.motion.exact import step as exact
 from tetractl.model.motion.rolling import note, wheel_speeds, wish
 from tetractl.model.wheels import (
     Drivetrains,
+    SentRates,
     WheeledRobots,
     WheelHost,
     body_velocity,
-    nothing_sent,
-    with_room,
 )
 from tetractl.plant import wheel_kernel as kernels
 
@@ -44,9 +43,9 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
 
 def headings_at_rest(lag_s, sent, frames, until):
     """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
-    at, known = nothing_sent(2), np.ones((3, 2))
+    at, known = SentRates.none(2), np.ones((3, 2))
     for when, rates in sent:
-        at = with_room(*at)
+        at = at.with_room()
         note(when, np.array([-rates, rates]), known, *at)
     found = []
     for since, heading in frames:
@@ -86,7 +85,7 @@ def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
         SECOND // 50,
         known,
         0.0,
-        *nothing_sent(2),
+        *SentRates.none(2),
     )
     _, _, ahead = exact(0.0, 0.0, heading, 1.2, known[0], known[1], 0.02)
     assert found == pytest.approx(np.array(wheel_speeds(np.sin(1.2 - ahead), *known)), abs=1e-9)
@@ -116,11 +115,11 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
             trains.limit + 0 * trains.gain,
         ]
     )
-    at = nothing_sent(count)
+    at = SentRates.none(count)
     for k in range(40):
         now, since = (k + 1) * SECOND // 40, k * SECOND // 40 + 3_000_000
         heading, u, drives = rng.uniform(-3, 3, count), rng.uniform(-3, 3), k % 5 > 0
-        at, speeds = with_room(*at), np.empty((2, 2, count))
+        at, speeds = at.with_room(), np.empty((2, 2, count))
         towards = np.full(count, u)
         kernels.answer(heading, towards, drives, since, now, known, lag_s, *at, rows, speeds)
         wished = host.wished(heading, u, since, now, drives)

@@ -12,12 +12,16 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives, Held, Motion, PlainLanes, Time, XYHeading
 from tetractl.model.motion.polynomials import onwards, sincos, wrap
 
+FLAT = 1e-4
+"""Half the turn [rad] below which sin(h)/h is 1 - h^2/6, to rounding."""
+
 
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
     """Advance along the arc that the wheel speeds of (24)-(25) drive."""
-    return _along(x, y, heading, 0.5 * t * a * np.sin(u - heading), t * v)
+    half = 0.5 * t * a * np.sin(u - heading)
+    return _along(x, y, heading, half, t * v)
 
 
 def hold(
@@ -28,28 +32,39 @@ def hold(
 
 
 def _along(x: Floats, y: Floats, heading: Floats, half: Floats, way: Floats) -> XYHeading:
-    chord, course = way * np.sinc(half / np.pi), heading + half
+    """Advance on an arc of the length `way` by twice the angle `half`."""
+    chord = way * np.sinc(half / np.pi)
+    course = heading + half
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
 
 
 def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
     """Return a step and its derivatives: the chord t v sin(h)/h at heading + h, h = w/2."""
     a, v = own[:2]
-    h, h_phi = 0.5 * t * a * (su * c - cu * s), 0.5 * t * a * (cu * c + su * s)
+    h = 0.5 * t * a * (su * c - cu * s)
+    h_phi = 0.5 * t * a * (cu * c + su * s)  # dh/dphi
     sh, ch = sincos(wrap(h))
-    flat = abs(h) < 1e-4
-    by = 1.0 if flat else h
-    sinc = 1 - h * h / 6 if flat else sh / by
-    sinc_h = -h / 3 if flat else (ch - sinc) / by
-    c, s = c * ch - s * sh, s * ch + c * sh
-    chord, chord_h = t * v * sinc, t * v * sinc_h
+    flat = abs(h) < FLAT
+    divisor = 1.0 if flat else h
+    sinc = 1 - h * h / 6 if flat else sh / divisor
+    sinc_h = -h / 3 if flat else (ch - sinc) / divisor
+    # cos and sin of the chord's direction, heading + h
+    cos_chord = c * ch - s * sh
+    sin_chord = s * ch + c * sh
+    chord = t * v * sinc
+    east = chord * cos_chord
+    north = chord * sin_chord
+    chord_h = t * v * sinc_h
     chord_phi = chord_h * h_phi
-    east_phi, north_phi = chord_phi * c - chord * s * h_phi, chord_phi * s + chord * c * h_phi
-    east, north = chord * c, chord * s
-    by_heading = -chord * s - east_phi, chord * c - north_phi, 1 - 2 * h_phi
-    by_a = h * (chord_h * c - chord * s), h * (chord_h * s + chord * c), 2 * h
-    by_u = east_phi, north_phi, 2 * h_phi
-    return (east, north, 2 * h), by_heading, by_u, (by_a, (east, north, 0.0))
+    east_phi = chord_phi * cos_chord - chord * sin_chord * h_phi
+    north_phi = chord_phi * sin_chord + chord * cos_chord * h_phi
+    by_heading = (-chord * sin_chord - east_phi, chord * cos_chord - north_phi, 1 - 2 * h_phi)
+    by_u = (east_phi, north_phi, 2 * h_phi)
+    east_a = h * (chord_h * cos_chord - chord * sin_chord)
+    north_a = h * (chord_h * sin_chord + chord * cos_chord)
+    by_a = (east_a, north_a, 2 * h)
+    by_speed = (east, north, 0.0)
+    return (east, north, 2 * h), by_heading, by_u, (by_a, by_speed)
 
 
 class ArcLanes(PlainLanes):

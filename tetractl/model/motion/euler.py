@@ -27,17 +27,29 @@ def hold(
     x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
 ) -> XYHeading:
     """Follow the chord of (4)-(5), turning steadily: after a whole period this is (4)-(6)."""
-    half, chord, course = 0.5 * held.turning * t, v * t, held.course
-    return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
+    chord = v * t
+    half = 0.5 * held.turning * t
+    return (
+        x + chord * np.cos(held.course),
+        y + chord * np.sin(held.course),
+        heading + 2 * half,
+    )
 
 
 def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
     """Return a step of (4)-(6) and its derivatives."""
     a, v = own[:2]
-    way, most = t * v, t * a
-    east, north, turn, pull = way * c, way * s, most * (su * c - cu * s), most * (cu * c + su * s)
-    by_parameters = (0.0, 0.0, turn), (east, north, 0.0)
-    return (east, north, turn), (-north, east, 1 - pull), (0.0, 0.0, pull), by_parameters
+    chord = t * v
+    east = chord * c
+    north = chord * s
+    turn_max = t * a
+    turn = turn_max * (su * c - cu * s)
+    turn_u = turn_max * (cu * c + su * s)  # dturn/du
+    by_heading = (-north, east, 1 - turn_u)
+    by_u = (0.0, 0.0, turn_u)
+    by_a = (0.0, 0.0, turn)
+    by_speed = (east, north, 0.0)
+    return (east, north, turn), by_heading, by_u, (by_a, by_speed)
 
 
 class EulerLanes(PlainLanes):

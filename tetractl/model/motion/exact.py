@@ -47,17 +47,23 @@ def step(
     Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
     """
     half = (u - heading) / 2
-    c, s = np.cos(half), np.sin(half)
+    c = np.cos(half)
+    s = np.sin(half)
     decay = np.exp(-a * t)
     turned = 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * decay)  # phi - phi'
     fall = s * s * np.expm1(-2 * a * t)  # h - 1; ln h by log1p near h = 1, by log near h = 0
     log_h = np.where(
         fall > -0.5, np.log1p(np.maximum(fall, -0.5)), np.log(c * c + (s * decay) ** 2)
     )
-    along, right = v * (t + log_h / a), v * turned / a
-    cos_u, sin_u = np.cos(u), np.sin(u)
-    x, y = x + along * cos_u + right * sin_u, y + along * sin_u - right * cos_u
-    return x, y, heading + turned
+    along = v * (t + log_h / a)
+    right = v * turned / a
+    cos_u = np.cos(u)
+    sin_u = np.sin(u)
+    return (
+        x + along * cos_u + right * sin_u,
+        y + along * sin_u - right * cos_u,
+        heading + turned,
+    )
 
 
 def hold(
@@ -69,36 +75,54 @@ def hold(
 
 def turn(phi: float, a: float, t: float) -> float:
     """Return by how much a robot turns in a time t [s] under a direction at an angle phi."""
-    c, s = math.cos(phi / 2), math.sin(phi / 2)
+    c = math.cos(phi / 2)
+    s = math.sin(phi / 2)
     return 2 * math.atan2(-math.expm1(-a * t) * s * c, c * c + s * s * math.exp(-a * t))
 
 
 def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
     """Return a step and its derivatives, for any a t.
 
-    Near phi = pi, 1 + cos phi cancels, and the turn of fast robots depends on it. Turn and
-    way/(v t) depend on a and t by a t alone, so that their derivatives by ln a are those by ln t.
+    With the whole angle phi in place of half of it, h = d/2 where d = near + far E, near = 1 + cos
+    phi and far = (1 - cos phi) E. Near phi = pi, 1 + cos phi cancels, and the turn of fast robots
+    depends on it. Turn and way/(v t) depend on a and t by a t alone, so that their derivatives by
+    ln a are those by ln t. One division gives all three inverses.
     """
     a, v = own[:2]
     e = decay(a * t)
-    c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
-    near, far = 1 + c if c > 0.0 else s * s / (1 - c), (1 - c) * e
-    d, across = near + far * e, near + far
+    cos_phi = cu * c + su * s
+    sin_phi = su * c - cu * s
+    near = 1 + cos_phi if cos_phi > 0.0 else sin_phi * sin_phi / (1 - cos_phi)
+    far = (1 - cos_phi) * e
+    d = near + far * e
+    across = near + far
     m, exponent = mantissa(0.5 * d)
     m1 = m + 1
     inverse = 1 / (d * m1 * across)
-    log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
-    turn = 2 * arctan(s * (1 - e) * (inverse * d * m1))
-    radius, over_d = v / a, inverse * m1 * across
-    along, right = v * t + radius * log_half_d, radius * turn
+    log_h = log_from_ratio((m - 1) * (inverse * d * across), exponent)
+    turn = 2 * arctan(sin_phi * (1 - e) * (inverse * d * m1))
+    radius = v / a
+    over_d = inverse * m1 * across
+    along = v * t + radius * log_h
+    right = radius * turn
+    east = along * cu + right * su
+    north = along * su - right * cu
+    # by phi: the heading keeps this share of a change of it
     keep = 2 * e * over_d
-    along_phi, right_phi = -radius * s * (1 - e * e) * over_d, radius * (1 - keep)
-    east, north = along * cu + right * su, along * su - right * cu
-    east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
-    c, s = (near - far * e) * over_d, s * keep  # cos and sin of phi'
-    by_a = v * t * (c * cu + s * su) - east, v * t * (c * su - s * cu) - north, a * t * s
-    by_u = east_phi - north, north_phi + east, 1 - keep
-    return (east, north, turn), (-east_phi, -north_phi, keep), by_u, (by_a, (east, north, 0.0))
+    along_phi = -radius * sin_phi * (1 - e * e) * over_d
+    right_phi = radius * (1 - keep)
+    east_phi = along_phi * cu + right_phi * su
+    north_phi = along_phi * su - right_phi * cu
+    by_heading = (-east_phi, -north_phi, keep)
+    by_u = (east_phi - north, north_phi + east, 1 - keep)
+    # by ln a: v t times the velocity's direction after the step, less the step
+    cos_after = (near - far * e) * over_d
+    sin_after = sin_phi * keep
+    east_a = v * t * (cos_after * cu + sin_after * su) - east
+    north_a = v * t * (cos_after * su - sin_after * cu) - north
+    by_a = (east_a, north_a, a * t * sin_after)
+    by_speed = (east, north, 0.0)
+    return (east, north, turn), by_heading, by_u, (by_a, by_speed)
 
 
 @cache
@@ -107,14 +131,25 @@ def odd_multiples(count: int) -> tuple[Floats, Floats]:
 
     Both are (count, count), a row for each n, lowest coefficient first.
     """
-    sines, cosines = np.zeros((2, count, count))
-    for rows, before in ((sines, -1.0), (cosines, 1.0)):  # the row for n = -1
-        rows[0, 0] = 1.0
-        for k in range(1, count):  # sin(n t) = 2 cos(2 t) sin((n - 2) t) - sin((n - 4) t)
-            rows[k, 1:] = 4 * rows[k - 1, :-1]
-            rows[k] -= 2 * rows[k - 1]
-            rows[k] -= rows[k - 2] if k > 1 else before * (np.arange(count) == 0)
+    one = np.zeros(count)  # the polynomial 1, that of n = 1
+    one[0] = 1.0
+    sines = _recurrence(one, -one)
+    cosines = _recurrence(one, one)
     return sines, cosines
+
+
+def _recurrence(first: Floats, before: Floats) -> Floats:
+    """Return the polynomials p_n of n = 1, 3, 5, ..., given those of n = 1 and of n = -1, by
+
+    p_n = 2 cos(2 t) p_(n-2) - p_(n-4),   2 cos(2 t) = 4 cos^2 t - 2.
+    """
+    rows = np.zeros((first.size, first.size))
+    rows[0] = first
+    for k in range(1, first.size):
+        rows[k, 1:] = 4 * rows[k - 1, :-1]
+        rows[k] -= 2 * rows[k - 1]
+        rows[k] -= rows[k - 2] if k > 1 else before
+    return rows
 
 
 class ExactLanes(NamedTuple):
@@ -130,13 +165,20 @@ class ExactLanes(NamedTuple):
         a, v = parameters.T[:2]
         pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
         turn = a * t / pieces
-        middle, end = np.tanh(turn / 4), np.tanh(turn / 2)
+        middle = np.tanh(turn / 4)
+        end = np.tanh(turn / 2)
         series = (4 * v / a)[:, None] * middle[:, None] ** ODD / ODD
         sines, cosines = odd_multiples(TERMS)
-        right, along = series @ sines, series @ cosines
-        rows, last = np.empty((len(a), cls.size)), 4 + TERMS
-        rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = middle, 1 - middle**2, end, 1 - end**2
-        rows[:, 4:last], rows[:, last:] = right, (right - along)[:, :-1]
+        right = series @ sines
+        along = series @ cosines
+        first_b = 4 + TERMS
+        rows = np.empty((len(a), cls.size))
+        rows[:, 0] = middle
+        rows[:, 1] = 1 - middle**2
+        rows[:, 2] = end
+        rows[:, 3] = 1 - end**2
+        rows[:, 4:first_b] = right  # A(q) of `advance`
+        rows[:, first_b:] = (right - along)[:, :-1]  # B(q)
         return cls(rows, pieces)
 
     @staticmethod
@@ -149,20 +191,27 @@ class ExactLanes(NamedTuple):
         then grow no faster than those of a turn. The displacement is A(q) M - B(q) (M.U) U with
         polynomials of q = (M.U)^2: A sin phi_m to the right of u and (A - B) cos phi_m along u.
         """
-        middle, still, end, rest = k[0], k[1], k[2], k[3]
-        near = c * cu + s * su
-        f = still / (2.0 - still + 2.0 * middle * near)
-        wx, wy = end * cu, end * su
-        gx, gy = c + wx, s + wy
-        g = rest / (gx * gx + gy * gy)
+        middle = k[0]  # tanh(a t/4)
+        middle_rest = k[1]  # 1 - tanh^2
+        end = k[2]  # tanh(a t/2)
+        end_rest = k[3]
+        cos_phi = c * cu + s * su
+        f = middle_rest / (2.0 - middle_rest + 2.0 * middle * cos_phi)
+        wx = end * cu
+        wy = end * su
+        gx = c + wx
+        gy = s + wy
+        g = end_rest / (gx * gx + gy * gy)
         p = f * middle + middle  # M = f H + p U
-        m = f * near + p
+        m = f * cos_phi + p  # M.U
         q = m * m
         first_b = (len(k) + 5) // 2
         a = alternating(k, 4, first_b, q)
-        along, through = a * p - m * alternating(k, first_b, len(k), q), a * f
-        x, y = x + (through * c + along * cu), y + (through * s + along * su)
-        return x, y, g * gx + wx, g * gy + wy
+        along_u = a * p - m * alternating(k, first_b, len(k), q)
+        along_heading = a * f
+        x_after = x + (along_heading * c + along_u * cu)
+        y_after = y + (along_heading * s + along_u * su)
+        return x_after, y_after, g * gx + wx, g * gy + wy
 
     differentiate = staticmethod(differentiate)
 

@@ -38,9 +38,9 @@ PARAMETERS = Parameter("a", True, 0.01), Parameter("speed", True, 0.005)
 v [length unit/s]."""
 
 
-def in_rows(of: Any) -> Floats:
+def in_rows(robots: Any) -> Floats:
     """Return the PARAMETERS (N, K) in the fields of a problem or a prior."""
-    return np.column_stack([of.a, of.speed])
+    return np.column_stack([robots.a, robots.speed])
 
 
 class Component(NamedTuple):

@@ -44,6 +44,8 @@ _HALF_STEP = (LOG_2 / 2) ** 2
 COSH = fit(lambda q: np.cosh(np.sqrt(q)), _HALF_STEP, 5)  # cosh t of q = t^2
 SINH = fit(lambda q: np.sinh(np.sqrt(q)) / np.sqrt(q), _HALF_STEP, 5)  # sinh(t)/t
 SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers
+ROOT_HALF_BITS = 0x3FE6A09E667F3BCD  # the bits of the float sqrt(1/2)
+DECAY_MAX = 230.0  # beyond, exp(-x) counts as exp(-230), which is 1e-100
 
 
 def horner(coefficients, q):
@@ -61,9 +63,12 @@ def alternating(k, first, end, q):
     Even and odd powers are summed separately, which halves the chain of dependent operations.
     """
     q2 = q * q
-    odd, even = k[end - 1], k[end - 2]
+    odd = k[end - 1]
+    even = k[end - 2]
     for i in range(end - 3, first - 1, -1):
-        odd, even = even, odd * q2 + k[i]
+        lower = odd * q2 + k[i]
+        odd = even
+        even = lower
     return odd * q + even
 
 
@@ -71,9 +76,11 @@ def sincos(x):
     """Return (sin x, cos x) for |x| <= pi, by halving the angle twice."""
     t = 0.25 * x
     q = t * t
-    s, c = t * horner(SINE, q), horner(COSINE, q)
-    s, c = 2.0 * s * c, 1.0 - 2.0 * s * s
-    return 2.0 * s * c, 1.0 - 2.0 * s * s
+    s_quarter = t * horner(SINE, q)
+    c_quarter = horner(COSINE, q)
+    s_half = 2.0 * s_quarter * c_quarter
+    c_half = 1.0 - 2.0 * s_quarter * s_quarter
+    return 2.0 * s_half * c_half, 1.0 - 2.0 * s_half * s_half
 
 
 def wrap(x):
@@ -91,7 +98,7 @@ def onwards(x, y, c, s, step):
 def mantissa(y):
     """Return (m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
     bits = np.float64(y).view(np.int64)
-    k = (bits - np.int64(0x3FE6A09E667F3BCD)) >> 52  # the bits of sqrt(1/2)
+    k = (bits - np.int64(ROOT_HALF_BITS)) >> 52
     return np.int64(bits - (k << 52)).view(np.float64), np.float64(k)
 
 
@@ -102,17 +109,19 @@ def log_from_ratio(f, k):
 
 def decay(x):
     """Return exp(-x) for x >= 0, or exp(-230) if that is more."""
-    x = min(x, 230.0)
+    x = min(x, DECAY_MAX)
     k = np.rint(x / LOG_2)
-    r = k * LOG_2 - x
-    power = np.int64((np.float64(SHIFT - k).view(np.int64) + np.int64(1023)) << 52).view(np.float64)
+    r = k * LOG_2 - x  # exp(-x) = 2^-k exp(r)
+    exponent = np.float64(SHIFT - k).view(np.int64) + np.int64(1023)
+    power = np.int64(exponent << 52).view(np.float64)  # 2^-k
     return power * (horner(COSH, r * r) + r * horner(SINH, r * r))
 
 
 def arctan(z):
     """Return atan z, computed from the nearest of 0, pi/4 and pi/2."""
     size = abs(z)
-    low, high = min(size, 1.0), max(size, 1.0)
+    low = min(size, 1.0)
+    high = max(size, 1.0)
     middle = 1.0 if low > TAN_EIGHTH * high else 0.0
     ratio = (low - middle * high) / (high + middle * low)
     value = ratio * horner(ATAN, ratio * ratio) + middle * (math.pi / 4)

@@ -12,6 +12,9 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion.exact import turn
 
+FLAT = 0.3
+"""Half the angle of an arc [rad] below which sin(h)/h is four terms of its series, to 1e-9."""
+
 
 def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any) -> Floats:
     """Return the counts beyond the dead zones (2, N) for speeds, see `Drivetrains.counts`."""
@@ -26,7 +29,7 @@ def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any
             span = limit[i] - dead_zone[side, i]
             total = speeds[side, i] * (1.0 / scale) / gain[side, i] + owed[side, i]
             steps[side, i] = round(max(min(total, span), -span))
-            owed[side, i] = max(min(total - steps[side, i], 0.5), -0.5) * drives
+            owed[side, i] = max(min(total - steps[side, i], 0.5), -0.5) if drives else 0.0
     return steps
 
 
@@ -39,9 +42,13 @@ def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
 
 def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
     """Return the displacement x, y on an arc by (21)-(23), of a robot that turns by `angle`."""
-    half, square = angle / 2, angle * angle / 4
-    sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))  # to 1e-9 below 0.3
-    chord = way * (sinc if abs(half) <= 0.3 else math.sin(half) / half)
+    half = angle / 2
+    if abs(half) <= FLAT:
+        square = angle * angle / 4
+        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+    else:
+        sinc = math.sin(half) / half
+    chord = way * sinc
     return chord * math.cos(heading + half), chord * math.sin(heading + half)
 
 
@@ -71,29 +78,34 @@ def wish(
     From the times `sent_ns` (Q,) [ns] the rates `sent[1:]` (Q, N) [rad/s] act, oldest first, NEVER
     for entries not in use, such as the last; `sent[0]` are the true rates at the first time.
     """
-    wished, kept = np.empty((2, len(heading))), 0.0
+    wished = np.empty((2, len(heading)))
+    share = 0.0  # of the difference of true rate and rate sent that is left after a time
     if lag_s > 0:
         while sent_ns[1] <= since_ns:  # forget the oldest
-            kept = math.exp((sent_ns[0] - sent_ns[1]) / SECOND / lag_s)
+            share = math.exp((sent_ns[0] - sent_ns[1]) / SECOND / lag_s)
             for i in range(len(heading)):
-                sent[0, i] = sent[1, i] + (sent[0, i] - sent[1, i]) * kept
+                sent[0, i] = sent[1, i] + (sent[0, i] - sent[1, i]) * share
                 for k in range(1, len(sent_ns)):
                     sent[k, i] = sent[k + 1, i]
             for k in range(1, len(sent_ns)):
                 sent_ns[k - 1] = sent_ns[k]
-        kept = math.exp(min(sent_ns[0] - since_ns, 0) / SECOND / lag_s)
+        share = math.exp(min(sent_ns[0] - since_ns, 0) / SECOND / lag_s)
     for i in range(len(heading)):
-        a, speed, radius = known[0, i], known[1, i] * drives, known[2, i]
-        at = heading[i]
+        a = known[0, i]
+        speed = known[1, i] if drives else 0.0
+        radius = known[2, i]
+        theta = heading[i]
         if lag_s > 0:
-            k, at = 0, at + lag_s * (sent[1, i] + (sent[0, i] - sent[1, i]) * kept)
+            theta = theta + lag_s * (sent[1, i] + (sent[0, i] - sent[1, i]) * share)
+            k = 0
             while sent_ns[k] < acts_ns:
-                begin, end = max(sent_ns[k], since_ns), min(sent_ns[k + 1], acts_ns)
-                at += sent[k + 1, i] * (max(end - begin, 0) / SECOND)
+                begin = max(sent_ns[k], since_ns)
+                end = min(sent_ns[k + 1], acts_ns)
+                theta += sent[k + 1, i] * (max(end - begin, 0) / SECOND)
                 k += 1
         elif acts_ns > since_ns:
-            at += turn(u[i] - at, a, (acts_ns - since_ns) / SECOND)
-        wished[0, i], wished[1, i] = wheel_speeds(math.sin(u[i] - at), a, speed, radius)
+            theta += turn(u[i] - theta, a, (acts_ns - since_ns) / SECOND)
+        wished[0, i], wished[1, i] = wheel_speeds(math.sin(u[i] - theta), a, speed, radius)
     return wished
 
 
@@ -107,12 +119,29 @@ def note(acts_ns: int, speeds: Floats, known: Floats, sent_ns: Times, sent: Floa
         sent[k + 1, i] = (speeds[1, i] - speeds[0, i]) / (2 * known[2, i])
 
 
-LAG, STILL, MOVING, ROWS = 9, 10, 11, 12
-"""Rows of the array (ROWS, N) of N robots on wheels: 0-2 x, y, heading; 3-4 the
-present speeds of the left and right wheel; 5-6 the speeds that they follow; 7-8 the factors by
-which their difference turns a robot and their sum moves it; LAG the wheels' time constant [s];
-STILL the speed below which the wheels of a stopped robot stand; MOVING 1 for a robot whose heading
-swerves, else 0."""
+# the rows of the array (ROWS, N) of N robots on wheels
+X = 0
+Y = 1
+HEADING = 2
+LEFT = 3
+"""Present speed of the left wheel [length unit/s]."""
+RIGHT = 4
+"""Present speed of the right wheel [length unit/s]."""
+LEFT_TARGET = 5
+"""The speed that the left wheel follows [length unit/s]."""
+RIGHT_TARGET = 6
+"""The speed that the right wheel follows [length unit/s]."""
+TURNS = 7
+"""Factor by which the difference of the wheels' ways turns the robot [rad/length unit]."""
+MOVES = 8
+"""Factor by which the sum of the wheels' ways moves the robot."""
+LAG = 9
+"""The wheels' time constant [s]."""
+STANDS_BELOW = 10
+"""Speed below which the wheels of a stopped robot stand [length unit/s]."""
+MOVING = 11
+"""1 for a robot whose heading swerves, else 0."""
+ROWS = 12
 
 
 def roll(
@@ -138,11 +167,12 @@ def roll(
         since = times[k]
         if walk > 0 and ticks[k] and times[k] > now_ns:
             for i in range(body.shape[1]):
-                body[2, i] += walk * drawn[tick, i] * body[MOVING, i]
+                body[HEADING, i] += walk * drawn[tick, i] * body[MOVING, i]
         for row in range(3):
             for i in range(body.shape[1]):
                 path[k, row, i] = body[row, i]
-        tick += ticks[k]
+        if ticks[k]:
+            tick += 1
 
 
 def _step(body: Floats, seconds: float) -> None:
@@ -151,16 +181,25 @@ def _step(body: Floats, seconds: float) -> None:
     square of the time."""
     share = 1.0  # completed fraction of the change of the wheels' speeds
     for i in range(body.shape[1]):
-        lag, one, two, heading = body[LAG, i], body[5, i], body[6, i], body[2, i]
+        lag = body[LAG, i]
+        heading = body[HEADING, i]
+        left_target = body[LEFT_TARGET, i]
+        right_target = body[RIGHT_TARGET, i]
         if i == 0 or lag != body[LAG, i - 1]:
             share = 1.0 if lag == 0 else -math.expm1(seconds / -lag)
-        left, right = body[3, i] - one, body[4, i] - two
-        body[3, i], body[4, i] = one + left * (1 - share), two + right * (1 - share)
-        if one == two == 0 and max(abs(body[3, i]), abs(body[4, i])) < body[STILL, i]:
-            body[3, i] = body[4, i] = 0.0
-        left, right = one * seconds + lag * left * share, two * seconds + lag * right * share
-        around = body[7, i] * (right - left)
-        east, north = rolled(heading, around, body[8, i] * (right + left))
-        body[0, i] += east
-        body[1, i] += north
-        body[2, i] = heading + around
+        # the speeds approach their targets exponentially: how much is missing now, and then
+        left_missing = body[LEFT, i] - left_target
+        right_missing = body[RIGHT, i] - right_target
+        body[LEFT, i] = left_target + left_missing * (1 - share)
+        body[RIGHT, i] = right_target + right_missing * (1 - share)
+        fastest = max(abs(body[LEFT, i]), abs(body[RIGHT, i]))
+        if left_target == 0 and right_target == 0 and fastest < body[STANDS_BELOW, i]:
+            body[LEFT, i] = 0.0
+            body[RIGHT, i] = 0.0
+        left_way = left_target * seconds + lag * left_missing * share
+        right_way = right_target * seconds + lag * right_missing * share
+        angle = body[TURNS, i] * (right_way - left_way)  # (23)
+        east, north = rolled(heading, angle, body[MOVES, i] * (right_way + left_way))  # (21), (22)
+        body[X, i] += east
+        body[Y, i] += north
+        body[HEADING, i] = heading + angle

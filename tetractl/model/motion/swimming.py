@@ -15,17 +15,38 @@ STEP_S = 0.005  # largest time step
 SINK_UM = 10.0  # guess: standard deviation of cells' wander in depth
 SINK_S = 5.0  # guess: time constant of the wander in depth
 
-PHASE, DEPTH, A, BIAS, SPEED, WALK, TURN, HELIX, GOING, FIELD, FLOW, WALLS, ROWS = (
-    *range(3, 12),
-    *(12, 14, 16, 20),
-)
-"""Rows of the array (ROWS, N) of N cells: 0-2 are x, y and heading of the helix's axis; PHASE [rad]
-and DEPTH the body's place on the helix and the axis's height from focus; A [rad/s] the turning rate
-at the reference field; BIAS [rad] the dipole's angle from the axis; SPEED [um/s]; WALK
-[rad/sqrt(s)] the random walk of the heading; TURN [rad/s] the turning of the phase; HELIX the
-helix's radius; GOING 1, or 0 for a cell that rests, which only drifts. Two rows each are the FIELD
-x, y, as a fraction of the reference field, and the medium's FLOW x, y [um/s]; four rows the
-coordinates of the left, right, lower and upper of the WALLS, along which cells slide."""
+# the rows of the array (ROWS, N) of N cells
+X = 0
+"""x of the helix's axis."""
+Y = 1
+"""y of the helix's axis."""
+HEADING = 2
+"""Direction of the helix's axis [rad]."""
+PHASE = 3
+"""Place of the body on the helix [rad]."""
+DEPTH = 4
+"""Height of the axis from focus."""
+A = 5
+"""Turning rate at the reference field [rad/s]."""
+BIAS = 6
+"""Angle of the dipole from the axis [rad]."""
+SPEED = 7
+"""Speed along the axis [um/s]."""
+WALK = 8
+"""Random walk of the heading [rad/sqrt(s)]."""
+TURN = 9
+"""Turning of the phase [rad/s]."""
+HELIX = 10
+"""Radius of the helix."""
+GOING = 11
+"""1, or 0 for a cell that rests, which only drifts."""
+FIELD = 12
+"""Two rows: x and y of the field, as a fraction of the reference field."""
+FLOW = 14
+"""Two rows: x and y of the medium's flow [um/s]."""
+WALLS = 16
+"""Four rows: coordinates of the left, right, lower and upper wall, along which cells slide."""
+ROWS = 20
 
 
 def steps_in(seconds: float) -> int:
@@ -33,58 +54,77 @@ def steps_in(seconds: float) -> int:
     return math.ceil(seconds / STEP_S)
 
 
-def steps_until(since_ns: int, times: Sequence[int]) -> int:
-    """Return the number of time steps from `since_ns` from each of the `times` [ns] to the next."""
+def steps_until(since_ns: int, times_ns: Sequence[int]) -> int:
+    """Return the number of time steps from `since_ns` to the first of the times, and from each to
+    the next."""
     steps = 0
-    for until in times:
-        steps += steps_in((until - since_ns) / SECOND)
-        since_ns = until
+    begin_ns = since_ns
+    for end_ns in times_ns:
+        steps += steps_in((end_ns - begin_ns) / SECOND)
+        begin_ns = end_ns
     return steps
 
 
 def torque(dipole: float, across: float, up: float) -> tuple[float, float]:
     """Return the turning rate for a = 1 by equation (3), for a dipole's direction [rad] in the
     field (across, up), and its derivative by the direction."""
-    cos, sin = math.cos(dipole), math.sin(dipole)
+    cos = math.cos(dipole)
+    sin = math.sin(dipole)
     return up * cos - across * sin, -(up * sin + across * cos)
 
 
 def step(body: Any, seconds: float, noise: Any) -> None:
     """Advance N cells `body` (ROWS, N) by a time [s], by the midpoint rule in equal steps of at
     most STEP_S; `noise` (at least steps_in(seconds), 2, N) is standard normal. Arrays or lists."""
-    x, y, heading, phase, depth = body[0], body[1], body[2], body[PHASE], body[DEPTH]
-    left, right, bottom, top = body[WALLS], body[WALLS + 1], body[WALLS + 2], body[WALLS + 3]
+    x = body[X]
+    y = body[Y]
+    heading = body[HEADING]
+    phase = body[PHASE]
+    depth = body[DEPTH]
+    left = body[WALLS]
+    right = body[WALLS + 1]
+    bottom = body[WALLS + 2]
+    top = body[WALLS + 3]
     parts = steps_in(seconds)
     dt = seconds / max(parts, 1)
-    pull, root = dt / SINK_S, math.sqrt(dt)
+    root = math.sqrt(dt)
+    # the depth is an Ornstein-Uhlenbeck process: pulled to 0, and jolted
+    pull = dt / SINK_S
     jolt = SINK_UM * math.sqrt(2 * pull)
     for k in range(parts):
-        swerves, jolts = noise[k][0], noise[k][1]
+        swerves = noise[k][0]
+        jolts = noise[k][1]
         for i in range(len(x)):
-            at, bias, a = heading[i], body[BIAS][i], body[A][i] * body[GOING][i]
-            across, up, speed = body[FIELD][i], body[FIELD + 1][i], body[SPEED][i] * body[GOING][i]
-            sine, _ = torque(at + bias, across, up)
-            half = at + a * sine * dt / 2
-            x[i] += (speed * math.cos(half) + body[FLOW][i]) * dt
-            y[i] += (speed * math.sin(half) + body[FLOW + 1][i]) * dt
-            sine, _ = torque(half + bias, across, up)
-            at += a * sine * dt  # (3)
-            at += body[WALK][i] * body[GOING][i] * root * swerves[i]
-            phase[i] += body[TURN][i] * body[GOING][i] * dt
+            going = body[GOING][i]
+            bias = body[BIAS][i]
+            a = body[A][i] * going
+            speed = body[SPEED][i] * going
+            field_x = body[FIELD][i]
+            field_y = body[FIELD + 1][i]
+            theta = heading[i]
+            # the heading in the middle of the step, which gives the way and the turn of all of it
+            sine, _ = torque(theta + bias, field_x, field_y)
+            half = theta + a * sine * dt / 2
+            x[i] += (speed * math.cos(half) + body[FLOW][i]) * dt  # (1)
+            y[i] += (speed * math.sin(half) + body[FLOW + 1][i]) * dt  # (2)
+            sine, _ = torque(half + bias, field_x, field_y)
+            theta += a * sine * dt  # (3)
+            theta += body[WALK][i] * going * root * swerves[i]
+            phase[i] += body[TURN][i] * going * dt
             depth[i] += jolt * jolts[i] - pull * depth[i]
             # A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall,
             # and leaves the wall once its heading points away from it.
             if x[i] < left[i] or x[i] > right[i]:
                 outwards = 1.0 if x[i] > right[i] else -1.0
                 x[i] = right[i] if x[i] > right[i] else left[i]
-                if math.cos(at) * outwards > 0:
-                    at = math.pi / 2 if math.sin(at) >= 0 else -math.pi / 2
+                if math.cos(theta) * outwards > 0:
+                    theta = math.pi / 2 if math.sin(theta) >= 0 else -math.pi / 2
             if y[i] < bottom[i] or y[i] > top[i]:
                 outwards = 1.0 if y[i] > top[i] else -1.0
                 y[i] = top[i] if y[i] > top[i] else bottom[i]
-                if math.sin(at) * outwards > 0:
-                    at = 0.0 if math.cos(at) >= 0 else math.pi
-            heading[i] = at
+                if math.sin(theta) * outwards > 0:
+                    theta = 0.0 if math.cos(theta) >= 0 else math.pi
+            heading[i] = theta
 
 
 def swim(
@@ -104,7 +144,8 @@ def swim(
         used += steps_in(seconds)
         since = times[k]
         for i in range(body.shape[1]):
-            across, heading = body[HELIX, i] * math.cos(body[PHASE, i]), body[2, i]
-            path[k, 0, i] = (body[0, i] - across * math.sin(heading)) / unit_um
-            path[k, 1, i] = (body[1, i] + across * math.cos(heading)) / unit_um
+            heading = body[HEADING, i]
+            to_the_left = body[HELIX, i] * math.cos(body[PHASE, i])
+            path[k, 0, i] = (body[X, i] - to_the_left * math.sin(heading)) / unit_um
+            path[k, 1, i] = (body[Y, i] + to_the_left * math.cos(heading)) / unit_um
             path[k, 2, i] = heading

@@ -21,12 +21,13 @@ TURNING = Parameter("side", False, 0.005), Parameter("saturation", True, 0.02)
 """The parameters of how robots turn, behind the PARAMETERS of all motions."""
 
 
-def all_in_rows(of: Any) -> Floats:
+def all_in_rows(robots: Any) -> Floats:
     """Return PARAMETERS and TURNING (N, 4) in the fields of a problem."""
-    rows = np.empty((len(of.a), 4))
-    rows[:, 0], rows[:, 1] = of.a, of.speed
-    rows[:, 2] = 0.0 if of.side is None else of.side
-    rows[:, 3] = 1.0 if of.saturation is None else of.saturation
+    rows = np.empty((len(robots.a), 4))
+    rows[:, 0] = robots.a
+    rows[:, 1] = robots.speed
+    rows[:, 2] = 0.0 if robots.side is None else robots.side
+    rows[:, 3] = 1.0 if robots.saturation is None else robots.saturation
     return rows
 
 
@@ -40,19 +41,22 @@ def turning(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Any
     logarithm by phi = u - heading, by `side` and by ln `saturation`; c, s and cu, su are cos and
     sin of heading and u, and `own` are PARAMETERS and TURNING."""
     a, _, side, saturation = own
-    sine, more = su * c - cu * s, math.exp(side)
-    left = 1.0 if sine >= 0 else -1.0
-    rate = a * more if sine >= 0 else a / more
+    sine = su * c - cu * s
+    factor = math.exp(side)
+    sign = 1.0 if sine >= 0 else -1.0  # 1 to the left
+    rate = a * factor if sine >= 0 else a / factor
     if saturation >= 1:
-        return rate, (0.0, left, 0.0)
-    most = a * max(more, 1 / more) * saturation
-    cosine, across = cu * c + su * s, abs(sine)
-    sh, ch = sincos(min(0.5 * t * min(rate * across, most), math.pi))
-    middle = across * ch - cosine * sh
-    if rate * middle <= most:
-        return rate, (0.0, left, 0.0)
-    slope = -left * (cosine * ch + across * sh) / middle
-    return most / middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
+        return rate, (0.0, sign, 0.0)
+    rate_max = a * max(factor, 1 / factor) * saturation
+    cosine = cu * c + su * s
+    sine_size = abs(sine)
+    # half the turn of the step, and sin |phi| in the middle of it
+    sh, ch = sincos(min(0.5 * t * min(rate * sine_size, rate_max), math.pi))
+    middle = sine_size * ch - cosine * sh
+    if rate * middle <= rate_max:
+        return rate, (0.0, sign, 0.0)
+    slope = -sign * (cosine * ch + sine_size * sh) / middle
+    return rate_max / middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
 
 
 def held(a: float, slopes: Any, cosine: float, sine: float, hold: float) -> Any:
@@ -64,9 +68,9 @@ def held(a: float, slopes: Any, cosine: float, sine: float, hold: float) -> Any:
         phi' = -a sin(phi) (1 + x / 2 cos(phi) + x^2 (cos(phi)^2 / 3 - sin(phi)^2 / 12)).
     """
     x = min(a * hold, 1.0)  # beyond, the series says nothing
-    grown = 1 + x * (0.5 * cosine + x * (cosine * cosine / 3 - sine * sine / 12))
-    slope = -x * sine * (0.5 + x * cosine * 5 / 6) / grown
-    return a * grown, (slopes[0] + slope, slopes[1], slopes[2])
+    factor = 1 + x * (0.5 * cosine + x * (cosine * cosine / 3 - sine * sine / 12))
+    slope = -x * sine * (0.5 + x * cosine * 5 / 6) / factor
+    return a * factor, (slopes[0] + slope, slopes[1], slopes[2])
 
 
 def times(by: Any, factor: float) -> Any:
@@ -74,10 +78,13 @@ def times(by: Any, factor: float) -> Any:
     return by[0] * factor, by[1] * factor, by[2] * factor
 
 
-def by_turning(found: Derivatives, slopes: Any) -> Derivatives:
-    """Return a step found with the a of `turning` with its derivatives by all parameters, given the
+def by_turning(derivatives: Derivatives, slopes: Any) -> Derivatives:
+    """Return a step made with the a of `turning` with its derivatives by all parameters, given the
     `slopes` of that a."""
-    step, (x_h, y_h, keep), (x_u, y_u, turn_u), (by_a, by_speed) = found
-    x, y, turn = times(by_a, slopes[0])
-    by_heading, by_u = (x_h - x, y_h - y, keep - turn), (x_u + x, y_u + y, turn_u + turn)
-    return step, by_heading, by_u, (by_a, by_speed, times(by_a, slopes[1]), times(by_a, slopes[2]))
+    step, (x_h, y_h, turn_h), (x_u, y_u, turn_u), (by_a, by_speed) = derivatives
+    x, y, turn = times(by_a, slopes[0])  # by phi: a changes with it, too
+    by_heading = (x_h - x, y_h - y, turn_h - turn)
+    by_u = (x_u + x, y_u + y, turn_u + turn)
+    by_side = times(by_a, slopes[1])
+    by_saturation = times(by_a, slopes[2])
+    return step, by_heading, by_u, (by_a, by_speed, by_side, by_saturation)

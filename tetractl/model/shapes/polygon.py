@@ -35,9 +35,10 @@ class Polygon(ShapeSection):
             if back and turn(ax, ay, bx, by, cx, cy) == 0:
                 message = f"turns back on itself at {_text(self.vertices[i])}; it must have area"
                 raise inconsistent("vertices", message)
-            later = slice(i + 2, count - (i == 0))
+            # the edges after the next one; of those the last one is the first one's neighbour
+            end = count - 1 if i == 0 else count
             with np.errstate(all="ignore"):
-                met = np.flatnonzero(meet(ax, ay, bx, by, *columns[:, later]))
+                met = np.flatnonzero(meet(ax, ay, bx, by, *columns[:, i + 2 : end]))
             if met.size:
                 message = (
                     f"crosses or touches itself: the edge that ends in "

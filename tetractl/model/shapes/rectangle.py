@@ -24,6 +24,7 @@ class Rectangle(ShapeSection):
 
     def shape(self) -> Shape:
         """Return the four corners."""
-        right, top = self.left + self.width, self.bottom + self.height
+        right = self.left + self.width
+        top = self.bottom + self.height
         corners = [(self.left, self.bottom), (right, self.bottom), (right, top), (self.left, top)]
         return Shape(np.array(corners))

@@ -1,7 +1,7 @@
 """What a paper claims of a figure, what is asked of our trials, and the verdict.
 
 A claim is an outcome that the paper states, never a number that the spec is given. Our trials give
-a `Found`: a number with n and its 95 % interval [low, high] (a point if all values are equal). The
+an `OurNumber`, with n and its 95 % interval [low, high] (a point if all values are equal). The
 verdict follows from the interval by one rule for every kind of claim:
 
     reached    the whole interval is on the side that is asked
@@ -30,7 +30,7 @@ CONFIDENCE = 0.95
 """Of all intervals and tests here."""
 
 
-class Verdict(StrEnum):
+class Fate(StrEnum):
     """What became of a claim."""
 
     REACHED = "reached"
@@ -40,7 +40,7 @@ class Verdict(StrEnum):
     OUT = "out of reach"
 
 
-class Kind(StrEnum):
+class NumberKind(StrEnum):
     """What a number of ours is."""
 
     MEAN = "mean"
@@ -50,12 +50,12 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class OurNumber:
     """Our number over n trials, with the ends of its 95 % interval; of RUNS, the interval is the
     middle 95 % of the runs. `means` are ours and the other controller's mean, where `value` is a
     difference."""
 
-    kind: Kind
+    kind: NumberKind
     value: float
     n: int
     low: float
@@ -63,7 +63,7 @@ class Found:
     means: tuple[float, float] | None = None
 
 
-class Asked(Protocol):
+class Requirement(Protocol):
     """What is asked of the values (n,) of our trials."""
 
     @property
@@ -71,27 +71,29 @@ class Asked(Protocol):
         """What is asked, for the table."""
         ...
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the number that is compared, and its interval."""
         ...
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Return the verdict on the values."""
         ...
 
 
-def mean_of(values: Floats) -> Found:
+def mean_of(values: Floats) -> OurNumber:
     """Return the mean of values (n,) with its interval (Student's t; `results.estimate`)."""
     summary = distributions(values[None])[0]
     interval = summary.ci95 if summary.ci95.known else Interval(summary.mean, summary.mean)
-    return Found(Kind.MEAN, summary.mean, summary.n, interval.low, interval.high)
+    return OurNumber(NumberKind.MEAN, summary.mean, summary.n, interval.low, interval.high)
 
 
-def share_of(values: Floats) -> Found:
+def share_of(values: Floats) -> OurNumber:
     """Return the share of values (n,), 1 or 0, that are 1, with Wilson's interval."""
     count = int(np.sum(values > 0))
     interval = proportion_interval(count, len(values))
-    return Found(Kind.SHARE, count / len(values), len(values), interval.low, interval.high)
+    return OurNumber(
+        NumberKind.SHARE, count / len(values), len(values), interval.low, interval.high
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +103,16 @@ class AtMost:
     bound: float
     words = "smaller is better"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Compare the interval of the mean with the bound."""
         mean = mean_of(values)
         if mean.high <= self.bound:
-            return Verdict.REACHED
-        return Verdict.MISSED if mean.low > self.bound else Verdict.UNDECIDED
+            return Fate.REACHED
+        return Fate.MISSED if mean.low > self.bound else Fate.UNDECIDED
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,16 +122,16 @@ class AtLeast:
     bound: float
     words = "greater is better"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Compare the interval of the mean with the bound."""
         mean = mean_of(values)
         if mean.low >= self.bound:
-            return Verdict.REACHED
-        return Verdict.MISSED if mean.high < self.bound else Verdict.UNDECIDED
+            return Fate.REACHED
+        return Fate.MISSED if mean.high < self.bound else Fate.UNDECIDED
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,16 +143,16 @@ class Within:
     high: float
     words = "agreement"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Compare the interval of the mean with the published number, or with its range."""
         mean = mean_of(values)
         inside = self.low <= mean.low and mean.high <= self.high
         around = self.low == self.high and mean.low <= self.low <= mean.high
-        return Verdict.AGREES if inside or around else Verdict.MISSED
+        return Fate.AGREES if inside or around else Fate.MISSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,17 +165,17 @@ class SameMean:
     n: int
     words = "agreement"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Test the difference of the means."""
         mean, std = float(np.mean(values)), float(np.std(values, ddof=1))
         test = stats.ttest_ind_from_stats(
             mean, std, len(values), self.mean, self.std, self.n, equal_var=False
         )
-        return Verdict.AGREES if test.pvalue > 1 - CONFIDENCE else Verdict.MISSED
+        return Fate.AGREES if test.pvalue > 1 - CONFIDENCE else Fate.MISSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,17 +187,17 @@ class SameDeviation:
     n: int
     words = "agreement"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the standard deviation."""
         std = float(np.std(values, ddof=1))
         low, high = chi_square_interval(std, len(values))
-        return Found(Kind.DEVIATION, std, len(values), low, high)
+        return OurNumber(NumberKind.DEVIATION, std, len(values), low, high)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Test the ratio of the variances."""
         ratio = (float(np.std(values, ddof=1)) / self.std) ** 2
         low, high = stats.f.ppf(_ENDS, len(values) - 1, self.n - 1)
-        return Verdict.AGREES if low <= ratio <= high else Verdict.MISSED
+        return Fate.AGREES if low <= ratio <= high else Fate.MISSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,16 +207,16 @@ class OneRun:
     value: float
     words = "agreement"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the share of our runs that are as large, between the ends of the middle 95 %."""
         low, high = np.quantile(values, _ENDS)
         share = float(np.mean(values >= self.value))
-        return Found(Kind.RUNS, share, len(values), float(low), float(high))
+        return OurNumber(NumberKind.RUNS, share, len(values), float(low), float(high))
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Compare the published run with the middle of ours."""
         runs = self.found(values)
-        return Verdict.AGREES if runs.low <= self.value <= runs.high else Verdict.MISSED
+        return Fate.AGREES if runs.low <= self.value <= runs.high else Fate.MISSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,16 +231,16 @@ class Rarely:
         """What is asked."""
         return f"in fewer than {100 * self.share:g} %"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the share of trials in which the fact holds."""
         return share_of(values)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Compare the interval of the share with what is allowed."""
         ours = share_of(values)
         if ours.high <= self.share:
-            return Verdict.REACHED
-        return Verdict.MISSED if ours.low > self.share else Verdict.UNDECIDED
+            return Fate.REACHED
+        return Fate.MISSED if ours.low > self.share else Fate.UNDECIDED
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,14 +254,14 @@ class AsOften:
         """What is asked."""
         return f"agreement with {100 * self.share:g} %"
 
-    def found(self, values: Floats) -> Found:
+    def found(self, values: Floats) -> OurNumber:
         """Return the share of trials in which the fact holds."""
         return share_of(values)
 
-    def verdict(self, values: Floats) -> Verdict:
+    def verdict(self, values: Floats) -> Fate:
         """Compare the interval of the share with the stated one."""
         ours = share_of(values)
-        return Verdict.AGREES if ours.low <= self.share <= ours.high else Verdict.MISSED
+        return Fate.AGREES if ours.low <= self.share <= ours.high else Fate.MISSED
 
 
 _ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
@@ -285,10 +287,10 @@ class Claim:
     published: str
     arm: str
     measure: Callable[[Any], float]
-    asked: Asked
+    asked: Requirement
     unit: str = ""
     minus: str | None = None
-    expected: Verdict = Verdict.REACHED
+    expected: Fate = Fate.REACHED
     why: str = ""
     first: int | None = None
 
@@ -298,8 +300,8 @@ class Row:
     """A claim, our number and the verdict."""
 
     claim: Claim
-    found: Found
-    verdict: Verdict
+    found: OurNumber
+    verdict: Fate
 
 
 def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
@@ -315,8 +317,8 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
         means = float(ours.mean()), float(other.mean())
     found = replace(claim.asked.found(values), means=means)
     verdict = claim.asked.verdict(values)
-    if claim.expected is Verdict.OUT and verdict is not Verdict.REACHED:
-        verdict = Verdict.OUT
+    if claim.expected is Fate.OUT and verdict is not Fate.REACHED:
+        verdict = Fate.OUT
     return Row(claim, found, verdict)
 
 

@@ -7,7 +7,7 @@ outcome. A disc of 23 um for 95 % of the time is out of the bacterium's reach at
 import json
 
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce.claim import AtMost, Claim, Verdict
+from tetractl.reproduce.claim import AtMost, Claim, Fate
 from tetractl.reproduce.paper import Paper, Runs
 from tetractl.results.disc import discs
 
@@ -37,7 +37,7 @@ CLAIMS = [
         measure=disc,
         unit="um",
         asked=AtMost(BACTERIUM_UM),
-        expected=Verdict.OUT,
+        expected=Fate.OUT,
         why="v / a is 14.5 um, the least mean distance of any robot that never stops (3)",
     ),
     Claim(
@@ -46,7 +46,7 @@ CLAIMS = [
         arm="bacterium",
         measure=disc_over_least,
         asked=AtMost(OVER_LEAST),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="the least is about 1.14, with pose, a and v known exactly (benchmarks/least_disc.py)",
     ),
     Claim(

@@ -11,11 +11,11 @@ from tetractl.reproduce.claim import (
     AtLeast,
     AtMost,
     Claim,
+    Fate,
     OneRun,
     Rarely,
     SameDeviation,
     SameMean,
-    Verdict,
     Within,
 )
 from tetractl.reproduce.paper import Paper, Runs
@@ -92,7 +92,7 @@ SIMULATED = [
         arm="figure-1",
         measure=measures.iterations,
         asked=Within(20, 20),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why=AS_PRINTED,
     ),
     Claim(
@@ -101,7 +101,7 @@ SIMULATED = [
         arm="swarm-1000",
         measure=measures.iterations,
         asked=Within(20, 20),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="the same",
     ),
     Claim(
@@ -110,7 +110,7 @@ SIMULATED = [
         arm="swarm-10000",
         measure=measures.iterations,
         asked=Within(20, 20),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="the same",
     ),
     Claim(
@@ -160,7 +160,7 @@ SIMULATED = [
         measure=measures.warm_gain,
         unit="mm",
         asked=AtMost(0),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="three searches from a warm start need 6 % of the evaluations, and find a higher J",
     ),
     Claim(
@@ -175,13 +175,13 @@ SIMULATED = [
 ]
 
 
-def _of_the_experiment(arm: str, expected: Verdict, why: str, left: Verdict) -> list[Claim]:
+def _of_the_experiment(arm: str, expected: Fate, why: str, left: Fate) -> list[Claim]:
     """Return what section V says of its 20 trials and of the run of Figure 5, asked of one arm.
 
     `expected` is the verdict on the sizes of errors, `left` that on the edge of the field.
     """
     of_trials = f"(n {PUBLISHED_TRIALS})"
-    entered = Verdict.UNDECIDED if arm == "bench" else Verdict.MISSED
+    entered = Fate.UNDECIDED if arm == "bench" else Fate.MISSED
     return [
         Claim(
             figure=f"Fig. 5: total error of the run, {arm}",
@@ -235,8 +235,8 @@ def _of_the_experiment(arm: str, expected: Verdict, why: str, left: Verdict) -> 
 
 
 EXPERIMENT = [
-    *_of_the_experiment("bench", Verdict.MISSED, SMALLER, Verdict.MISSED),
-    *_of_the_experiment("harsher", Verdict.AGREES, "", Verdict.MISSED),
+    *_of_the_experiment("bench", Fate.MISSED, SMALLER, Fate.MISSED),
+    *_of_the_experiment("harsher", Fate.AGREES, "", Fate.MISSED),
 ]
 
 CELLS = [
@@ -255,7 +255,7 @@ CELLS = [
         first=1,
         measure=measures.field_of_cells,
         asked=Within(0.8, 1.25),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="by the paper's numbers: 9.6 s (root of the area) and 16.7 s",
     ),
 ]
@@ -277,7 +277,7 @@ EARLIER_METHOD = [
         minus="ensemble",
         measure=measures.space,
         asked=AtMost(0),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="about the same space, or a little more, with three robots",
     ),
     Claim(
@@ -286,7 +286,7 @@ EARLIER_METHOD = [
         arm="bench",
         measure=measures.spins,
         asked=Rarely(),
-        expected=Verdict.MISSED,
+        expected=Fate.MISSED,
         why="nothing in the cost (7) keeps the direction from turning through a whole turn",
     ),
     Claim(

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tetractl.core.table.table import Table, lengths
-from tetractl.reproduce.claim import Claim, Kind, Row
+from tetractl.reproduce.claim import Claim, NumberKind, Row
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +71,9 @@ def _number(row: Row) -> str:
     found = row.found
     count = f"{round(found.value * found.n)} of {found.n}"
     match found.kind:
-        case Kind.SHARE:
+        case NumberKind.SHARE:
             return count
-        case Kind.RUNS:
+        case NumberKind.RUNS:
             return f"{count} runs as large"
     text = f"{lengths(found.value)(found.value)} {row.claim.unit}".strip()
     if found.means is None:
@@ -85,9 +85,9 @@ def _number(row: Row) -> str:
 def _interval(row: Row) -> str:
     """Return the interval of our number as text."""
     found = row.found
-    if found.kind is Kind.SHARE:
+    if found.kind is NumberKind.SHARE:
         return f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
-    if found.kind is Kind.RUNS:
+    if found.kind is NumberKind.RUNS:
         show = lengths(found.high)
         return f"runs: {show(found.low)} to {show(found.high)} {row.claim.unit}"
     if found.low == found.high:

@@ -8,12 +8,12 @@ from tetractl.reproduce.claim import (
     AtLeast,
     AtMost,
     Claim,
-    Kind,
+    Fate,
+    NumberKind,
     OneRun,
     Rarely,
     SameDeviation,
     SameMean,
-    Verdict,
     Within,
     assess,
 )
@@ -24,7 +24,7 @@ VALUES = np.array([10.0, 11.0, 12.0, 13.0])
 
 @pytest.mark.parametrize(
     ("bound", "verdict"),
-    [(15, Verdict.REACHED), (12, Verdict.UNDECIDED), (8, Verdict.MISSED)],
+    [(15, Fate.REACHED), (12, Fate.UNDECIDED), (8, Fate.MISSED)],
 )
 def test_a_mean_is_reached_or_missed_by_its_whole_interval(bound, verdict):
     assert AtMost(bound).verdict(VALUES) is verdict
@@ -34,45 +34,45 @@ def test_a_mean_is_reached_or_missed_by_its_whole_interval(bound, verdict):
 def test_equal_values_count_as_a_point():
     found = Within(20, 20).found(np.full(3, 11.0))
     assert (found.low, found.high) == (11, 11)
-    assert Within(20, 20).verdict(np.full(3, 11.0)) is Verdict.MISSED
-    assert Within(11, 11).verdict(np.full(3, 11.0)) is Verdict.AGREES
+    assert Within(20, 20).verdict(np.full(3, 11.0)) is Fate.MISSED
+    assert Within(11, 11).verdict(np.full(3, 11.0)) is Fate.AGREES
 
 
 @pytest.mark.parametrize(
     ("count", "n", "verdict"),
     [
-        (0, 20, Verdict.UNDECIDED),  # Wilson: 0 to 16 %
-        (0, 100, Verdict.REACHED),  # 0 to 3.7 %
-        (3, 100, Verdict.UNDECIDED),  # 1 to 8.5 %
-        (22, 100, Verdict.MISSED),  # 15 to 31 %
+        (0, 20, Fate.UNDECIDED),  # Wilson: 0 to 16 %
+        (0, 100, Fate.REACHED),  # 0 to 3.7 %
+        (3, 100, Fate.UNDECIDED),  # 1 to 8.5 %
+        (22, 100, Fate.MISSED),  # 15 to 31 %
     ],
 )
 def test_absence_needs_as_many_trials_as_presence(count, n, verdict):
     values = (np.arange(n) < count).astype(float)
     assert Rarely(0.05).verdict(values) is verdict
-    assert Rarely(0.05).found(values).kind is Kind.SHARE
+    assert Rarely(0.05).found(values).kind is NumberKind.SHARE
 
 
 def test_a_fact_as_often_as_stated_agrees():
-    assert AsOften(0.05).verdict(np.zeros(20)) is Verdict.AGREES
-    assert AsOften(0.05).verdict(np.ones(20)) is Verdict.MISSED
+    assert AsOften(0.05).verdict(np.zeros(20)) is Fate.AGREES
+    assert AsOften(0.05).verdict(np.ones(20)) is Fate.MISSED
 
 
 def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():
     """F = (322 / 225.1)^2 = 2.05 is below its bound 2.53 for two samples of 20."""
     values = np.random.default_rng(1).normal(0, 1, 20)
     values = 638.1 + 322.0 * (values - values.mean()) / values.std(ddof=1)
-    assert SameDeviation(225.1, 20).verdict(values) is Verdict.AGREES
-    assert SameDeviation(225.1, 20).verdict(2 * values) is Verdict.MISSED
-    assert SameMean(648.6, 225.1, 20).verdict(values) is Verdict.AGREES
-    assert SameMean(648.6, 225.1, 20).verdict(values / 3) is Verdict.MISSED
+    assert SameDeviation(225.1, 20).verdict(values) is Fate.AGREES
+    assert SameDeviation(225.1, 20).verdict(2 * values) is Fate.MISSED
+    assert SameMean(648.6, 225.1, 20).verdict(values) is Fate.AGREES
+    assert SameMean(648.6, 225.1, 20).verdict(values / 3) is Fate.MISSED
 
 
 def test_a_published_run_agrees_if_it_is_no_rare_one_of_ours():
     runs = np.arange(100.0)
-    assert OneRun(90.0).verdict(runs) is Verdict.AGREES
+    assert OneRun(90.0).verdict(runs) is Fate.AGREES
     assert OneRun(90.0).found(runs).value == 0.1
-    assert OneRun(99.0).verdict(runs) is Verdict.MISSED
+    assert OneRun(99.0).verdict(runs) is Fate.MISSED
 
 
 def test_a_difference_is_paired_and_tells_both_means():
@@ -80,16 +80,16 @@ def test_a_difference_is_paired_and_tells_both_means():
     row = assess(claim, {"ours": [1.0, 2.0, 3.0, 9.0], "other": [2.0, 3.0, 4.0]})
     assert row.found.value == -1
     assert row.found.means == (2, 3)
-    assert row.verdict is Verdict.REACHED
+    assert row.verdict is Fate.REACHED
 
 
 def test_what_no_controller_can_do_is_out_of_reach_only_if_it_is_not_reached():
     def verdict(bound):
-        claim = Claim("f", "p", "ours", float, AtMost(bound), expected=Verdict.OUT)
+        claim = Claim("f", "p", "ours", float, AtMost(bound), expected=Fate.OUT)
         return assess(claim, {"ours": VALUES}).verdict
 
-    assert verdict(12) is Verdict.OUT
-    assert verdict(15) is Verdict.REACHED
+    assert verdict(12) is Fate.OUT
+    assert verdict(15) is Fate.REACHED
 
 
 def test_a_claim_that_does_not_depend_on_the_trial_measures_one():

@@ -13,7 +13,7 @@ from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
 from tetractl.reproduce import trials as reproduce_trials
-from tetractl.reproduce.claim import AtMost, Claim, Verdict
+from tetractl.reproduce.claim import AtMost, Claim, Fate
 from tetractl.reproduce.ou_measures import spinning_time, total_error
 from tetractl.reproduce.paper import Paper, Runs, Work
 
@@ -21,7 +21,7 @@ COMPLETE = partial(api.run_batch, resume=True)
 PAGE = Path(__file__).parents[3] / "docs/explanation/reproduce.md"
 
 
-def claim(bound, expected=Verdict.REACHED, why=""):
+def claim(bound, expected=Fate.REACHED, why=""):
     """A claim on the error of one cell, which is about 9 um."""
     return Claim(
         figure="error",
@@ -36,7 +36,7 @@ def claim(bound, expected=Verdict.REACHED, why=""):
 
 
 ARMS = {"one": Runs("single_cell")}
-PAPER = Paper("Somebody, 2026", ARMS, [claim(500), claim(0, Verdict.MISSED, "noise")])
+PAPER = Paper("Somebody, 2026", ARMS, [claim(500), claim(0, Fate.MISSED, "noise")])
 
 
 def test_a_field_spins_from_a_whole_turn_on():

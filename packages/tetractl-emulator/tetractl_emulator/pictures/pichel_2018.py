@@ -22,7 +22,7 @@ from tetractl_microscope.organisms import MAGNETOSPIRILLUM
 
 from tetractl.core.poses import Floats, Grey
 from tetractl.model.swimmers import Swimmers, bodies
-from tetractl.reproduce.claim import AsOften, AtMost, Claim, Verdict
+from tetractl.reproduce.claim import AsOften, AtMost, Claim, Fate
 from tetractl.reproduce.paper import Paper, Work
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
@@ -149,7 +149,7 @@ PAPER = Paper(
             arm="films",
             measure=misses_slope,
             asked=AsOften(0.05),
-            expected=Verdict.AGREES,
+            expected=Fate.AGREES,
         ),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from tetractl_emulator.pictures import pichel_2018
 from tetractl_emulator.pictures.pichel_2018 import PAPER, fitted
 
-from tetractl.reproduce.claim import Verdict, assess
+from tetractl.reproduce.claim import Fate, assess
 
 
 def made(rng, slope, count=204):
@@ -33,9 +33,9 @@ def test_the_interval_holds_the_slope_put_in():
 def test_a_set_that_misses_the_slope_is_told():
     one = {"put in": 0.5, "slopes": [0.7, 0.71, 0.72] * 9, "deviations": [0.1] * 27}
     width, missed = (assess(claim, {"films": [one] * 20}) for claim in PAPER.claims)
-    assert width.verdict is Verdict.REACHED
+    assert width.verdict is Fate.REACHED
     assert missed.found.value == 1
-    assert missed.verdict is Verdict.MISSED
+    assert missed.verdict is Fate.MISSED
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 from tetractl_emulator.faults import Fault, Undo, fault
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
-from tetractl_emulator.rehearsal.due import after
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.rehearsal.schedule import FaultRow
 from tetractl_emulator.sides import Body, Stage
@@ -37,8 +36,7 @@ class EmulatedMotionCapture(PoseStream):
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of the camera, and the end of its process."""
-        gone, due = "the camera", after(0.1, False)
-        row = FaultRow("capture ends", "process_ends", gone, due=due, at_once=True)
+        row = FaultRow("capture ends", "process_ends", "the camera", at_once=True)
         return replace(super().rehearsal(lab, setup), rows=[row])
 
     def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:

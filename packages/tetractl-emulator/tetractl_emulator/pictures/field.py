@@ -37,7 +37,7 @@ from tetractl_emulator.loop import Timeline
 from tetractl_emulator.pictures.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
-from tetractl_emulator.rehearsal.cell_faults import DISH, SPAN_S, cell_dues, dish_world, field_rows
+from tetractl_emulator.rehearsal.cell_faults import DISH, SPAN_S, dish_world, field_rows
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
@@ -279,7 +279,7 @@ class EmulatedField(PluggedDevice):
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of driver, coils and cells."""
-        return Rehearsal([*field_rows()], dish_world, DISH, SPAN_S, cell_dues(setup.period_s))
+        return Rehearsal([*field_rows()], dish_world, DISH, SPAN_S)
 
     @property
     def bodies(self) -> Sequence[CellBody]:

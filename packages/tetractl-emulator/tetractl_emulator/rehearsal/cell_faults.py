@@ -2,11 +2,10 @@
 world of a dish.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-from tetractl_emulator.rehearsal.due import Due, after, plans
 from tetractl_emulator.rehearsal.picture_faults import SEEN, cell
 from tetractl_emulator.rehearsal.schedule import Draw, FaultRow
 
@@ -20,11 +19,11 @@ SPAN_S = 16.0
 def field_rows() -> Iterator[FaultRow]:
     """Yield the rows of driver, coils and cells."""
     answer = f"{DRIVER}|{SEEN}"  # cells that are not steered swim where they want
-    yield FaultRow("driver unplugged", "unplug", DRIVER, due=after(0.1, False))
-    yield FaultRow("driver stuck", "stuck_port", DRIVER, due=after(0.1, False))
-    yield FaultRow("driver off", "off", answer, due=after(0.65, False))
+    yield FaultRow("driver unplugged", "unplug", DRIVER)
+    yield FaultRow("driver stuck", "stuck_port", DRIVER)
+    yield FaultRow("driver off", "off", answer)
     yield FaultRow("driver resets", "off", answer, lambda d: {"for": d.between(0.01, 1)})
-    yield FaultRow("driver silent", "mute", DRIVER, due=after(0.65, False))
+    yield FaultRow("driver silent", "mute", DRIVER)
     yield FaultRow("driver late", "late_driver", answer, lambda d: {"by": d.between(0.005, 1)})
     yield FaultRow("commands doubled", "doubled_commands", r"$.", weight=0.5)
     yield FaultRow("bad bytes", "bad_bytes", answer, lambda d: {"share": d.between(2e-4, 0.5)})
@@ -35,13 +34,6 @@ def field_rows() -> Iterator[FaultRow]:
     yield FaultRow("cell divides", "divides", SEEN, cell, at_once=True)
     yield FaultRow("cell rests", "rests", SEEN, cell)
     yield FaultRow("cell dives", "dives", SEEN, _dive, at_once=True)
-
-
-def cell_dues(period_s: float) -> Mapping[str, Due | None]:
-    """Return the bounds of the table's faults for cells: a false pose that a cell might swim is
-    none, and each that it cannot is refused, which the observer sees whatever the fault.
-    """
-    return {**dict.fromkeys(("ghost", "jump", "picture", "swap")), "busy": plans(period_s)}
 
 
 def dish_world(random: Random, off: float) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from tetractl.cli.app import run_app
 from tetractl.core.setup import Setup
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl_emulator.rehearsal.participants import LabRehearsal
-from tetractl_emulator.rehearsal.schedule import KINDS, PLACE, FaultRow, faults_of_day
+from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow, faults_of_day
 from tetractl_emulator.rehearsal.world import world_of_day
 
 HANGS_S, STILL_S = 600.0, 60.0
@@ -40,7 +40,7 @@ OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
 class DayPlan:
     """What is to happen on a day: the `emulation` and the `faults` of a script, drawn for the trial
     with number `seed`, and the reasons that are right even without a fault (`right`); `kinds` are
-    the rows from which faults were drawn. The first robot's left wheel is slower by `slower`.
+    the rows from which faults were drawn.
     """
 
     seed: int
@@ -48,17 +48,11 @@ class DayPlan:
     faults: Sequence[Mapping[str, Any]]
     right: str
     kinds: Sequence[FaultRow] = field(default=KINDS, repr=False)
-    slower: float = 0.0
 
     @property
     def sorted(self) -> list[Mapping[str, Any]]:
         """The faults by their times."""
         return sorted(self.faults, key=lambda fault: fault["at"])
-
-    @property
-    def off(self) -> bool:
-        """Whether a wheel is off by more than the spec allows, or a robot far from its start."""
-        return "|" in self.right.removeprefix(PLACE)
 
     def kind(self, fault: Mapping[str, Any]) -> FaultRow:
         """Return the row of a drawn fault."""
@@ -98,8 +92,7 @@ def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool 
     random = Random(f"{seed}-{day}")
     faults = faults_of_day(random, lab.names, lab.kinds, lab.span_s, lab.scale) if bad else []
     world = world_of_day(random, setup, lab, bad)
-    number, own = random.randrange(2**31), (world.right, lab.kinds, world.slower)
-    return DayPlan(number, world.emulation, faults, *own)
+    return DayPlan(random.randrange(2**31), world.emulation, faults, world.right, lab.kinds)
 
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:

@@ -34,8 +34,7 @@ def _drawn(met: dict[str, Met], kinds: Sequence[FaultRow]) -> Figure:
         ([len(one.times_s) for one in own], style.INK, 0.2),
     ):
         days.barh(at, counts, height=height, color=color)
-    for row, (kind, one) in enumerate(zip(kinds, own, strict=True)):
-        times.plot([kind.stops_s], [row], "|", color=style.ALARM, ms=7)
+    for row, one in enumerate(own):
         times.plot(one.times_s, [row] * len(one.times_s), "o", color=style.GREY, ms=2, alpha=0.5)
         if one.times_s:
             times.plot([np.median(one.times_s)], [row], "|", color=style.INK, ms=7)
@@ -47,7 +46,6 @@ def _drawn(met: dict[str, Met], kinds: Sequence[FaultRow]) -> Figure:
     signs = [
         style.sign("a day", marker="o", ms=3),
         style.sign("median", marker="|", color=style.INK, ms=7),
-        style.sign("a strong fault has to end the trial", marker="|", color=style.ALARM, ms=7),
     ]
     style.legend(drawing, signs)
     return drawing

@@ -1,22 +1,19 @@
 """That the log says what happened: each command as it was sent, and each frame as it was shown."""
 
-import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from tetractl.core.commands import Steer, Stop
-from tetractl_emulator.rehearsal.sending import MUTE
 from tetractl_emulator.rehearsal.truth import RUN, Truth
 from tetractl_emulator.rehearsal.violation import Violation
 
 NOTED_S = 0.002  # from a transmission to its record: the poll of the wire
+MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
 FRAMES = 4  # frames in a row that may be missing though robots are shown
 STREAM = ("clock_jump", "clock_rate", "counter_back", "outdated", "bad_datagrams", "reordered")
 FAULTY = ("other_version", "edit_mode", "twin_id", *MUTE)  # frames that are shown, and not taken
-LATE_STEPS = re.compile(r"(\d+) control steps in a row were late(?!: the controller gave no)")
-HIDDEN = ("untracked", "nan", "bad_quaternion")
 
 
 def logged(truth: Truth) -> Iterator[Violation]:
@@ -26,26 +23,10 @@ def logged(truth: Truth) -> Iterator[Violation]:
         return
     if not truth.met(*MUTE):
         yield from _commands(truth)
-    yield from _late_steps(truth)
-    yield from _told(truth)
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
         yield Violation("log", 0.0, "a frame comes twice, or late")
-    known = [(row, k) for k, row in enumerate(truth.rows) if row is not None]
     if not truth.met(*STREAM, *FAULTY):
-        yield from _whole(truth, [row for row, _ in known])
-    # a robot that is swapped is shown where another is
-    swaps = [fault for _, _, fault in truth.faults if fault["fault"] == "swap"]
-    swapped = {name for fault in swaps for name in (fault["robot"], fault["other"])}
-    for began, ended, fault in truth.faults:
-        if fault["fault"] in HIDDEN and fault["robot"] not in swapped:
-            i = truth.setup.names.index(fault["robot"])
-            for row, k in known:
-                # a loss is not shown before its message arrives
-                old_s = (log.mocap_ns[k] - log.exposed_ns[k, i]) / 1e9
-                at = truth.times[row] - old_s
-                if log.valid[k, i] and began + 0.01 < at < ended - 0.01:
-                    yield Violation("log", float(truth.times[row]), "says that it saw a robot")
-                    return
+        yield from _whole(truth, [row for row in truth.rows if row is not None])
 
 
 def _commands(truth: Truth) -> Iterator[Violation]:
@@ -86,30 +67,6 @@ def _reached(delivered: Sequence[bool], drove: Sequence[Sequence[bool]]) -> bool
     message.
     """
     return all(not got or any(d) for got, *d in zip(delivered, *drove, strict=False))
-
-
-def _late_steps(truth: Truth) -> Iterator[Violation]:
-    """An abort after late control steps in a row comes after late ones."""
-    assert truth.trial is not None
-    if not (found := LATE_STEPS.match(truth.reason)):
-        return
-    period_ns = truth.setup.period_s * 1e9
-    for step in truth.trial.steps[1 - int(found[1]) :]:  # the last one was not sent
-        if step.command.sent_ns - step.observation.received_ns < period_ns:
-            at = step.command.sent_ns / 1e9
-            yield Violation("log", at, f"has a punctual step among them: {truth.reason}")
-            return
-
-
-def _told(truth: Truth) -> Iterator[Violation]:
-    """A robot is lost, and tracked again, in turn."""
-    assert truth.trial is not None
-    notes = truth.trial.notes
-    for name in truth.setup.names:
-        told = [n for n in notes if n.text in (f"{name} is lost", f"{name} is tracked again")]
-        if any(one.text == two.text for one, two in pairwise(told)):
-            yield Violation("log", 0.0, f"says twice that {name} is lost, or tracked")
-            return
 
 
 def _whole(truth: Truth, rows: list[int]) -> Iterator[Violation]:

@@ -4,14 +4,13 @@ An emulated side of your own takes part in the faults of the table that it can h
 It may have a class method `rehearsal(lab, setup)`, which returns a `Rehearsal`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from random import Random
 from typing import Any
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
-from tetractl_emulator.rehearsal.due import Due
 from tetractl_emulator.rehearsal.schedule import KINDS, SPAN_S, Draw, FaultRow
 from tetractl_emulator.script import Sides
 
@@ -28,15 +27,13 @@ def _as_in_the_spec(random: Random, off: float) -> dict[str, Any]:
 class Rehearsal:
     """A side's part: `rows` for its own faults, which replace the table's of the same fault, and
     the draw of its `world`. An actuator of cells also names those of a dish from which trials
-    choose, `dish`, with the latest begin of a fault, `span_s` [s], and the bounds that hold for
-    cells in place of the table's, `dues`, by the names of faults.
+    choose, `dish`, with the latest begin of a fault, `span_s` [s].
     """
 
     rows: Sequence[FaultRow] = ()
     world: SectionDraw = _as_in_the_spec
     dish: tuple[str, ...] = ()
     span_s: float = SPAN_S
-    dues: Mapping[str, Due | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +70,7 @@ def rehearsal_of(lab: LabSection, setup: Setup, chosen: bool = False) -> LabRehe
     )
     own = [*camera.rows, *actuator.rows]
     names = sides.faults.keys() - {row.fault for row in own}
-    dues = actuator.dues
-    kinds = [replace(row, due=dues.get(row.fault, row.due)) for row in KINDS if row.fault in names]
+    kinds = [row for row in KINDS if row.fault in names]
     if len(setup.names) < 2:
         kinds = [row for row in kinds if row.fields is not Draw.robots]
     names, start_mm = actuator.dish if chosen else setup.names, lab.limits.start_mm

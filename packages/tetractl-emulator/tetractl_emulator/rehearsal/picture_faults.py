@@ -6,18 +6,15 @@ from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-from tetractl_emulator.rehearsal.due import after
 from tetractl_emulator.rehearsal.schedule import CELLS, MOTION, PLACE, SIGHT, Draw, FaultRow, Fields
 
 SEEN = rf"{SIGHT}|{MOTION}|{PLACE}|{CELLS}|no picture|damaged|picture is|in view|was the stage"
-GONE_S = 0.65
-"""Time in which a stream that ends must end a trial [s]: `stream_lost`, latency, two pictures."""
 
 
 def stream_rows() -> Iterator[FaultRow]:
     """Yield the rows of each camera that reads a stream of pictures."""
-    yield FaultRow("no pictures", "no_frames", SEEN, due=after(GONE_S, False))
-    yield FaultRow("picture frozen", "repeat", SEEN, due=after(GONE_S, False))
+    yield FaultRow("no pictures", "no_frames", SEEN)
+    yield FaultRow("picture frozen", "repeat", SEEN)
     yield FaultRow("pictures slow", "half_rate", SEEN, lambda d: {"every": round(d.between(2, 60))})
     yield FaultRow("pictures late", "late_pictures", SEEN, lambda d: {"by": d.between(0.01, 1)})
     yield FaultRow("pictures lost", "bad_pictures", SEEN, _part("lost"))

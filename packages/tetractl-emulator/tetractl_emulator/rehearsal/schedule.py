@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from tetractl_emulator.rehearsal import due
-from tetractl_emulator.rehearsal.due import FRAME_S, Due, above, after
-
 SIGHT = (
     r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
     r"|watched long enough|before reception|no camera frame|not known: the camera|frames came"
@@ -27,11 +24,11 @@ CELLS = r"respond to the field|divided, or has parted|not been known which cell|
 CLOCK = r"server's clock|after reception|before reception"
 RADIO = r"radio|\bport\b|does not answer|battery"
 STOP_SHARE = 0.1  # of the faults that begin while robots stop, in a pause or at the end
+FRAME_S = 1 / 120  # between two exposures of the emulated camera
 STRONG = 0.9
 """Strength from which on a fault lasts to the end."""
 SPAN_S = 11.0
 """Latest begin of a fault after the first command that moves robots [s]."""
-JUMPS = above("by", 60, 0.45, alone=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,39 +80,27 @@ Fields = Callable[[Draw], dict[str, Any]]
 class FaultRow:
     """A row of the table: a script's `fault` with drawn `fields`; reasons that match `right` are.
 
-    `due` says in what time a fault has to end the trial; None if it need not. One `at_once` has no
-    duration. `weight` is relative.
+    One `at_once` has no duration. `weight` is relative.
     """
 
     name: str
     fault: str
     right: str
     fields: Fields = lambda d: {}
-    due: Due | None = None
     at_once: bool = False
     weight: float = 1.0
     start: float = 0.1  # share of the days on which it is there from the start
 
-    @property
-    def stops_s(self) -> float:
-        """The time [s] in which a strong one has to end the trial of a robot of 200 mm/s; NaN if
-        it need not.
-        """
-        if self.due is None:
-            return math.nan
-        own = self.fields(Draw(Random(1), ("one", "two"), 0.95))
-        return self.due.within_s({"fault": self.fault, **own}, 200.0)
-
 
 def _kinds() -> Iterator[FaultRow]:
     sight, moved = f"{SIGHT}|{PLACE}", f"{MOTION}|{PLACE}|{SIGHT}"
-    yield FaultRow("frames lost", "no_frames", SIGHT, due=after(0.55, False))
-    yield FaultRow("server silent", "no_server", f"{SIGHT}|{CLOCK}", due=after(0.55, False))
+    yield FaultRow("frames lost", "no_frames", SIGHT)
+    yield FaultRow("server silent", "no_server", f"{SIGHT}|{CLOCK}")
     late = f"{sight}|{CLOCK}|{MOTION}"
     yield FaultRow("frames late", "late_frames", late, lambda d: {"by": d.between(0.003, 0.4)})
     yield FaultRow("frames doubled", "doubled_frames", r"$.", weight=0.5)
     yield FaultRow("frames reordered", "reordered", late, lambda d: {"by": d.between(0.002, 0.3)})
-    yield FaultRow("frames frozen", "freeze", SIGHT, due=after(0.55, False))
+    yield FaultRow("frames frozen", "freeze", SIGHT)
     yield FaultRow(
         "frames slow", "slow_frames", moved, lambda d: {"rate": d.between(0.01, 1) ** -1}
     )
@@ -124,38 +109,30 @@ def _kinds() -> Iterator[FaultRow]:
         "bad_datagrams",
         f"damaged|{sight}",
         _damaged,
-        above("share", 0.5, 0.6, False),
     )
     yield FaultRow(
         "frames of the past", "outdated", late, lambda d: {"by": d.between(0.05, 30), "frames": 50}
     )
-    yield FaultRow(
-        "other version", "other_version", f"damaged|{SIGHT}", _version, after(0.6, False)
-    )
-    yield FaultRow("counter back", "counter_back", "counter", lambda d: {"frames": 30}, after(0.1))
-    yield FaultRow("edit mode", "edit_mode", "edit mode", due=after(0.1))
+    yield FaultRow("other version", "other_version", f"damaged|{SIGHT}", _version)
+    yield FaultRow("counter back", "counter_back", "counter", lambda d: {"frames": 30})
+    yield FaultRow("edit mode", "edit_mode", "edit mode")
     for name in ("untracked", "nan", "bad_quaternion"):
-        yield FaultRow(name, name, SIGHT, Draw.robot, after(0.4))
+        yield FaultRow(name, name, SIGHT, Draw.robot)
     part = "half_tracked"
     yield FaultRow("tracked in part", part, SIGHT, lambda d: d.robot() | _lost(d))
-    yield FaultRow("pose frozen", "repeat", moved, Draw.robot, due.REPEATS)
-    yield FaultRow("picture frozen", "repeat", moved, due=due.REPEATS)
-    height, angle = above("height", 520, 0.4), above("angle", 0.55, 0.4)
-    yield FaultRow(
-        "lifted", "lifted", SIGHT, lambda d: d.robot() | {"height": d.between(80, 2e3)}, height
-    )
-    yield FaultRow(
-        "tipped", "tipped", SIGHT, lambda d: d.robot() | {"angle": d.signed(0.05, 3.1)}, angle
-    )
-    yield FaultRow("identities swapped", "swap", moved, Draw.robots, after(0.5))
-    yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots, after(0.1))
-    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.off(5, 500)}, JUMPS)
+    yield FaultRow("pose frozen", "repeat", moved, Draw.robot)
+    yield FaultRow("picture frozen", "repeat", moved)
+    yield FaultRow("lifted", "lifted", SIGHT, lambda d: d.robot() | {"height": d.between(80, 2e3)})
+    yield FaultRow("tipped", "tipped", SIGHT, lambda d: d.robot() | {"angle": d.signed(0.05, 3.1)})
+    yield FaultRow("identities swapped", "swap", moved, Draw.robots)
+    yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots)
+    yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.off(5, 500)})
     yield FaultRow("plate slips", "slip", moved, _slip)
-    yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0), due.WALKS_AHEAD)
-    yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2), due.WALKS)
+    yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0))
+    yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2))
     yield FaultRow("ghost drifts", "ghost", moved, lambda d: _ghost(d, None))
-    yield FaultRow("ghost turns", "ghost", moved, _turning, due.TURNS)
-    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.off(3, 300)}, JUMPS)
+    yield FaultRow("ghost turns", "ghost", moved, _turning)
+    yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.off(3, 300)})
     yield FaultRow("scale jumps", "picture", moved, lambda d: {"scale": 1 + d.signed(2e-3, 0.2)})
     yield FaultRow("axes jump", "picture", moved, lambda d: {"turn": d.signed(2e-3, 1)})
     yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.off(2, 300))))
@@ -172,15 +149,13 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow(
         "put elsewhere", "pushed", moved, lambda d: _pushed(d, 10, 600, True), at_once=True
     )
-    yield FaultRow(
-        "wheel stuck", "wheel_stuck", moved, lambda d: d.robot() | {"wheel": d.side()}, due.STANDS
-    )
-    yield FaultRow("wheel weak", "weak_wheel", moved, lambda d: d.robot() | _weak(d), due.WEAK)
+    yield FaultRow("wheel stuck", "wheel_stuck", moved, lambda d: d.robot() | {"wheel": d.side()})
+    yield FaultRow("wheel weak", "weak_wheel", moved, lambda d: d.robot() | _weak(d))
     yield FaultRow("battery low", "low_battery", "battery", _battery, start=0.9)
     link = f"{RADIO}|{moved}"
     yield FaultRow("brown-out", "off", link, Draw.robot)
-    yield FaultRow("radio unplugged", "unplug", RADIO, due=after(0.1, False))
-    yield FaultRow("radio stuck", "stuck_port", RADIO, due=after(0.1, False))
+    yield FaultRow("radio unplugged", "unplug", RADIO)
+    yield FaultRow("radio stuck", "stuck_port", RADIO)
     yield FaultRow("radio silent", "loss", link, _lost)
     yield FaultRow("robot deaf", "deaf", link, lambda d: d.robot() | _lost(d))
     numbers = "swapped_numbers"
@@ -199,24 +174,17 @@ def _kinds() -> Iterator[FaultRow]:
         "host_clock",
         f"stood still|late|{CELLS}|{clock}",  # cells seem to stand still meanwhile
         _jump,
-        above("by", 0.6, 0.1, False),
-        True,
+        at_once=True,
     )
-    yield FaultRow(
-        "host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)}, due.PLANS
-    )
+    yield FaultRow("host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)})
     at_times = "host busy at times"
     yield FaultRow(at_times, "busy", f"late|silent|{moved}", _at_times, weight=0.5)
     yield FaultRow("suspended", "stopped", f"stood still|late|{CELLS}|{clock}|{moved}", _nap)
-    yield FaultRow(
-        "disk full", "disk_full", "cannot write the log", due=after(1.0, False), at_once=True
-    )
+    yield FaultRow("disk full", "disk_full", "cannot write the log", at_once=True)
     yield FaultRow("killed", "signal", r"$.", lambda d: {"signal": "KILL"}, at_once=True)
-    yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, after(1.0, False), True)
+    yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, True)
     yield FaultRow("second run", "second_run", r"$.", at_once=True, weight=0.5)
-    yield FaultRow(
-        "emergency stop", "emergency", "emergency stop", due=after(0.1, False), at_once=True
-    )
+    yield FaultRow("emergency stop", "emergency", "emergency stop", at_once=True)
 
 
 def _damaged(d: Draw) -> dict[str, Any]:

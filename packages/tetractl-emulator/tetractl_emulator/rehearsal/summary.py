@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from tetractl_emulator.rehearsal.invariants import Violation
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
 from tetractl_emulator.rehearsal.truth import Truth
+from tetractl_emulator.rehearsal.violation import Violation
 
 DayRow = Mapping[str, Any]
 """What is kept of a day, by the names in FIELDS."""

@@ -17,18 +17,19 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
+from tetractl_emulator.rehearsal.schedule import FRAME_S
 
 RUN, EMERGENCY = 1, 2  # flags of a command
 LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
+MOVES_MM_S, MOVES_RAD_S = 10.0, 0.1  # motion that pictures of a second show plainly
 NEAR_S = 0.02  # largest difference of the times of a picture
-ACTS_S = 0.3  # for which an earlier command may still act: radio, wheels, some lost commands
-SLACK_DRIVE_S = 0.03  # of driving, within which motion may differ
 
 
 def nearest_exposures(
@@ -54,6 +55,8 @@ class Truth:
 
     day: Day
     setup: Setup
+    limits: LabLimits
+    watchdog_s: float
 
     def of(self, event: str, **facts: Any) -> list[dict[str, Any]]:
         """Return the recorded events of a kind."""
@@ -101,56 +104,29 @@ class Truth:
         return command.get("drives", own)
 
     @cached_property
-    def _shown(self) -> Floats:
+    def unseen(self) -> Floats:
         """Time since each robot was last shown (T, N) [s]; 0 if not known."""
         shown = [e["unseen_ms"] or [0.0] * len(self.setup.names) for e in self.of("truth")]
         return np.array(shown).reshape(-1, len(self.setup.names)) / 1000
 
     @cached_property
-    def _right(self) -> Floats:
-        """Last time at which what was shown of each robot was right (T, N) [s], on a camera's grid:
-        an old pose of a robot that has not left its step is right, and nothing tells it from a new
-        one. -inf before, and for cameras without a grid.
+    def acting(self) -> Floats:
+        """For how long each command (C,) acts [s]: until the next, or until a watchdog stops robots
+        that hear none.
         """
-        sight, times = self.setup.sight, self.times[:, None]
-        if not sight.coarse or not len(times):
-            return np.full_like(self._shown, -np.inf)
-        then = np.searchsorted(self.times, times - self._shown + 1e-3) - 1
-        moved = np.abs(self.poses - self.poses[np.maximum(then, 0), np.arange(then.shape[1])])
-        turned = np.minimum(moved[..., 2], 2 * np.pi - moved[..., 2])
-        same = (moved[..., :2].max(axis=-1) <= sight.grid_mm) & (turned <= sight.grid_rad)
-        return np.maximum.accumulate(np.where(same, times, -np.inf))
+        after = np.append(self.commanded[1:], self.alive_s) - self.commanded
+        return np.clip(after, 0.0, self.watchdog_s)
 
     @cached_property
-    def unseen(self) -> Floats:
-        """Time since each robot was last shown where it is (T, N) [s]; 0 if not known."""
-        return np.minimum(self._shown, self.times[:, None] - self._right)
-
-    def unseen_at(self, command: dict[str, Any]) -> list[float]:
-        """Return the same (N,) at a command [s]."""
-        at_s, row = command["t_ns"] / SECOND, np.searchsorted(self.times, command["t_ns"] / SECOND)
-        since = at_s - self._right[row - 1] if row else np.inf
-        return np.minimum(np.array(command["unseen_ms"]) / 1000, since).tolist()
-
-    def repeats_s(self, wheel_error: float) -> float:
-        """Return for how long a pose may repeat on a camera's grid once its robot has left its step
-        [s]: until no command that may act lets it stand and wheels that are slower by `wheel_error`
-        have driven it, by the diagonal of a step and the slack of the motion, out of the step.
+    def undirected(self) -> Floats:
+        """How long before each command (C,) the log has the controller's last direction [s]; 0
+        before the first, and without a log.
         """
-        if not self.setup.sight.coarse:
-            return 0.0
-        slow_mm_s = float(self.setup.speed.min()) * self.setup.metres * 1000
-        way_s = math.sqrt(2) * self.setup.sight.grid_mm / slow_mm_s + SLACK_DRIVE_S
-        return ACTS_S + way_s / max(1.0 - wheel_error, 0.1)
-
-    def sent(self, i: int) -> list[tuple[float, bool, bool]]:
-        """Return each command's time [s], and whether it drives robot i ahead, or turns it."""
-        found = []
-        for command in self.of("command"):
-            left, right = (*command.get("wheels", ()), *[(0, 0)] * (i + 1))[i]
-            ahead = left + right > 0
-            found.append((command["t_ns"] / SECOND, ahead, not ahead and left != right))
-        return found
+        steps = self.trial.steps if self.trial is not None else ()
+        sent_s = np.array([step.command.sent_ns for step in steps or ()]) / SECOND
+        last = np.searchsorted(sent_s, self.commanded, "right") - 1
+        before = sent_s[last] if len(sent_s) else self.commanded
+        return np.where(last < 0, 0.0, self.commanded - before)
 
     def status(self, flag: int) -> Bools:
         """Return a flag of the robots' firmware at the exposures (T, N): 1 running, 2 emergency
@@ -179,17 +155,6 @@ class Truth:
         return any(fault.get("signal") == "KILL" for _, _, fault in self.faults)
 
     @cached_property
-    def _slept_s(self) -> float:
-        """For how long our side stood still [s]."""
-        return sum(f["for"] for _, _, f in self.faults if f["fault"] == "stopped")
-
-    @cached_property
-    def napped_s(self) -> float:
-        """For how long our side stood still, or a plan took [s]."""
-        busy = [f["seconds"] for _, _, f in self.faults if f["fault"] == "busy"]
-        return self._slept_s + sum(busy)
-
-    @cached_property
     def numbered(self) -> bool:
         """Whether frames have numbers."""
         return any(e["frame"] for e in self.of("truth"))
@@ -201,23 +166,20 @@ class Truth:
 
     @cached_property
     def late_s(self) -> float:
-        """By how much frames without a number, which count as new, were older than they seemed:
-        late ones, and those that waited in the wire [s].
+        """By how much frames without a time of their own, which count as new, were older than they
+        seemed: late ones, and those that waited in the wire [s].
         """
         if self.dated:
             return 0.0
         late = [f["by"] for _, _, f in self.faults if f["fault"] in LATE_FRAMES]
-        return sum(late) + self._slept_s
+        slept = [f["for"] for _, _, f in self.faults if f["fault"] == "stopped"]
+        busy = [f["seconds"] for _, _, f in self.faults if f["fault"] == "busy"]
+        return sum(late) + sum(slept) + sum(busy)
 
     @property
     def alive_s(self) -> float:
         """Time at which our side ended; the emulation goes on alone for a moment."""
         return float(self.times[-1]) - AFTER_NS / SECOND if len(self.times) else 0.0
-
-    def sight_s(self, at_s: float) -> float:
-        """Return the age of the newest exposure that was shown at a time [s]."""
-        row = np.searchsorted(self.times, at_s) - 1
-        return float(self.unseen[row].min()) if row >= 0 else 0.0
 
     @cached_property
     def began_s(self) -> float:
@@ -251,6 +213,18 @@ class Truth:
     def met(self, *kinds: str) -> bool:
         """Return whether one of these faults became visible, by the names of scripts."""
         return any(fault["fault"] in kinds for _, _, fault in self.faults)
+
+    @cached_property
+    def shown_moving(self) -> list[tuple[float, float, str]]:
+        """When a camera plainly showed motion of robots that may rest: begin, end [s], fault."""
+        shown = list[tuple[float, float, str]]()
+        for began_s, ended_s, fault in self.faults:
+            slides = fault["fault"] == "ghost" or fault.get("creeps", False)
+            speed_mm_s = math.hypot(*fault.get("by", (0.0, 0.0))) / FRAME_S if slides else 0.0
+            rate = abs(fault.get("turn", 0.0)) / FRAME_S if slides else 0.0
+            if speed_mm_s > MOVES_MM_S or rate > MOVES_RAD_S:
+                shown.append((began_s, ended_s, str(fault["kind"])))
+        return shown
 
     @cached_property
     def log(self) -> TrialLog | str:
@@ -324,6 +298,17 @@ class Truth:
             last = len(found) if self.log.result is not None else int(logged.max(initial=0))
             for row in range(1, last):
                 found[row] = np.where(np.isnan(found[row]), found[row - 1], found[row])
+        return found
+
+    @cached_property
+    def fresh(self) -> Bools:
+        """Whether the log has a pose of a robot that was exposed then (T, N)."""
+        found = np.zeros((len(self.times), len(self.setup.names)), bool)
+        if isinstance(self.log, TrialLog):
+            own = self.log.exposed_ns == self.log.mocap_ns[:, None]
+            for row, valid in zip(self.rows, self.log.valid & own, strict=True):
+                if row is not None:
+                    found[row] = valid
         return found
 
     @cached_property

@@ -22,13 +22,12 @@ FAR_SHARE, OFF_SHARE = 0.02, 0.02
 
 
 class World(NamedTuple):
-    """The section `emulation` of a day's script, a regular expression of the reasons that are right
-    without a fault, and the share by which a wheel is slower than it should be.
+    """The section `emulation` of a day's script, and a regular expression of the reasons that are
+    right without a fault.
     """
 
     emulation: dict[str, Any]
     right: str
-    slower: float
 
 
 def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = True) -> World:
@@ -41,7 +40,7 @@ def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = Tr
         emulation["robots"] = _placed(random, setup, 1.6 * lab.start_mm * far, 0.16 * lab.start_mm)
     slower = random.uniform(0.17, 0.3) if off else 0.0
     emulation["actuator"] = lab.actuator(random, slower)
-    return World(emulation, "|".join([PLACE, *right]), slower)
+    return World(emulation, "|".join([PLACE, *right]))
 
 
 def _placed(random: Random, setup: Setup, far_mm: float, near_mm: float) -> list[dict[str, Any]]:

@@ -15,7 +15,6 @@ from tetractl_emulator.m3pi.wheeled_side import (
     gains_of,
     robots_of_day,
 )
-from tetractl_emulator.rehearsal.due import after
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.rehearsal.schedule import RADIO, SIGHT, FaultRow
 from tetractl_emulator.sides import Stage
@@ -74,7 +73,7 @@ class EmulatedCubes(PortedSide):
             return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 
         seen = f"{RADIO}|{SIGHT}"  # a cube tells its pose over the same connection
-        gone = FaultRow("radio unplugged", "unplug", seen, due=after(0.1, False))
+        gone = FaultRow("radio unplugged", "unplug", seen)
         return Rehearsal(rows=[gone], world=world)
 
     def __init__(self, stage: Stage, settings: CubesSettings) -> None:

@@ -1,6 +1,14 @@
-"""What must hold of cells under a field on every day: asserted on the true dish, and on the log.
+"""The seven sentences, of cells under a field: cells never rest, so what must rest is the field.
 
-Cells never rest, so what must end is the field. Each bound is derived in `docs/rehearsals.md`.
+| sentence | bound | from |
+|---|---|---|
+| no field is made blind | `stale`; before a choice, `stream_lost` + `latency` | the spec |
+| no field after a stop | wire + `watchdog` + ramp + lag of the coils | the coils |
+| poses and the result are true | a body's length for `identity`; `SEEN_UM` | a body, a pixel |
+
+A field does not hold a cell back, so none must stay inside the arena. Log, exit code and reason are
+as of robots, in `sentences`. A stream that tracks cells itself has its noise, `STREAM_UM`, for
+bounds.
 """
 
 from collections.abc import Iterator
@@ -13,11 +21,15 @@ from tetractl_microscope.coils.section import FieldSection
 from tetractl.core.poses import Floats, Integers
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import TrialLog
-from tetractl_emulator.rehearsal.invariants import ends, reasons
 from tetractl_emulator.rehearsal.logged import logged
-from tetractl_emulator.rehearsal.times import NAPS, late, seldom
+from tetractl_emulator.rehearsal.sentences import (
+    AIR_S,
+    exit_code_is_right,
+    log_is_whole,
+    reason_names_a_fault,
+)
 from tetractl_emulator.rehearsal.truth import EMERGENCY, RUN, Truth
-from tetractl_emulator.rehearsal.violation import AIR_S, SLACK_S, Violation
+from tetractl_emulator.rehearsal.violation import Violation
 
 PERIOD_S = 0.025  # between two commands
 SENT_S = 0.015  # a tick, and three frames on the wire
@@ -26,7 +38,7 @@ OFF = 0.01  # greatest current without a field, as a share of the greatest curre
 WRONG_UM, SEEN_UM = 60.0, 15.0  # a body's length; the helix of a body, and a pixel
 KNOWN_S = 0.5  # until an unknown cell counts as unknown, and the trial ends
 STREAM_UM = 7.0  # noise of a stream's pose, the way of a cell in a frame, and rounding
-FASTER, WINDOW_S, STEP_S = 2.0, 1.0, 0.1  # as a cell may swim, in which time, and at what steps
+WINDOW_S = 1.0  # for which a stream may be wrong that a cell might have swum
 FALSE = ("ghost", "jump", "picture", "slip", "swap", "repeat")  # faults that make poses false
 SPECKS, LEARNED_S = 4, 1.6  # least debris that shows a knock; until the background is learned
 MET_UM = 80.0  # largest body: two cells that were as near may have touched
@@ -41,6 +53,11 @@ class DishTruth(Truth):
         rows = [[*e["poses"], *e.get("born", ())] for e in self.of("truth")]
         most = max(map(len, rows), default=0)
         return np.array([[*row, *[[np.nan] * 3] * (most - len(row))] for row in rows])
+
+    @cached_property
+    def shown_moving(self) -> list[tuple[float, float, str]]:
+        """None: cells never rest."""
+        return []
 
     @cached_property
     def currents(self) -> Floats:
@@ -82,10 +99,6 @@ class DishTruth(Truth):
         """Return for each robot whether a command makes a field."""
         return [bool(command["flags"] & RUN)] * len(self.setup.names)
 
-    def sent(self, i: int) -> list[tuple[float, bool, bool]]:
-        """Return each command's time [s], and that it drives any cell on if it makes a field."""
-        return [(e["t_ns"] / 1e9, any(self.drives(e)), False) for e in self.of("command")]
-
     @cached_property
     def moved(self) -> bool:
         """Whether a knock moved all that was in view: what stands did not show it."""
@@ -118,33 +131,30 @@ def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
     ramp_s = field.current_max_a / field.slew_max_a_s
     off_s = SENT_S + field.watchdog + ramp_s + LAG_S + sum(behind)
     found = [*_commands(truth, limits), *_field(truth, off_s, OFF * field.current_max_a)]
-    found += [*ends(truth), *reasons(truth), *late(truth)]
-    if truth.numbered:
-        found += [*seldom(truth, limits.stale, 3.0 * limits.untracked_abort), *logged(truth)]
     if isinstance(truth.log, TrialLog) and len(truth.seen):
         found += [*_identity(truth, limits), *_result(truth)]
-        found += _swims(truth, limits) if truth.numbered else ()
-    return found
+    found += [*log_is_whole(truth), *(logged(truth) if truth.numbered else ())]
+    return [*found, *exit_code_is_right(truth), *reason_names_a_fault(truth)]
 
 
 def _commands(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     """A field needs a new picture; after a stop only stops are sent."""
-    turning_s = limits.stream_lost + limits.latency + PERIOD_S + SLACK_S
-    emergency = truth.first("fault", name="emergency", phase="start") + SLACK_S
+    turning_s = limits.stream_lost + limits.latency + PERIOD_S + AIR_S
+    emergency = truth.first("fault", name="emergency", phase="start") + AIR_S
     for command in truth.of("command"):
         at, flags = command["t_ns"] / 1e9, command["flags"]
         if at > emergency and not flags & EMERGENCY and at > truth.first("run"):
-            yield Violation("emergency released", at, f"flags {flags}")
+            yield Violation("not at rest", at, f"flags {flags}")
             return
         if not flags & RUN:
             continue
         if at > truth.ended_s + 0.004:
-            yield Violation("steers after stop", at, f"{at - truth.ended_s:.3f} s after the stop")
+            yield Violation("not at rest", at, f"{at - truth.ended_s:.3f} s after the stop")
             return
-        within = limits.stale + SLACK_S if at >= truth.began_s else turning_s
+        within = limits.stale + AIR_S if at >= truth.began_s else turning_s
         unseen = min(command["unseen_ms"], default=0.0) / 1000
         if unseen > within + truth.late_s:
-            yield Violation("steers blind", at, f"unseen for {unseen:.3f} s")
+            yield Violation("driven blind", at, f"unseen for {unseen:.3f} s")
             return
 
 
@@ -157,40 +167,12 @@ def _field(truth: DishTruth, off_s: float, off_a: float) -> Iterator[Violation]:
     last = np.array([-np.inf, *steers])[np.searchsorted(steers, truth.times, "right")]
     made = truth.currents > off_a
     after = made & (truth.times > min([truth.ended_s, *killed]) + off_s)
-    for name, wrong in (
-        ("field after stop", after),
-        ("field unattended", made & (truth.times - last > off_s)),
-    ):
+    unattended = made & (truth.times - last > off_s)
+    for text, wrong in (("after a stop", after), ("unattended", unattended)):
         if wrong.any():
             row = int(wrong.argmax())
-            yield Violation(name, float(truth.times[row]), f"{truth.currents[row]:.2f} A")
-
-
-def _swims(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
-    """Poses of a stream to which no cell can have swum are refused, and so end the trial."""
-    log, mm = truth.trial, truth.setup.metres * 1000
-    assert log is not None, "a log was read"
-    known, rows = np.array([row is not None for row in truth.rows], bool), truth.times[truth.seen]
-    at, came = log.mocap_ns[known] / 1e9, log.received_ns[known] / 1e9
-    run = np.flatnonzero((rows > truth.began_s) & (rows < truth.ended_s))
-    for i, name in enumerate(truth.setup.names):
-        good = run[~np.isnan(truth.accepted[run, i, 0])]
-        t, xy, now = at[good], truth.accepted[good, i], np.arange(1, len(good))
-        for lag in np.arange(0.0, WINDOW_S, STEP_S):
-            then = np.minimum(np.searchsorted(t, t[1:] - lag), now - 1)
-            most = FASTER * truth.setup.speed[i] * mm * (t[now] - t[then])
-            most += limits.jump_mm * (1 + (lag > 0)) + STREAM_UM / 1000
-            over = np.hypot(*(xy[now] - xy[then]).T) > most
-            if over.any():
-                row = truth.seen[good[now[over.argmax()]]]
-                yield Violation("accepts wrong", float(truth.times[row]), f"{name} jumped")
-                return
-        since = np.concatenate([[-np.inf], t])[np.searchsorted(t, at[run], "right")]
-        gone = at[run] - since >= limits.untracked_abort
-        late = came[run] + AIR_S + truth.napped_s < truth.ended_s
-        if (wrong := gone & late & (since > 0)).any() and not truth.met(*NAPS):
-            yield Violation("late", float(rows[run][wrong.argmax()]), f"{name} is not tracked")
-            return
+            found = f"a field of {truth.currents[row]:.2f} A {text}"
+            yield Violation("not at rest", float(truth.times[row]), found)
 
 
 def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
@@ -208,7 +190,7 @@ def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
             since = (at[frame] if since is None else since) if wrong else None
             if since is not None and at[frame] - since > known_s:
                 found = f"{truth.setup.names[i]} by {off[frame]:.0f} um"
-                yield Violation("accepts wrong", at[frame], found, truth.mistaken(frame, i))
+                yield Violation("untrue", at[frame], found, truth.mistaken(frame, i))
                 return
 
 
@@ -230,7 +212,7 @@ def _result(truth: DishTruth) -> Iterator[Violation]:
         if not lost and off[i] > seen_um + _speed_um(truth, own) * truth.late_s:
             frame = int(np.flatnonzero(truth.seen == row)[0])
             found = f"{truth.setup.names[i]} by {off[i]:.0f} um"
-            yield Violation("wrong result", truth.times[row], found, truth.mistaken(frame, i))
+            yield Violation("untrue", truth.times[row], found, truth.mistaken(frame, i))
             return
 
 

@@ -1,4 +1,4 @@
-"""Each invariant of cells is broken by a record in which it does not hold, and by none in which it
+"""Each sentence of cells is broken by a record in which it does not hold, and by none in which it
 does.
 """
 
@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.paths import EXAMPLES
-from tetractl_emulator.rehearsal.cell_invariants import (
+from tetractl_emulator.rehearsal.cell_sentences import (
     DishTruth,
     _identity,
     _result,
@@ -21,6 +21,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.read.trial_log import TrialLog
 
 EXPERIMENT = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment
+LIMITS = EXPERIMENT.lab.limits
 STARTS = [[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [2.0, 2.0, 0.0]]
 DARK = {"kind": "dark", "strength": 0.5, "fault": "light", "share": 0.1, "at": 1.0}
 KEY = {"kind": "dark", "strength": 0.5, "fault": "emergency", "at": 1.0}
@@ -54,12 +55,12 @@ STOP = at(3.0, "guard", state="abort", reason="cell 1 is not tracked (0.70 s)")
 def truth_of(*events, fault=DARK, said=ERROR):
     events = sorted([*RUN, *events], key=lambda event: event["t_ns"])
     plan = DayPlan(1, {}, [fault], "", [*microscope_rows()])
-    return DishTruth(Day(plan, events, 1, said, None, "", 1.0), EXPERIMENT.setup)
+    return DishTruth(Day(plan, events, 1, said, None, "", 1.0), EXPERIMENT.setup, LIMITS, 0.25)
 
 
 def found(*events, **more):
     names = {one.name for one in cell_violations(truth_of(*events, **more), EXPERIMENT.lab)}
-    return names - {"no log"}
+    return names - {"log"}
 
 
 def test_a_good_end_breaks_nothing():
@@ -69,20 +70,20 @@ def test_a_good_end_breaks_nothing():
 @pytest.mark.parametrize(
     ("name", "events", "more"),
     [
-        ("steers blind", [SEEN, STOP, command(2.1, unseen=300.0)], {}),
-        ("steers blind", [command(0.6, unseen=700.0), SEEN, STOP], {}),
-        ("steers after stop", [SEEN, STOP, command(3.1)], {}),
-        ("field after stop", [SEEN, STOP, command(3.0), truth_at(3.4, 0.5)], {}),
-        ("field unattended", [SEEN, STOP, truth_at(1.5, 0.5)], {}),
+        ("driven blind", [SEEN, STOP, command(2.1, unseen=350.0)], {}),
+        ("driven blind", [command(0.6, unseen=700.0), SEEN, STOP], {}),
+        ("not at rest", [SEEN, STOP, command(3.1)], {}),
+        ("not at rest", [SEEN, STOP, command(3.0), truth_at(3.4, 0.5)], {}),
+        ("not at rest", [SEEN, STOP, truth_at(1.5, 0.5)], {}),
         ("reason", [SEEN, STOP], {"said": "error: trial 1: the moon is full\n"}),
         (
-            "emergency released",
+            "not at rest",
             [at(2.0, "fault", phase="start", name="emergency", row=0), STOP, command(2.1, 0)],
             {"fault": KEY},
         ),
     ],
 )
-def test_an_invariant_is_broken(name, events, more):
+def test_a_sentence_is_broken(name, events, more):
     assert name in found(*events, **more)
 
 
@@ -139,7 +140,7 @@ def test_a_knock_is_of_a_class_only_where_nothing_that_stands_shows_it(specks, b
     starts = [at(began, "fault", phase="start", name="", row=i) for i in range(1 + len(more))]
     plan = DayPlan(1, {"camera": {"specks": specks}}, [knock, *more], "", [*microscope_rows()])
     events = [at(0.1, "client"), *RUN, *starts]
-    truth = DishTruth(Day(plan, events, 1, "", None, "", 1.0), EXPERIMENT.setup)
+    truth = DishTruth(Day(plan, events, 1, "", None, "", 1.0), EXPERIMENT.setup, LIMITS, 0.25)
     assert truth.moved is moved
 
 
@@ -147,9 +148,9 @@ def test_a_knock_is_of_a_class_only_where_nothing_that_stands_shows_it(specks, b
     ("seconds", "seen", "meets", "expected"),
     [
         (6.0, (1010.0, 1000.0), False, set()),
-        (3.0, (1990.0, 1000.0), False, {("wrong result", "")}),
-        (6.0, (1000.0, 1100.0), False, {("accepts wrong", ""), ("wrong result", "")}),
-        (6.0, (1990.0, 1000.0), True, {("accepts wrong", "met"), ("wrong result", "met")}),
+        (3.0, (1990.0, 1000.0), False, {("untrue", "")}),
+        (6.0, (1000.0, 1100.0), False, {("untrue", "")}),
+        (6.0, (1990.0, 1000.0), True, {("untrue", "met")}),
     ],
 )
 def test_a_wrong_pose_is_found_unless_its_cell_has_met_the_other(seconds, seen, meets, expected):

@@ -1,0 +1,313 @@
+"""Each sentence of the observer is broken by a day made up in which it does not hold, and by none
+in which it does.
+"""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+from tetractl_emulator.rehearsal.day import Day, DayPlan
+from tetractl_emulator.rehearsal.sentences import SENTENCES, violations
+from tetractl_emulator.rehearsal.truth import Truth
+
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Sight
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.load import load_spec
+from tetractl.log.read.trial_log import TrialLog
+
+SETUP = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment.setup
+STARTS = [[900.0, 800.0, 0.0], [900.0, 1200.0, 0.0], [900.0, 1600.0, 0.0]]
+ERROR = "error: trial 1: green is not tracked (0.30 s)\n"
+
+
+def at(seconds, event, **facts):
+    return {"t_ns": round(seconds * 1e9), "event": event, **facts}
+
+
+def truth_at(seconds, speed=0.0, poses=STARTS, unseen=(10.0, 10.0, 10.0), status=(0, 0, 0)):
+    wheels = [[speed, speed], [0.0, 0.0], [0.0, 0.0]]
+    return at(
+        seconds,
+        "truth",
+        frame=round(seconds * 120),
+        poses=poses,
+        wheels=wheels,
+        unseen_ms=list(unseen),
+        status=list(status),
+    )
+
+
+def command(seconds, count, flags=1, unseen=(10.0, 10.0, 10.0)):
+    wheels = [[count, count], [0, 0], [0, 0]]
+    return at(seconds, "command", flags=flags, wheels=wheels, unseen_ms=list(unseen))
+
+
+def starts(seconds):
+    return at(seconds, "fault", phase="start", name="", row=0)
+
+
+LOST = {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "green", "at": 1.0}
+KEY = {"kind": "emergency stop", "strength": 0.5, "fault": "emergency", "at": 1.0}
+PRESSED = at(2.0, "fault", phase="start", name="emergency", row=0)
+GHOST = {"kind": "ghost turns", "strength": 0.9, "fault": "ghost", "robot": "green", "at": 0.1}
+GHOST |= {"by": [0, 0], "turn": 0.01}
+FREEZES = {"kind": "frames frozen", "strength": 0.5, "fault": "freeze", "at": 1.0}
+RUN = [at(1.0, "run"), at(1.0, "guard", state="run", reason="")]
+DRIVES = [command(1.0 + k / 10, 20) for k in range(13)]
+STOPS = [command(2.31 + k / 50, 0, 0) for k in range(10)]
+ABORT = at(2.31, "guard", state="abort", reason="green is not tracked (0.30 s)")
+END = truth_at(5.0)
+GOOD = [*RUN, *DRIVES, starts(2.0), ABORT, *STOPS, truth_at(2.2, 180.0), END]
+
+
+def day(events, fault=LOST, said=ERROR, code=1, left="", setup=SETUP):
+    """A day of such events without a log."""
+    plan = DayPlan(1, {"actuator": {}}, [fault], "")
+    in_order = sorted(events, key=lambda event: event["t_ns"])
+    return Truth(Day(plan, in_order, code, said, None, left, 1.0), setup, LabLimits(), 0.25)
+
+
+def broken(events, **more):
+    """Return the sentences that a day without a log breaks, but that a log has to be there."""
+    return {one.name for one in violations(day(events, **more))} - {"log"}
+
+
+def test_there_are_seven_sentences():
+    assert len(SENTENCES) == 7
+
+
+def test_a_good_end_breaks_nothing():
+    assert not broken(GOOD)
+
+
+SEEN_SELDOM = [
+    truth_at(1.0 + k / 60, unseen=(200.0, 10.0, 10.0) if k % 5 else (10.0, 10.0, 10.0))
+    for k in range(300)
+]
+
+
+@pytest.mark.parametrize(
+    ("events", "wrong"),
+    [
+        ([*GOOD, command(2.1, 20, unseen=(120.0, 10.0, 10.0))], False),
+        ([*GOOD, command(2.1, 20, unseen=(260.0, 10.0, 10.0))], True),
+        ([*GOOD, command(2.1, 20, unseen=(10.0, 10.0, 260.0))], False),  # one that stands
+        ([*GOOD, command(2.1, 20, unseen=(10.0, 10.0, 460.0))], True),
+        ([*RUN, command(1.0, 20, unseen=(60.0, 10.0, 10.0)), END], True),  # until its watchdog
+        ([*RUN, *SEEN_SELDOM, at(5.5, "end"), truth_at(6.5)], True),
+    ],
+)
+def test_no_robot_is_driven_blind(events, wrong):
+    assert ("driven blind" in broken(events)) == wrong
+
+
+@pytest.mark.parametrize(("sent_s", "wrong"), [(1.6, False), (1.4, True)])
+def test_no_robot_is_driven_without_a_direction(sent_s, wrong):
+    truth = day(GOOD)
+    step = SimpleNamespace(command=SimpleNamespace(sent_ns=round(sent_s * 1e9)))
+    known = dict.fromkeys(TrialLog.__dataclass_fields__)
+    vars(truth)["log"] = TrialLog(**known | {"steps": [step]})
+    assert names_of(0, truth) == ({"driven blind"} if wrong else set())
+
+
+def test_a_frozen_picture_on_a_cameras_grid_is_of_a_class_that_no_camera_shows():
+    events = [*GOOD, command(2.1, 20, unseen=(900.0, 10.0, 10.0))]
+    grid = replace(SETUP, sight=Sight(grid_mm=1.36, grid_rad=0.02))
+    classes = [v.predicted for v in violations(day(events, fault=FREEZES, setup=grid))]
+    assert any(one.startswith("frozen") for one in classes)
+
+
+@pytest.mark.parametrize(
+    ("events", "more"),
+    [
+        ([*GOOD, truth_at(3.4, 90.0)], {}),
+        ([*GOOD, command(2.6, 20)], {}),
+        ([*RUN, *DRIVES, starts(2.0), ABORT, *STOPS[:2], END], {}),
+        ([*GOOD, truth_at(2.0, status=(2, 0, 0)), truth_at(2.1)], {}),
+        ([*GOOD, truth_at(2.4), truth_at(2.5, status=(1, 0, 0))], {}),
+        ([*RUN, *DRIVES, PRESSED, END], {"fault": KEY}),
+        ([*RUN, PRESSED, command(2.0, 0, 2), command(2.1, 0, 0), END], {"fault": KEY}),
+        ([at(2.0, "run"), starts(0.5), END], {"fault": GHOST}),
+        (
+            [*GOOD, *[truth_at(2.35 + k / 10, unseen=(900.0, 10.0, 10.0)) for k in range(20)]],
+            {},
+        ),
+    ],
+)
+def test_robots_rest_after_a_stop(events, more):
+    assert "not at rest" in broken(events, **more)
+
+
+def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once():
+    assert not broken([*GOOD, command(2.501, 20), command(2.503, 0, 0)])
+
+
+def test_a_robot_that_latched_an_emergency_stop_and_rests_breaks_nothing():
+    stops = [command(2.0 + k / 50, 0, 2) for k in range(10)]
+    left = at(2.0, "guard", state="abort", reason="emergency stop by the operator")
+    said = "error: trial 1: emergency stop by the operator\n"
+    events = [*RUN, *DRIVES[:9], PRESSED, left, *stops, truth_at(2.1, status=(2, 2, 2)), END]
+    events[-1]["status"] = [2, 2, 2]
+    assert not broken(events, fault=KEY, said=said)
+
+
+@pytest.mark.parametrize(
+    ("green", "blue", "wrong"),
+    [
+        ((501.0, 800.0), (900.0, 1200.0), False),
+        ((497.0, 800.0), (900.0, 1200.0), True),  # beyond the rim
+        ((1300.0, 1200.0), (900.0, 1200.0), True),  # in the obstacle
+        ((900.0, 1088.0), (900.0, 1200.0), False),
+        ((900.0, 1100.0), (900.0, 1200.0), True),  # nearer to blue than `separation_mm`
+    ],
+)
+def test_robots_stay_inside_the_arena_and_apart(green, blue, wrong):
+    poses = [[*green, 0.0], [*blue, 0.0], STARTS[2]]
+    assert ("outside" in broken([*GOOD, truth_at(2.25, 0.0, poses)])) == wrong
+
+
+def with_log(accepted, **fields):
+    """A day with a log that has one pose of each robot in one exposure, while green drives."""
+    fault = fields.pop("fault", FREEZES)
+    truth = day([*RUN, truth_at(2.2, 180.0), truth_at(2.3, 180.0), END], fault=fault)
+    truth.day.events.append(starts(2.1))
+    known = dict.fromkeys(TrialLog.__dataclass_fields__)
+    mm = SETUP.metres * 1000
+    known |= {
+        "frames": np.array([264]),
+        "mocap_ns": np.array([2_200_000_000]),
+        "exposed_ns": np.array([[2_200_000_000] * 3]),
+        "mocap": np.array([accepted]) / (mm, mm, 1.0),
+        "valid": np.ones((1, 3), bool),
+        "steps": (),
+        "result": SimpleNamespace(outcome=Outcome.ABORTED, reason=ERROR, lost=()),
+    }
+    vars(truth)["log"] = TrialLog(**known | fields)
+    return truth
+
+
+def names_of(sentence, truth):
+    return {one.name for one in SENTENCES[sentence](truth)}
+
+
+@pytest.mark.parametrize(
+    ("off", "wrong"),
+    [((90.0, 0.0), False), ((100.0, 0.0), True), ((0.0, 0.9), False), ((0.0, 1.1), True)],
+)
+def test_poses_that_are_accepted_are_true(off, wrong):
+    x, y, heading = STARTS[0]
+    truth = with_log([[x + off[0], y, heading + off[1]], *STARTS[1:]])
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+@pytest.mark.parametrize(
+    ("fault", "wrong"),
+    [
+        ({"kind": "nan", "fault": "nan", "robot": "green", "at": 1.0}, True),
+        ({"kind": "lifted", "fault": "lifted", "robot": "green", "height": 600.0, "at": 1.0}, True),
+        ({"kind": "lifted", "fault": "lifted", "robot": "green", "height": 90.0, "at": 1.0}, False),
+        ({"kind": "tipped", "fault": "tipped", "robot": "green", "angle": -0.6, "at": 1.0}, True),
+    ],
+)
+def test_the_log_has_no_pose_of_a_robot_that_is_hidden(fault, wrong):
+    assert names_of(3, with_log(STARTS, fault=fault)) == ({"untrue"} if wrong else set())
+
+
+@pytest.mark.parametrize(("more_mm", "wrong"), [(5.0, False), (15.0, True)])
+def test_the_errors_of_a_complete_trial_are_true(more_mm, wrong):
+    mm = SETUP.metres * 1000
+    away = np.array(STARTS)[:, :2] / mm - SETUP.targets.reshape(-1, 2)
+    errors = np.hypot(*away.T) + more_mm / mm
+    result = SimpleNamespace(outcome=Outcome.ARRIVED, robot_errors=errors, reason="")
+    assert names_of(3, with_log(STARTS, result=result)) == ({"untrue"} if wrong else set())
+
+
+@pytest.mark.parametrize(
+    ("log", "wrong"),
+    [("", True), ("LogError: cut", True), ("damaged", True)],
+)
+def test_the_log_is_readable(log, wrong):
+    truth = with_log(STARTS, damage=SimpleNamespace()) if log == "damaged" else day(GOOD)
+    if log != "damaged":
+        vars(truth)["log"] = log
+    assert names_of(4, truth) == ({"log"} if wrong else set())
+
+
+def test_a_run_that_was_refused_needs_no_log():
+    assert not names_of(4, day([starts(0.5), END]))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"said": "error: trial 1: KeyError: 3\n"},
+        {"code": 0},
+        {"left": "a thread"},
+        {"code": -100},
+    ],
+)
+def test_the_exit_code_is_right(more):
+    assert "exit code" in broken(GOOD, **more)
+
+
+def complete(fault=LOST, events=(), steps=()):
+    """A day that ends with exit code 0, after such events."""
+    truth = day([*RUN, *DRIVES, *events, at(2.31, "guard", state="ready", reason=""), END], fault)
+    truth = replace(truth, day=replace(truth.day, exit=0, said=""))
+    result = SimpleNamespace(outcome=Outcome.ARRIVED, reason="")
+    known = dict.fromkeys(TrialLog.__dataclass_fields__) | {"result": result, "steps": steps}
+    vars(truth)["log"] = TrialLog(**known)
+    return truth
+
+
+def late_steps(count):
+    """Control steps of which the middle ones are late by 10 ms."""
+    return [
+        SimpleNamespace(
+            observation=SimpleNamespace(received_ns=0),
+            command=SimpleNamespace(
+                sent_ns=round((SETUP.period_s + 0.01) * 1e9) * (0 < k <= count)
+            ),
+        )
+        for k in range(count + 2)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("truth", "wrong"),
+    [
+        (complete(), False),
+        (complete(KEY, [PRESSED]), True),
+        (complete(GHOST, [starts(2.3)]), True),
+        (complete(GHOST, [starts(2.3), at(4.5, "fault", phase="end", row=0)]), True),
+        (complete(GHOST, [starts(2.3), at(3.0, "fault", phase="end", row=0)]), False),
+        (complete(events=[truth_at(4.0, unseen=(800.0, 10.0, 10.0))]), True),
+        (complete(steps=late_steps(5)), False),
+        (complete(steps=late_steps(6)), True),
+    ],
+)
+def test_a_trial_counts_only_if_nothing_was_wrong_with_it(truth, wrong):
+    assert names_of(5, truth) == ({"exit code"} if wrong else set())
+
+
+@pytest.mark.parametrize(
+    ("said", "robot", "wrong"),
+    [
+        (ERROR, "green", False),
+        (ERROR, "blue", True),
+        ("error: trial 1: the moon is full\n", "green", True),
+    ],
+)
+def test_the_reason_names_a_fault_that_was_there(said, robot, wrong):
+    names = broken(GOOD, fault=LOST | {"robot": robot}, said=said)
+    assert ("reason" in names) == wrong
+
+
+def test_slow_motion_is_of_a_class_that_no_camera_shows():
+    slow = GHOST | {"turn": 0.001}
+    turned = [[900.0, 800.0, math.pi / 2], *STARTS[1:]]
+    assert {v.predicted[:4] for v in SENTENCES[3](with_log(turned, fault=slow))} == {"slow"}

@@ -1,0 +1,427 @@
+"""The seven sentences that hold on every day of robots, each with one bound.
+
+| sentence | bound | from |
+|---|---|---|
+| no robot is driven blind | `stale` + `reaction` after its last sight | limits of the spec |
+| robots rest after a stop | air + `watchdog` + rolling [s] | UART and radio, wheels, `ROLL_S` |
+| robots stay inside the arena, apart | speed * (sight + air + lag - `reaction`) [mm] | stopping |
+| poses and the result are true | `POSE_MM`, `POSE_RAD`; `RESULT_MM` | a body; noise at rest |
+| the log is readable, and says what was | `NOTED_S` of `logged` | poll of the wire |
+| the exit code is right | 0, 1, 130, or the signal's | documentation of the codes |
+| the reason names a fault that was there | the row of the table of faults | `schedule` |
+
+Distances are in mm and times in s. The observer knows the truth and shares no code with the guard.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations, islice
+
+import numpy as np
+
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
+from tetractl.log.read.trial_log import TrialLog
+from tetractl_emulator.rehearsal.log_checks import log_differences
+from tetractl_emulator.rehearsal.logged import MUTE, logged
+from tetractl_emulator.rehearsal.schedule import FRAME_S, MOTION
+from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
+from tetractl_emulator.rehearsal.violation import Violation
+from tetractl_emulator.rehearsal.world import LAG_MAX_S
+
+Sentence = Callable[[Truth], Iterator[Violation]]
+
+AIR_S = 0.05  # a tick of 10 ms, a frame of the camera, the UART and the air
+ROLL_S = LAG_MAX_S * math.log(1000.0)  # from 1 m/s to 1 mm/s with the slowest wheels
+NOISE_MM = 4.0  # of a camera at its worst
+WATCHED_S = 4.0  # in which a robot crosses half the arena
+STOPS = 5  # a radio that loses every second packet takes one of these on 97 of 100 days
+POSE_MM, POSE_RAD = 95.0, 1.0  # a body's length, and the turn by which a robot leaves its way
+RESULT_MM = 10.0  # 0.03 s of driving at 200 mm/s, and the noise of poses at rest
+RESTS_S = 1.0  # of pictures that show whether robots rest
+LATE_RADIO = ("late_radio", "overtaken_packets")
+ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
+
+
+def violations(truth: Truth) -> list[Violation]:
+    """Return the sentences that a day of robots has broken."""
+    return [one for sentence in SENTENCES for one in sentence(truth)]
+
+
+# 1
+
+
+def driven_blind(truth: Truth) -> Iterator[Violation]:
+    """No robot is driven that has not been shown for `stale`, none while another has not been shown
+    for `untracked_abort`, none without a direction for `stream_lost`: by more than `reaction` each.
+    """
+    limits = truth.limits
+    own_s = limits.stale + limits.reaction + truth.late_s
+    other_s = limits.untracked_abort + limits.reaction + truth.late_s
+    silent_s = max(limits.stream_lost, (limits.late_steps + 1) * truth.setup.period_s)
+    silent_s += limits.reaction
+    mute = truth.met(*MUTE) or truth.killed
+    for k, command in enumerate(truth.of("command")):
+        driven = np.array(truth.drives(command), bool)
+        if not driven.any():
+            continue
+        acts_s = 0.0 if mute else truth.acting[k]
+        unseen = np.array(command["unseen_ms"]) / 1000 + acts_s
+        found = ""
+        if unseen[driven].max() > own_s or unseen.max() > other_s:
+            found = f"unseen for {unseen.max():.3f} s"
+        elif truth.undirected[k] > silent_s and not mute:
+            found = f"without a direction for {truth.undirected[k]:.2f} s"
+        if found:
+            yield Violation("driven blind", command["t_ns"] / 1e9, found, frozen(truth))
+            return
+    yield from _seldom_shown(truth)
+
+
+def _seldom_shown(truth: Truth) -> Iterator[Violation]:
+    """In each `WATCHED_S` in which robots may be driven, each is shown for half of it."""
+    span_s = np.diff(truth.times, append=truth.alive_s).clip(0.0, FRAME_S * 2)
+    may_drive = np.zeros(len(truth.times), bool)
+    for since_s, until_s in truth.driven:
+        may_drive |= (truth.times >= since_s) & (truth.times < until_s)
+    span_s = np.where(may_drive, span_s, 0.0)
+    driven_s = np.cumsum(span_s)
+    blind = truth.unseen > truth.limits.stale + truth.late_s
+    blind_s = np.cumsum(blind * span_s[:, None], axis=0)
+    before = np.searchsorted(driven_s, driven_s - WATCHED_S)
+    much = (blind_s - blind_s[before]).max(axis=1, initial=0.0) > WATCHED_S / 2
+    if much.any():
+        at_s = float(truth.times[much.argmax()])
+        found = f"a robot is unseen for half of {WATCHED_S:g} s"
+        yield Violation("driven blind", at_s, found, frozen(truth))
+
+
+# 2
+
+
+def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
+    """After the end none is driven for more than a tick, all stand, stops are sent, and an
+    emergency stop stays; a run begins at rest.
+    """
+    end_s = truth.ended_s
+    late_s = sum(f["by"] for _, _, f in truth.faults if f["fault"] in LATE_RADIO)
+    gone_s = [at for at, _, fault in truth.faults if fault.get("signal") == "KILL"]
+    bound_s = AIR_S + truth.watchdog_s + ROLL_S + late_s
+    rolls = (truth.times > min([end_s, *gone_s]) + bound_s)[:, None] & (truth.driving > 1.5)
+    if rolls.any():
+        row, i = np.argwhere(rolls)[0]
+        yield _unrest(float(truth.times[row]), f"{truth.setup.names[i]} moves")
+    for command, acts_s in zip(truth.of("command"), truth.acting.tolist(), strict=True):
+        if command["t_ns"] / 1e9 > end_s and acts_s > AIR_S and any(truth.drives(command)):
+            yield _unrest(command["t_ns"] / 1e9, "a command drives")
+            break
+    yield from _emergency(truth)
+    yield from _obeys(truth)
+    if not truth.met(*MUTE) and not truth.killed:
+        yield from _stops(truth)
+    begins_s = truth.first("run")
+    for began_s, ended_s, kind in truth.shown_moving:
+        if began_s + RESTS_S + AIR_S < begins_s < ended_s:
+            yield _unrest(begins_s, f"a run begins though the camera shows motion: {kind}")
+
+
+def _unrest(at_s: float, found: str) -> Violation:
+    return Violation("not at rest", float(at_s), found)
+
+
+def _emergency(truth: Truth) -> Iterator[Violation]:
+    """An emergency stop is sent as soon as it is pressed, each later command has its flag, and no
+    robot that has latched is free again before it is switched off.
+    """
+    pressed_s = truth.first("fault", name="emergency", phase="start")
+    commands = [(c["t_ns"] / 1e9, bool(c["flags"] & EMERGENCY)) for c in truth.of("command")]
+    if truth.first("run") < pressed_s < truth.alive_s - AIR_S and not truth.met(*MUTE):
+        if not any(pressed_s - AIR_S < at_s < pressed_s + AIR_S for at_s, flag in commands if flag):
+            yield _unrest(pressed_s, "no emergency stop is sent")
+        if any(at_s > pressed_s + AIR_S for at_s, flag in commands if not flag):
+            yield _unrest(pressed_s, "a command releases the emergency stop")
+    latched = truth.status(2)
+    freed = latched[:-1] & ~latched[1:]
+    if freed.any() and not truth.met("off"):
+        yield _unrest(truth.times[freed.any(axis=1).argmax()], "a robot is free again")
+
+
+def _obeys(truth: Truth) -> Iterator[Violation]:
+    """A robot that has stood after the end is not driven again, by a command that came late."""
+    runs = truth.status(1)
+    after = (truth.times > truth.ended_s + AIR_S)[:, None]
+    stood = np.maximum.accumulate(after & ~runs & ~truth.status(4), axis=0)
+    again = (stood & runs).any(axis=1)
+    if again.any() and not truth.met("off"):
+        yield _unrest(truth.times[again.argmax()], "a robot is driven again")
+
+
+def _stops(truth: Truth) -> Iterator[Violation]:
+    """Stops follow the end of each run, as many as a radio that loses some needs."""
+    halts = [c["t_ns"] / 1e9 for c in truth.of("command") if not any(truth.drives(c))]
+    for _, until_s in truth.driven:
+        sent = sum(until_s - AIR_S < at_s < until_s + truth.watchdog_s for at_s in halts)
+        if sent < STOPS and until_s + truth.watchdog_s < truth.alive_s:
+            yield _unrest(until_s, f"{sent} stops are sent")
+            return
+    # while one robot is not shown, it is not known to rest
+    again_s = truth.ended_s + RESTS_S
+    rows = (truth.times > truth.ended_s) & (truth.times < again_s)
+    apart_s = np.ptp(truth.unseen[rows], axis=1) if rows.any() else np.zeros(1)
+    ends = max(halts, default=0.0) < truth.ended_s + 2 * truth.watchdog_s
+    if ends and apart_s.min() > truth.watchdog_s and again_s < truth.alive_s:
+        yield _unrest(again_s, "stops end though a robot is not shown")
+
+
+# 3
+
+
+def stays_inside(truth: Truth) -> Iterator[Violation]:
+    """No robot is beyond the rim, in an obstacle, or nearer to another than `separation_mm`, by
+    more than its pose was wrong, people moved it, and it rolled before it could be stopped.
+    """
+    if not len(truth.times):
+        return
+    speed = np.maximum.accumulate(truth.driving, axis=0)
+    wrong = np.maximum.accumulate(truth.error, axis=0)
+    allowed = wrong + speed * _rolls_s(truth) + NOISE_MM / 2
+    names = truth.setup.names
+    yield from _outside(truth, truth.depth - allowed - _pushed_mm(truth), names)
+    pairs = list(combinations(range(len(names)), 2))
+    if pairs:
+        at = truth.poses[..., 0] + 1j * truth.poses[..., 1]
+        meets = [
+            truth.limits.separation_mm - np.abs(at[:, i] - at[:, j]) - allowed[:, i] - allowed[:, j]
+            for i, j in pairs
+        ]
+        both = [f"{names[i]}, {names[j]}" for i, j in pairs]
+        yield from _outside(truth, np.stack(meets, axis=1) - _pushed_mm(truth), both)
+
+
+def _pushed_mm(truth: Truth) -> float:
+    """Return how far people moved robots, which no frame shows at once."""
+    return sum(math.hypot(*f["by"]) for _, _, f in truth.faults if f["fault"] == "pushed")
+
+
+def _rolls_s(truth: Truth) -> Floats:
+    """Return how long a robot may go on beyond the time that is looked ahead (T, N) [s]: since it
+    was last shown, the way of a stop to it, and its lag.
+    """
+    after_s = (
+        AIR_S + LAG_MAX_S + sum(f["by"] for _, _, f in truth.faults if f["fault"] in LATE_RADIO)
+    )
+    quiet = ("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes", "signal")
+    if truth.met(*quiet, "stopped", "off", "busy"):
+        after_s += truth.watchdog_s
+    unseen_s = np.where(truth.driving > 5.0, truth.unseen, 0.0)
+    unseen_s = np.maximum.accumulate(unseen_s, axis=0) + truth.late_s
+    return np.maximum(0.0, unseen_s + after_s - truth.limits.reaction)
+
+
+def _outside(truth: Truth, beyond: Floats, names: Sequence[str]) -> Iterator[Violation]:
+    if (beyond > 0).any():
+        row, i = np.unravel_index(int(beyond.argmax()), beyond.shape)
+        found = f"{names[int(i)]} by {beyond[row, i]:.0f} mm more than allowed"
+        yield Violation("outside", float(truth.times[row]), found, hidden(truth))
+
+
+# 4
+
+
+def poses_are_true(truth: Truth) -> Iterator[Violation]:
+    """No pose is accepted of a robot that is driven that is off by more than a body; none of one
+    that is hidden; and the errors of a complete trial are true.
+    """
+    driven = (truth.driving > 5.0) & (truth.times < truth.ended_s)[:, None]
+    off_mm = truth.error - _pushed_mm(truth) - truth.driving * truth.late_s
+    for far, unit in ((off_mm / POSE_MM, POSE_MM), (truth.turned / POSE_RAD, POSE_RAD)):
+        wrong = driven & (far > 1.0)
+        if wrong.any():
+            row, i = np.argwhere(wrong)[0]
+            found = (
+                f"{truth.setup.names[i]} by {far[row, i] * unit:.3g} {'mm' if unit > 2 else 'rad'}"
+            )
+            yield Violation("untrue", float(truth.times[row]), found, hidden(truth))
+            break
+    yield from _seen_though_hidden(truth)
+    log = truth.trial
+    if log is not None and log.result is not None and log.result.outcome.complete:
+        mm = truth.setup.metres * 1000
+        apart = truth.poses[truth.final, :, :2] / mm - truth.setup.targets.reshape(-1, 2)
+        off = np.hypot(apart[:, 0], apart[:, 1]) - log.result.robot_errors
+        most_mm = float(np.abs(off).max()) * mm
+        if most_mm > RESULT_MM:
+            found = f"a result by {most_mm:.0f} mm"
+            yield Violation("untrue", float(truth.times[-1]), found, hidden(truth))
+
+
+def _seen_though_hidden(truth: Truth) -> Iterator[Violation]:
+    """Yield a robot of which the log has a pose, though it was hidden or not on the floor; a robot
+    that is swapped is shown where another is.
+    """
+    limits = truth.limits
+    for began_s, ended_s, fault in truth.faults:
+        high = fault.get("height", 0.0) > limits.height_mm[1] + NOISE_MM
+        tilted = fault["fault"] == "tipped" and abs(fault["angle"]) > limits.tilt + 0.05
+        if fault["fault"] not in ("untracked", "nan", "bad_quaternion") and not high and not tilted:
+            continue
+        if truth.met("swap"):
+            continue
+        i = truth.setup.names.index(fault["robot"])
+        during = (truth.times > began_s + 2 * FRAME_S) & (truth.times < ended_s - 2 * FRAME_S)
+        if (during & truth.fresh[:, i]).any():
+            row = int((during & truth.fresh[:, i]).argmax())
+            yield Violation("untrue", float(truth.times[row]), f"{fault['robot']} is not hidden")
+            return
+
+
+def hidden(truth: Truth) -> str:
+    """Return the class of faults on the day that one camera cannot tell from wheels within
+    `wheel_error`; "" for none.
+    """
+    error = truth.limits.wheel_error
+    speed = float(truth.setup.speed.max()) * truth.setup.metres * 1000
+    radius = (truth.setup.wheel_radius or 0.04) * truth.setup.metres * 1000
+    for _, _, fault in truth.faults:
+        step = math.hypot(*fault.get("by", ())) if isinstance(fault.get("by"), list) else 0.0
+        slow = fault["fault"] == "ghost" or (fault["fault"] == "picture" and fault.get("creeps"))
+        rate, speed_mm_s = abs(fault.get("turn", 0.0)) / FRAME_S, step / FRAME_S
+        grows = abs(fault.get("scale", 1.0) - 1.0) / FRAME_S * 1000
+        walk = error * speed + 5.0
+        if slow and rate <= error * speed / radius and speed_mm_s <= walk and grows <= walk:
+            return "slow: as wheels within wheel_error"
+    return ""
+
+
+def frozen(truth: Truth) -> str:
+    """Return the class of frozen pictures that a camera's grid hides: those of robots that stand;
+    "" for none.
+    """
+    coarse = truth.setup.sight.coarse and truth.met("repeat", "freeze")
+    return "frozen: as robots that stand" if coarse else ""
+
+
+# 5
+
+
+def log_is_readable(truth: Truth) -> Iterator[Violation]:
+    """A log is there, whole but for a full disk or a kill, consistent, and says what was."""
+    yield from log_is_whole(truth)
+    yield from logged(truth)
+
+
+def log_is_whole(truth: Truth) -> Iterator[Violation]:
+    """A log is there, whole but for a full disk or a kill, and consistent."""
+    log, spoilt = truth.log, truth.killed or truth.met("disk_full")
+    if truth.day.exit == -100:
+        return
+    if isinstance(log, str):
+        if log or truth.began_s < np.inf:
+            yield Violation("log", 0.0, log or "none was written")
+    elif log.result is None or log.damage is not None:
+        if not spoilt:
+            yield Violation("log", 0.0, f"damaged, or without a result: {log.damage}")
+    else:
+        for differs in islice(log_differences(log), 1):
+            yield Violation("log", 0.0, str(differs))
+
+
+# 6
+
+
+def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
+    """The exit code says how the trial ended, nothing is left behind, and a trial counts only if
+    robots were seen to rest, no emergency stop was pressed and no limit of the spec was passed.
+    """
+    day, log = truth.day, truth.log
+    for text in (truth.reason, day.said):
+        if ERROR.search(text):
+            yield _exit(text[-500:])
+            break
+    if day.exit == -100:
+        yield _exit("hangs")
+        return
+    if day.left:
+        yield _exit(f"left behind: {day.left}")
+    expected = -9 if truth.killed and day.exit < 0 else 1
+    if isinstance(log, TrialLog) and log.result is not None:
+        outcome = log.result.outcome
+        expected = 0 if outcome.complete else 130 if outcome is Outcome.INTERRUPTED else 1
+    refused = truth.began_s == np.inf and truth.met("signal")  # while it waits for robots
+    if day.exit != expected and not (refused and day.exit == 130):
+        yield _exit(f"{day.exit}, not {expected}")
+    if day.exit == 0:
+        yield from _counts(truth)
+
+
+def _exit(found: str, at_s: float = 0.0) -> Violation:
+    return Violation("exit code", at_s, found)
+
+
+def _counts(truth: Truth) -> Iterator[Violation]:
+    end_s = truth.alive_s
+    pressed_s = truth.first("fault", name="emergency", phase="start")
+    if truth.first("run") < pressed_s < end_s - AIR_S:
+        yield _exit("a trial counts though an emergency stop was pressed", pressed_s)
+    last = truth.unseen[truth.times <= end_s][-1:]
+    if last.size and last.max() > truth.limits.stream_lost:
+        yield _exit(f"a trial counts though a robot was unseen for {last.max():.2f} s", end_s)
+    for began_s, ended_s, kind in truth.shown_moving:
+        if began_s < truth.ended_s + AIR_S and ended_s > end_s:
+            yield _exit(f"a trial counts though the camera shows motion: {kind}", end_s)
+    if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
+        yield _exit("a trial counts though more than `late_steps` were late in a row")
+
+
+def _late_in_a_row(truth: Truth) -> int:
+    """Return the most control steps in a row that the log shows to be late by a period."""
+    assert truth.trial is not None
+    period_ns = truth.setup.period_s * 1e9
+    most = count = 0
+    for step in truth.trial.steps:
+        late = step.command.sent_ns - step.observation.received_ns > period_ns
+        count = count + 1 if late else 0
+        most = max(most, count)
+    return most
+
+
+# 7
+
+
+def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
+    """The reason of an abort or a refusal is one that the table of faults has for a fault that was
+    there, and names a robot that has it.
+    """
+    reason = truth.reason
+    if not reason:
+        return
+    at_s = min(truth.abort_s, 1e6)
+    plan = truth.day.plan
+    grid = MOTION if truth.setup.sight.coarse and truth.met("freeze") else ""
+    right = [plan.right, grid, *(plan.kind(fault).right for _, _, fault in truth.faults)]
+    if not plan.faults or not re.search("|".join(filter(None, right)) or "$.", reason, re.I):
+        yield Violation("reason", at_s, reason[:200])
+    elif robot := _misnamed(truth):
+        yield Violation("reason", at_s, f"{reason[:200]}: it was {robot}")
+
+
+def _misnamed(truth: Truth) -> str:
+    """Return the robot that has the only fault, if the reason names others; "" if it does not."""
+    natural = re.search(truth.day.plan.right or "$.", truth.reason)
+    if len(truth.faults) != 1 or natural or "robot" not in truth.faults[0][2]:
+        return ""
+    (_, _, fault) = truth.faults[0]
+    named = {name for name in truth.setup.names if re.search(rf"\b{name}\b", truth.reason)}
+    return str(fault["robot"]) if named and not named & {fault["robot"], fault.get("other")} else ""
+
+
+SENTENCES: tuple[Sentence, ...] = (
+    driven_blind,
+    rests_after_a_stop,
+    stays_inside,
+    poses_are_true,
+    log_is_readable,
+    exit_code_is_right,
+    reason_names_a_fault,
+)

@@ -111,8 +111,8 @@ class _Bench:
         self._scale, self.limit = section.outputs(self.name, limit)
         guard = rig.guard
         fastest = (500.0 / self.rig.mm,), (12.0,)  # faster than any robot during calibration
-        guard.rules = replace(
-            guard.rules, speeds=fastest[0], turning=fastest[1], silence_ns=3 * SECOND
+        guard.limit(
+            replace(guard.rules, speeds=fastest[0], turning=fastest[1], silence_ns=3 * SECOND)
         )
 
     def open(self) -> None:

@@ -94,6 +94,11 @@ class Guard:
         """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
         return tuple(track.refused for track in self._filters)
 
+    def limit(self, rules: GuardRules) -> None:
+        """Use other rules from now on, before a run; poses and motion are compared by them, too."""
+        self.rules = rules
+        self.__post_init__()
+
     def ready(self) -> None:
         """Enter `ready`: the preflight has passed."""
         if self.state is GuardState.PREFLIGHT:

@@ -68,6 +68,17 @@ def running(rules=RULES, poses=PLACES):
     return course
 
 
+def test_other_rules_hold_for_jumps_of_poses_too():
+    """Regression: a robot faster than its spec was refused as a jump while it was calibrated."""
+    course = Course()
+    course.guard.limit(replace(RULES, speeds=(2000.0, 100.0)))
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    course.frame((Pose(540.0, 500.0, 0.3), PLACES[1]))  # 40 mm in 8 ms: 5 m/s
+    assert course.guard.refused[0] != "its pose jumped"
+
+
 def test_nothing_moves_before_go():
     course = Course()
     assert not any(course.frames(5).moving)

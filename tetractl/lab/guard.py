@@ -346,6 +346,8 @@ class Guard:
         limits, newest = self.rules.limits, self._last_frame_ns or 0
         for i, (name, track) in enumerate(zip(self.rules.names, self._filters, strict=True)):
             lost_ns = newest - track.seen_ns
+            if not self._active:
+                return  # aborted for a robot before this one
             if i in self.lost:
                 continue
             still = self.rules.goes_on and track.refused == STILL  # lost, as one not tracked
@@ -368,7 +370,8 @@ class Guard:
         return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
-        """Check where the robots are, whose `poses` (N,) are those at the newest frame."""
+        """Check where the robots are, whose `poses` (N,) are those at the newest frame; nothing is
+        looked for any more once the run is aborted."""
         reaction = self.rules.limits.reaction
         robots: list[RobotPlace] = []
         for i, (pose, track) in enumerate(zip(poses, self._filters, strict=True)):
@@ -377,4 +380,6 @@ class Guard:
             robots.append(RobotPlace(pose, track.pose, i in self.lost, way))
         for check in self._checks.checks:
             for finding in check.tick(robots):
+                if not self._active:
+                    return
                 self._take(finding)

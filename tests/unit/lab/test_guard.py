@@ -469,6 +469,22 @@ def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost,
     assert ruling.warnings == warnings
 
 
+def test_after_an_abort_no_robot_is_lost_any_more():
+    """Regression: checks after the one that aborted the run went on losing robots."""
+
+    def checks_of(rules):
+        checks = Finds(Abort("the first"), Lose(1, "the second")), Finds(Lose(0, "the third"))
+        return replace(robot_checks(rules), checks=checks)
+
+    course = Course(replace(RULES, goes_on=True), checks_of)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    ruling = course.frame()
+    assert (ruling.reason, ruling.warnings) == ("the first", ())
+    assert course.guard.lost == {}
+
+
 def test_rest_lets_nothing_move_and_needs_a_new_go():
     course = running()
     course.guard.rest()

@@ -261,6 +261,7 @@ class Guard:
         # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
         turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
         fresh &= self._ahead or now_ns - self._steered_ns < turn_ns
+        tracked = self._tracked()  # without those that were lost just now
         one_by_one = fresh and not self.rules.stopped_together
         moving = tracked if one_by_one else (fresh,) * len(tracked)
         well = zip(moving, tracked, self._left, strict=True)

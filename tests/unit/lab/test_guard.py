@@ -469,6 +469,17 @@ def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost,
     assert ruling.warnings == warnings
 
 
+def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
+    def checks_of(rules):
+        return replace(robot_checks(rules), checks=(Finds(Lose(1, "it is gone")),))
+
+    course = Course(replace(RULES, goes_on=True), checks_of)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    assert course.frame().moving == (True, False)
+
+
 def test_after_an_abort_no_robot_is_lost_any_more():
     """Regression: checks after the one that aborted the run went on losing robots."""
 

@@ -88,6 +88,20 @@ class KeepsClear(Protocol):
     collision: Clearance
 
 
+class KnownNoise(Protocol):
+    """The stated deviation of a measured position [length unit], 0 if unknown."""
+
+    position_noise: float
+
+
+@runtime_checkable
+class Accepting(Protocol):
+    """A controller that ends a trial at a total error that it accepts [length unit]."""
+
+    accept_error: float
+    prior: KnownNoise
+
+
 @runtime_checkable
 class Delaying(Protocol):
     """A plant with a stated time from a command to its effect [s]."""

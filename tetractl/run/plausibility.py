@@ -21,6 +21,7 @@ from tetractl.experiment.finding import Finding, warning
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.section_abilities import (
+    Accepting,
     CountsSteps,
     Delaying,
     Estimating,
@@ -45,6 +46,9 @@ ROBOTS_ALIKE = 0.05
 headings by at most this number of radians."""
 SAME_HEADING_RAD = 1e-9
 """Start headings that differ by less are equal but for rounding [rad]."""
+SEEN = 0.7
+"""Least total error worth asking for, in deviations of a measured position for each robot. With 0.4
+in place of 0.7 trials last longer for hardly less error (docs/decisions/controller.md)."""
 ROUNDING = 1e-9
 """Times that differ by less than this fraction are equal but for rounding."""
 NO_ERROR = 1e-6
@@ -346,6 +350,21 @@ def tight(spec: CheckContext) -> Findings:
         )
 
 
+def accepts_less_than_seen(spec: CheckContext) -> Findings:
+    """An accepted error that is less than the camera's noise."""
+    control = spec.experiment.controller
+    if not isinstance(control, Accepting):
+        return
+    least = SEEN * control.prior.position_noise * len(spec.setup.names)
+    if control.accept_error < least:
+        yield warning(
+            ("controller", "accept_error"),
+            f"is less than {SEEN} x position_noise x robots, {least:.3g} {spec.unit}: so small an "
+            "error is hardly seen, and trials take longer for little",
+            f"accept {least:.3g} {spec.unit} or more",
+        )
+
+
 def too_close(spec: CheckContext) -> Findings:
     """Starts or targets nearer to each other than the lab's least separation."""
     per_mm = 1e-3 / spec.setup.metres
@@ -399,6 +418,7 @@ RULES: tuple[Callable[[CheckContext], Findings], ...] = (
     walled_off,
     inside_margin,
     tight,
+    accepts_less_than_seen,
     too_close,
     same_place,
     hold_too_tight,

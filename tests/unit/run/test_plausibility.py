@@ -67,6 +67,8 @@ robots.1.target <- robots.blue.target=[1420, 1200]; NEAR
   leaves a body 0 mm of room .*; it drives 40 mm in a control period | move the target
 robots.1.target <- robots.blue.target=[2075, 1500]; controller.period=0.05; NEAR
   leaves a body 5 mm of room .*; it drives 10 mm in a control period | move the target
+controller.accept_error <- controller.accept_error=4; controller.prior.position_noise=2
+  is less than 0.7 x position_noise x robots, 4.2 mm | accept 4.2 mm or more
 controller.period <- controller.period=0.4; controller.motion=euler; ON
   a T = 2.4 for green, .* T = 0.4 s, is above 2: by equation \(6\) its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
@@ -105,6 +107,7 @@ def test_each_is_found_at_its_field_with_its_number(case):
         ["plant.dead_time=0.2"],
         ["plant.dead_time=0.3", "controller.dead_time=0.25"],
         ["obstacles=[]"],
+        ["controller.accept_error=4.3", "controller.prior.position_noise=2"],
         ["robots.blue.start=[900, 895]"],
     ],
 )

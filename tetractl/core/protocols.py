@@ -18,7 +18,7 @@ from tetractl.core.commands import (
     Turn,
     Verdict,
 )
-from tetractl.core.findings import Finding, RobotPlace
+from tetractl.core.guard_findings import Finding, RobotPlace
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
 from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
 from tetractl.core.trial import Result, Start, Step

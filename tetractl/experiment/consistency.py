@@ -20,10 +20,10 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
-from tetractl.experiment.finding import Finding, error
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.section_abilities import KeepsClear
 from tetractl.experiment.shape_section import ShapeSection
+from tetractl.experiment.spec_finding import SpecFinding, error
 from tetractl.experiment.yaml.problems import Loc
 
 MEMORY_GB = 1.0
@@ -31,7 +31,7 @@ MEMORY_GB = 1.0
 GB_PER_NUMBER = 8e-9
 """Memory of a number of 64 bits [GB]."""
 
-Findings = Iterator[Finding]
+Findings = Iterator[SpecFinding]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from tetractl.core.clock import SECOND
-from tetractl.core.findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
+from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
-from tetractl.core.findings import Abort, Finding, Moved, Refuse, RobotPlace
+from tetractl.core.guard_findings import Abort, Finding, Moved, Refuse, RobotPlace
 from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S

@@ -22,7 +22,7 @@ from tetractl.model.motion.swimming import (
     steps_until,
 )
 from tetractl.model.swimmers import Swimmers, to_the_left, walls_of
-from tetractl.plant.random_streams import Stream, generator
+from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_settings import CultureSection
 
 
@@ -53,7 +53,7 @@ class CellDrive:
         from tetractl.plant.swim_kernel import swim  # late: reading a spec needs no kernel
 
         self._swim = swim
-        self._random = generator(seed, Stream.BODIES)
+        self._random = generator(seed, RandomStream.BODIES)
         self._unit_um = setup.metres * 1e6
         self.body = self._drawn(section, setup, walk)
         """The cells, (ROWS, N) of `model.motion.swimming`."""

@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 
-class Stream(IntEnum):
+class RandomStream(IntEnum):
     """The number of each stream, with what is drawn from it, in order; N is the number of robots.
 
     Numbers from 104 to 999 are free.

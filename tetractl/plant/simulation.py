@@ -7,7 +7,7 @@ while a command is planned and while the robots come to rest.
 
     SimPlant             what a host sees of the plant: frames, commands, verdict
       SimCamera          exposes frames of the true poses, which reach the host later
-      Sender             sends commands to the robots, again and again
+      CommandSender             sends commands to the robots, again and again
         SimHost          computes the wheel speeds of robots on wheels
       Transit            the commands in flight
       TrueMotion         moves the robots from event to event
@@ -15,8 +15,8 @@ while a command is planned and while the robots come to rest.
         Watchdogs        stop robots that hear nothing
         MotionDisturbances, HeadingWalk, TruePath
 
-`SimSettings` has the fields of the spec, `Stream` the random streams: a trial depends on its spec
-and seed alone.
+`SimSettings` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
+spec and seed alone.
 """
 
 import json
@@ -45,11 +45,11 @@ from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
+from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.drive import Drive
-from tetractl.plant.random_streams import Stream, generator
+from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.scattered_cells import scattered_cells
-from tetractl.plant.sender import Sender
 from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.sim_settings import SimSettings
 from tetractl.plant.timetable import Timetable
@@ -87,7 +87,7 @@ class SimSection(SimSettings):
     ) -> FoundRobots:
         """Return random cells scattered in the arena, with turning rates and speeds as a survey
         would measure them."""
-        cells = scattered_cells(choice, setup, generator(seed, Stream.CANDIDATES))
+        cells = scattered_cells(choice, setup, generator(seed, RandomStream.CANDIDATES))
 
         def build(numbers: Sequence[int], chosen: Setup) -> SimPlant:
             return SimPlant(self, chosen, clock, seed)
@@ -148,26 +148,28 @@ class SimPlant:
     ) -> None:
         count = len(setup.names)
         disturbances = [
-            disturbance.build(setup, generator(seed, Stream.DISTURBANCES + k))
+            disturbance.build(setup, generator(seed, RandomStream.DISTURBANCES + k))
             for k, disturbance in enumerate(settings.disturbances)
         ]
         self.settings = settings
         self.setup = setup
         self.clock = clock
         self.disturbances = disturbances
-        self.robots = draw_robots(settings, setup, disturbances, generator(seed, Stream.PARAMETERS))
+        self.robots = draw_robots(
+            settings, setup, disturbances, generator(seed, RandomStream.PARAMETERS)
+        )
         self.drive = build_drive(settings, setup, self.robots, seed)
         self.camera = SimCamera(
-            count, settings.measurement_noise, disturbances, generator(seed, Stream.CAMERA)
+            count, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
         )
         transit = Transit(count, disturbances)
-        self._sender = Sender(
+        self._sender = CommandSender(
             settings,
             setup,
             self.drive.host,
             transit,
             disturbances,
-            generator(seed, Stream.RADIO),
+            generator(seed, RandomStream.RADIO),
         )
         self._motion = TrueMotion(
             drive=self.drive,
@@ -176,7 +178,7 @@ class SimPlant:
             transit=transit,
             watchdogs=Watchdogs(count, setup.watchdog_s),
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
-            heading_walk=self._heading_walk(generator(seed, Stream.HEADINGS)),
+            heading_walk=self._heading_walk(generator(seed, RandomStream.HEADINGS)),
             path=TruePath(PathCheck.of(setup)),
             transmit_again=self._transmit_again,
         )

@@ -134,7 +134,7 @@ class PathPart:
 
 
 @dataclass(slots=True)
-class Step:
+class MotionStep:
     """One step, from the present time to `end_ns`, and what happens at its end, in this order."""
 
     end_ns: int
@@ -187,7 +187,7 @@ class TrueMotion:
         self._frames_are_events = disturbances.any or heading_walk.step_rad > 0
         self._now_ns = 0  # the time of the drive's poses
         self._advanced_ns = -1  # the last time to which `advance` was called
-        self.stages: tuple[Callable[[Step], None], ...] = (
+        self.stages: tuple[Callable[[MotionStep], None], ...] = (
             self._move,  # the robots, under what they hold
             self._disturb,  # where they have come to, and what they are able to
             self._record,  # the part of the path
@@ -210,7 +210,7 @@ class TrueMotion:
                 break
         self._advanced_ns = until_ns
 
-    def _next_step(self, until_ns: int) -> Step:
+    def _next_step(self, until_ns: int) -> MotionStep:
         """Return the step to the next event, or to `until_ns`.
 
         Of what is due at the same time, a command comes first, then a watchdog, then the host.
@@ -226,7 +226,7 @@ class TrueMotion:
         elif self._watchdogs.next_ns == end_ns:
             command = self._watchdogs.stop(end_ns)
         at_frame = end_ns == frame_ns
-        return Step(
+        return MotionStep(
             end_ns=end_ns,
             disturbed=self.disturbances.any and (at_frame or command is not None),
             at_frame=at_frame,
@@ -234,7 +234,7 @@ class TrueMotion:
             repeats=command is None and end_ns == self._drive.repeats_ns,
         )
 
-    def _move(self, step: Step) -> None:
+    def _move(self, step: MotionStep) -> None:
         """Move the robots to the end of the step, unless no pose is needed there.
 
         A drive that sums up its path goes only to the last time due, unless there is an event: so
@@ -249,7 +249,7 @@ class TrueMotion:
         self._now_ns = int(due.times_ns[-1])
         step.part = PathPart(due, poses)
 
-    def _disturb(self, step: Step) -> None:
+    def _disturb(self, step: MotionStep) -> None:
         """Let the disturbances act; a frame at the end of the step shows where they put robots."""
         if step.disturbed:
             assert step.part is not None, "an event at a frame or command needs poses"
@@ -257,7 +257,7 @@ class TrueMotion:
             poses = self._drive.poses
             step.part.poses[-1] = poses.x, poses.y, poses.heading
 
-    def _record(self, step: Step) -> None:
+    def _record(self, step: MotionStep) -> None:
         """Add the part to the path; WrongValueError if no log can hold it."""
         if step.part is None:
             return
@@ -267,7 +267,7 @@ class TrueMotion:
             raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
         self.path.add(poses)
 
-    def _expose(self, step: Step) -> None:
+    def _expose(self, step: MotionStep) -> None:
         """Expose the frames that were due in the step."""
         if step.part is None:
             return
@@ -275,16 +275,16 @@ class TrueMotion:
         if frames.size:
             self._camera.expose(step.part.due.times_ns[frames], step.part.poses[frames])
 
-    def _receive(self, step: Step) -> None:
+    def _receive(self, step: MotionStep) -> None:
         """Pass to the host the frames that have reached it."""
         self._camera.receive(step.end_ns)
 
-    def _swerve(self, step: Step) -> None:
+    def _swerve(self, step: MotionStep) -> None:
         """Turn the robots by their random walk, after the frame."""
         if step.at_frame and self._heading_walk.step_rad > 0:
             self._heading_walk.swerve(self._drive)
 
-    def _act(self, step: Step) -> None:
+    def _act(self, step: MotionStep) -> None:
         """Give the robots their command, or let the host transmit again."""
         if step.command is not None:
             self._drive.apply(step.command)

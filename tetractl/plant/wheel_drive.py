@@ -10,7 +10,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.rolling import MOVING
 from tetractl.model.wheels import NOTHING, WheeledRobots
-from tetractl.plant.random_streams import Stream, generator
+from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_settings import SimSettings
 from tetractl.plant.wheel_host import SimHost
 
@@ -42,7 +42,7 @@ class WheelDrive(WheeledRobots):
         wheels = section.drive
         assert wheels is not None, "the plant has no wheels"
         assert setup.wheel_radius is not None, "the wheels need a radius"
-        random = generator(seed, Stream.BODIES)
+        random = generator(seed, RandomStream.BODIES)
         self.roll = roll
         self.host = SimHost(wheels, setup, random)
         self.rest_s = wheels.lag * -np.log(REST) + 1 / section.truth_rate
@@ -53,7 +53,7 @@ class WheelDrive(WheeledRobots):
         self._walk_rad = section.heading_noise / np.sqrt(
             section.truth_rate
         )  # from sample to sample
-        self._walking = generator(seed, Stream.HEADINGS)
+        self._walking = generator(seed, RandomStream.HEADINGS)
         self._moving = self.body[MOVING, :]
         self.vary(a, speed)
 

@@ -17,7 +17,6 @@ from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import nearest_starts, nearest_targets
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.finding import Finding, warning
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.section_abilities import (
@@ -30,6 +29,7 @@ from tetractl.experiment.section_abilities import (
     Modelled,
     PlansSignals,
 )
+from tetractl.experiment.spec_finding import SpecFinding, warning
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
@@ -56,7 +56,7 @@ NO_ERROR = 1e-6
 NAMED = 2
 """Of more than four robots alike, so many are named besides the first."""
 
-Findings = Iterator[Finding]
+Findings = Iterator[SpecFinding]
 
 
 class CheckContext:
@@ -442,7 +442,7 @@ def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedW
     if loaded.experiment.open:  # its robots are placeholders
         return ()
     context = CheckContext(loaded.experiment)
-    findings: list[Finding] = []
+    findings: list[SpecFinding] = []
     for rule in RULES:
         findings += rule(context)
     if not findings:

@@ -6,7 +6,7 @@ and one that meets an obstacle swims on. Two cells that come too close end the r
 
 from collections.abc import Iterator, Sequence
 
-from tetractl.core.findings import Finding, Lose, RobotPlace, Warn
+from tetractl.core.guard_findings import Finding, Lose, RobotPlace, Warn
 from tetractl.core.poses import Pose
 from tetractl.lab.guard_checks import (
     Check,

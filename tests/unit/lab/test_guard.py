@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tetractl.core.clock import SECOND
-from tetractl.core.findings import Abort, Lose, Warn
+from tetractl.core.guard_findings import Abort, Lose, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape

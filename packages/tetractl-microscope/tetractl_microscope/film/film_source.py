@@ -44,7 +44,7 @@ Raw = np.ndarray | None
 """A picture (height, width) of any type, or (height, width, 3) in colour; None if it is damaged."""
 
 
-class Shot(NamedTuple):
+class TimedPicture(NamedTuple):
     """A picture of a film, and the time [s] that its container's clock gives it, if it has one."""
 
     pixels: Raw
@@ -70,13 +70,13 @@ class FilmSource:
     remarks: list[str] = field(default_factory=list)
     clock: Callable[[], float] | None = None
 
-    def pictures(self) -> Iterator[Shot]:
+    def pictures(self) -> Iterator[TimedPicture]:
         """Yield the pictures in order."""
         for index in itertools.count() if self.count is None else range(self.count):
             picture = self._picture(index)
             if picture is self.count is None:
                 return
-            yield Shot(picture, None if self.clock is None else self.clock())
+            yield TimedPicture(picture, None if self.clock is None else self.clock())
 
     def sample(self) -> Iterator[Raw]:
         """Yield SAMPLED pictures that are spread over the film; none of a film of 8 bits."""

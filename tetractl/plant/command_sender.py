@@ -32,7 +32,7 @@ class SentSpeeds:
     """As the wheels run, (2, N); None if the robots receive the direction itself."""
 
 
-class Sender:
+class CommandSender:
     """Sends to N robots: puts commands into `transit`, and returns them as the host logs them.
 
     `host` computes wheel speeds, None for robots that receive the direction itself; `random` draws

@@ -18,7 +18,7 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class SpecFinding:
     """One thing that is wrong with a spec, at the location `where`.
 
     `text` goes on after the name and the value of the field at that location: "is outside the
@@ -31,11 +31,11 @@ class Finding:
     hint: str = ""
 
 
-def error(where: Loc, text: str) -> Finding:
+def error(where: Loc, text: str) -> SpecFinding:
     """Return a finding for which a spec is refused."""
-    return Finding(where, text, Severity.ERROR)
+    return SpecFinding(where, text, Severity.ERROR)
 
 
-def warning(where: Loc, text: str, hint: str) -> Finding:
+def warning(where: Loc, text: str, hint: str) -> SpecFinding:
     """Return a finding for which a spec is not refused."""
-    return Finding(where, text, Severity.WARNING, hint)
+    return SpecFinding(where, text, Severity.WARNING, hint)

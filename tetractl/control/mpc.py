@@ -111,7 +111,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class TrialProgress:
     """What the controller keeps from step to step.
 
     `k` is the number of the step, `last` the plan of the step before, None if the leg begins,
@@ -139,7 +139,7 @@ class Progress:
         """Whether a plan of this leg is under way."""
         return self.last is not None and not self.last.pauses
 
-    def after(self, plan: Plan) -> "Progress":
+    def after(self, plan: Plan) -> "TrialProgress":
         """Return the progress after a step in which `plan` was decided."""
         began = self.began if self.under_way else self.k
         turning = self.turning.then(plan.facing)
@@ -147,7 +147,7 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ControlStep:
     """What a step begins with.
 
     The `problem` is how robots stand and move, to their targets; `warm` (L,) are the signals left
@@ -177,7 +177,7 @@ class Step:
         return min(length, self.horizon_max) <= left
 
 
-class Bounds(NamedTuple):
+class LengthBounds(NamedTuple):
     """The least values of what robots can do instead of a stop: to go on, by the plan under way or
     by a new one, and to rest for a new plan; inf for what they cannot do."""
 
@@ -193,7 +193,7 @@ class Candidate(NamedTuple):
     seen: Foreseen
 
 
-class Found(NamedTuple):
+class Searched(NamedTuple):
     """What the searches of a step found: all of them in order, and the `candidates`, that of least
     value first. They are plans for the `problem`; `passes` tells whether a tree led to the best."""
 
@@ -226,7 +226,7 @@ class Mpc:
         self.time = TrialTime(section.time_limit, section.period)
         self.standings = Standings(setup.names)
         self.legs = setup.legs
-        self.progress = Progress(Leg(0, 0.0, 0, False, Outcome.ARRIVED))
+        self.progress = TrialProgress(Leg(0, 0.0, 0, False, Outcome.ARRIVED))
         self.course = self._course(0, setup.starts)
 
     def plan(
@@ -314,7 +314,7 @@ class Mpc:
             return self._at_rest(step)
         return self._under_way(step, step.warm)
 
-    def _step(self, motion: Problem) -> Step:
+    def _step(self, motion: Problem) -> ControlStep:
         """Return what the step begins with, given the robots' states and motion."""
         section = self.section
         held_periods = 0  # for which the present signal has been held
@@ -334,7 +334,7 @@ class Mpc:
             sticking_hz=self._sticking_hz,
         )
         left_s = self.time.left_s + held_periods * section.period
-        return Step(problem, warm, section.horizon_max, left_s / problem.period, value)
+        return ControlStep(problem, warm, section.horizon_max, left_s / problem.period, value)
 
     @property
     def _sticking_hz(self) -> float:
@@ -344,7 +344,7 @@ class Mpc:
             return 0.0
         return self.standings.rate_hz(self.time.passed_s)
 
-    def _outcome(self, step: Step, observation: Observation) -> Outcome | None:
+    def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""
         leg = self.progress.leg
         if self._holds:
@@ -359,7 +359,7 @@ class Mpc:
             return Outcome.NO_BETTER_PLAN
         return None
 
-    def _circle(self, step: Step) -> Plan:
+    def _circle(self, step: ControlStep) -> Plan:
         """Return a plan that keeps robots near their targets if they cannot stand still."""
         assert self.setup.hold is not None
         problem = replace(step.problem, within=self.setup.hold.radius)
@@ -371,7 +371,7 @@ class Mpc:
 
     # under way
 
-    def _under_way(self, step: Step, warm: Floats) -> Decision:
+    def _under_way(self, step: ControlStep, warm: Floats) -> Decision:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._pass(step, warm)
@@ -385,7 +385,7 @@ class Mpc:
             return decision
         return self._rest(found)
 
-    def _bounds(self, step: Step, warm: Floats) -> Bounds:
+    def _bounds(self, step: ControlStep, warm: Floats) -> LengthBounds:
         """Return the least values of going on and of a rest."""
         go_on = np.inf
         rest = np.inf
@@ -399,9 +399,9 @@ class Mpc:
             may_rest = self.stands and self._in_last_leg and driven_s > RESTED_S
             if may_rest and step.allows(least, wait_s):
                 rest = step.value.rest(least, wait_s)
-        return Bounds(go_on, rest)
+        return LengthBounds(go_on, rest)
 
-    def _pass(self, step: Step, warm: Floats) -> Plan:
+    def _pass(self, step: ControlStep, warm: Floats) -> Plan:
         """Go on through a passage: search the next AHEAD signals again, to bring robots where the
         plan from rest led them then; the rest of that plan stays. Rest if they would miss it.
 
@@ -424,7 +424,7 @@ class Mpc:
         plan = self._given(step.problem, signals, State.PASSING, [search])
         return replace(plan, path=np.concatenate([seen.path, way[AHEAD + 1 :]]))
 
-    def _stop(self, step: Step, warm: Floats, bounds: Bounds) -> Decision | None:
+    def _stop(self, step: ControlStep, warm: Floats, bounds: LengthBounds) -> Decision | None:
         """Stop at the best moment of the coming control period if nothing can be worth more than
         the error that is left then: searches take time in which robots would drive on."""
         problem = step.problem
@@ -443,7 +443,7 @@ class Mpc:
         outcome = Outcome.NO_BETTER_PLAN if len(warm) else Outcome.SEQUENCE_COMPLETED
         return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
 
-    def _go_on(self, found: Found, bounds: Bounds) -> Plan | None:
+    def _go_on(self, found: Searched, bounds: LengthBounds) -> Plan | None:
         """Follow the plan of least value that is safe, unless a rest can be worth more."""
         for candidate in found.candidates:
             if not self.stands:
@@ -455,11 +455,11 @@ class Mpc:
                 return plan
         return None
 
-    def _rest(self, found: Found) -> Plan:
+    def _rest(self, found: Searched) -> Plan:
         """Stop, and search a new plan while the robots stand."""
         return self._standing(found.problem, State.RESTING, found.searches)
 
-    def _search_under_way(self, step: Step, warm: Floats) -> Found:
+    def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
         """Search plans about as long as the one under way, and longer ones as far as these can be
         worth more; end if one of the former is good enough."""
         searcher = self._searcher(step)
@@ -480,9 +480,9 @@ class Mpc:
                 candidates = [candidate]
                 break
         candidates.sort(key=lambda candidate: candidate.value)
-        return Found(step.problem, searcher.found, candidates)
+        return Searched(step.problem, searcher.found, candidates)
 
-    def _lengths(self, step: Step, warm: Floats) -> Iterator[tuple[int, Floats | None]]:
+    def _lengths(self, step: ControlStep, warm: Floats) -> Iterator[tuple[int, Floats | None]]:
         """Yield the lengths to search, with the signals to begin with: what is left of the plan
         under way, without its first signal, and with one more; then longer plans, searched afresh,
         which continue after the longest that the step before searched."""
@@ -498,7 +498,7 @@ class Mpc:
 
     # at rest
 
-    def _at_rest(self, step: Step) -> Plan | Outcome:
+    def _at_rest(self, step: ControlStep) -> Plan | Outcome:
         """Decide while no plan is under way."""
         for propose in (self._stay, self._finish):
             decision = propose(step)
@@ -512,14 +512,14 @@ class Mpc:
                 return plan
         return self._drive(found, best)
 
-    def _stay(self, step: Step) -> Plan | None:
+    def _stay(self, step: ControlStep) -> Plan | None:
         """Stand on in a hold while all robots are within its radius."""
         gaps = step.problem.poses.distances(step.problem.targets)
         if self._holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
             return self._standing(step.problem, State.RESTING)
         return None
 
-    def _finish(self, step: Step) -> Plan | Outcome | None:
+    def _finish(self, step: ControlStep) -> Plan | Outcome | None:
         """End the leg, or stand on in a hold, if robots stand and no plan can be worth an attempt
         or none fits into the time left."""
         if self.progress.k == 0 or self.progress.moving:
@@ -533,7 +533,7 @@ class Mpc:
             return self._standing(step.problem, State.RESTING)
         return Outcome.NO_BETTER_PLAN
 
-    def _turn(self, found: Found, best: Plan) -> Plan | None:
+    def _turn(self, found: Searched, best: Plan) -> Plan | None:
         """Turn on the spot if the best plan found would bring a body into something before a stop
         can act; not after all turns were in vain."""
         if not (self.stands and self._enters(found.problem, best.signals)):
@@ -546,19 +546,19 @@ class Mpc:
         standing = self._standing(found.problem, State.TURNING, found.searches)
         return replace(standing, instead=Turn(facing))
 
-    def _give_up(self, found: Found, best: Plan) -> Plan | None:
+    def _give_up(self, found: Searched, best: Plan) -> Plan | None:
         """Stand, and end the trial in the next step, if the best plan found is not safe."""
         if self.stands and self._enters(found.problem, best.signals):
             return replace(best, state=State.STUCK, instead=Stop())
         return None
 
-    def _drive(self, found: Found, best: Plan) -> Plan:
+    def _drive(self, found: Searched, best: Plan) -> Plan:
         """Follow the best plan found."""
         if found.passes and best.search.length > AHEAD:
             return replace(best, state=State.PASSING)
         return best
 
-    def _search_at_rest(self, step: Step) -> Found:
+    def _search_at_rest(self, step: ControlStep) -> Searched:
         """Search plans of growing lengths until one is good and, if none is, the plans to which a
         tree of directions leads."""
         searcher = self._searcher(step)
@@ -576,21 +576,21 @@ class Mpc:
         )
         return self._found(step, later if passes else step.problem, searcher.found, passes)
 
-    def _good(self, step: Step, problem: Problem, search: Search) -> bool:
+    def _good(self, step: ControlStep, problem: Problem, search: Search) -> bool:
         """Return whether a plan found for a problem needs no better one."""
         if search.cost > (self.section.optimizer.good_enough or 0.0):
             return False
         return self._safe(step, search.signals, compiled_foresee(problem, search.signals))
 
     def _found(
-        self, step: Step, problem: Problem, searches: Sequence[Search], passes: bool
-    ) -> Found:
+        self, step: ControlStep, problem: Problem, searches: Sequence[Search], passes: bool
+    ) -> Searched:
         """Return all plans that searches found, as candidates for the problem."""
         posed = replace(step, problem=problem)
         numbers = range(len(searches))
         candidates = [self._candidate(posed, searches, number) for number in numbers]
         candidates.sort(key=lambda candidate: candidate.value)
-        return Found(problem, searches, candidates, passes)
+        return Searched(problem, searches, candidates, passes)
 
     # plans, their values, and whether they are safe
 
@@ -599,7 +599,7 @@ class Mpc:
         """The key of the step's random numbers."""
         return mix(self.key, self.progress.k)
 
-    def _searcher(self, step: Step) -> Searcher:
+    def _searcher(self, step: ControlStep) -> Searcher:
         """Return what runs the searches of a step, whose time counts from now."""
         return Searcher(self.optimizer, step.problem, self._step_key, self._expired())
 
@@ -609,13 +609,15 @@ class Mpc:
         end_ns = self.timer() + round(seconds * SECOND)
         return lambda _: self.timer() >= end_ns
 
-    def _candidate(self, step: Step, searches: Sequence[Search], number: int) -> Candidate:
+    def _candidate(self, step: ControlStep, searches: Sequence[Search], number: int) -> Candidate:
         """Return the plan that a search found as a candidate."""
         search = searches[number]
         seen = compiled_foresee(step.problem, search.signals)
         return Candidate(self._value(step, search.signals, seen, search.cost), number, seen)
 
-    def _value(self, step: Step, signals: Floats, seen: Foreseen, cost: float = np.inf) -> float:
+    def _value(
+        self, step: ControlStep, signals: Floats, seen: Foreseen, cost: float = np.inf
+    ) -> float:
         """Return the value of a plan of given signals (L,), whose cost may be known.
 
         A cost below the weight of an obstacle is the error itself, since nothing is touched.
@@ -628,7 +630,7 @@ class Mpc:
         unheard = not self._safe(step, signals, seen)
         return step.value.plan(error, len(signals), step.is_new(signals), touches, unheard)
 
-    def _planned(self, found: Found, candidate: Candidate) -> Plan:
+    def _planned(self, found: Searched, candidate: Candidate) -> Plan:
         """Return the plan of a candidate."""
         return make_plan(found.searches, candidate.number, self._step_key, candidate.seen)
 
@@ -658,7 +660,7 @@ class Mpc:
         held = np.full(len(problem.a), signals[0])
         return self.course.margins.meets(problem, held, seconds)
 
-    def _safe(self, step: Step, signals: Floats, seen: Foreseen) -> bool:
+    def _safe(self, step: ControlStep, signals: Floats, seen: Foreseen) -> bool:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
         command for `silence` or until their watchdog stops them.
 

@@ -14,7 +14,7 @@ from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.lengths import VAIN
 from tetractl.control.margins import Margins
-from tetractl.control.mpc import Leg, Progress, Step
+from tetractl.control.mpc import ControlStep, Leg, TrialProgress
 from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
@@ -49,7 +49,7 @@ def driving(costs, left=5, **fields):
 
 def under_way(plan, steps=1):
     """What a controller keeps after so many steps by a plan on the only leg."""
-    return Progress(Leg(0, 0.0, 0, False, Outcome.ARRIVED), k=steps, last=plan, began=0)
+    return TrialProgress(Leg(0, 0.0, 0, False, Outcome.ARRIVED), k=steps, last=plan, began=0)
 
 
 def first(controller, length):
@@ -364,13 +364,13 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
 @pytest.mark.parametrize(("wait_s", "allowed"), [(0.0, True), (0.4, True), (0.5, False)])
 def test_a_rest_leaves_time_for_the_plan_after_it(wait_s, allowed):
     problem = spec().controller.problem(spec().setup)
-    now = Step(problem, None, 30, 20.0, Worth(ACCEPT, 0.0, problem.period))
+    now = ControlStep(problem, None, 30, 20.0, Worth(ACCEPT, 0.0, problem.period))
     assert now.allows(18, wait_s) == allowed
 
 
 def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
-    now = Step(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
+    now = ControlStep(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
     assert now.allows(51, 0.0) and now.signals_max == 12
 
 

@@ -70,9 +70,9 @@ CLAIMS = [
 PAPER = Paper(
     source="Khalil and others, IROS 2013: one bacterium, one microjet held (disturbed simulation)",
     arms={
-        "bacterium": Runs("magnetospirillum_hold", trials=50),
-        "bacterium-11mT": Runs("magnetospirillum_hold", ("robots.0.a=8.14", "hold.radius=4"), 50),
-        "jet": Runs("microjet_hold", trials=50),
+        "bacterium": Runs("magnetospirillum_hold"),
+        "bacterium-11mT": Runs("magnetospirillum_hold", ("robots.0.a=8.14", "hold.radius=4")),
+        "jet": Runs("microjet_hold"),
     },
     claims=CLAIMS,
 )

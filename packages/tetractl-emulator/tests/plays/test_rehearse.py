@@ -132,7 +132,7 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
     (tmp_path / "two").mkdir()
     assert rehearse(tmp_path / "two", "--days", "1", "--jobs", "2").returncode == done.returncode
     assert done.returncode == 1
-    assert "late: untracked" in done.stderr
+    assert "driven blind: " in done.stderr
     assert done.stdout.endswith("1 days, 1 violations\n")
     script, other = (
         (folder / "days" / "seed-1-day-0.yaml").read_text()
@@ -157,7 +157,7 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
     done = rehearse(tmp_path, "--days", "2")
     assert done.returncode == 1
     assert "1 of 2, about " in done.stderr  # a line for each day, in a pipe
-    assert "late: untracked" in done.stderr
+    assert "driven blind: " in done.stderr
     assert done.stdout.endswith("1 days, 1 violations\n")
     script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
     assert "untracked" in script and "doubled_packets" in script

@@ -14,8 +14,8 @@ ROW_IN = 0.13
 
 def days_figure(rows: Sequence[DayRow], kinds: Sequence[FaultRow], title: str) -> Figure:
     """Draw a rehearsal: (a) the days on which each fault was met, of these those on which it was
-    the only one and those on which the guard noticed it alone; (b) the times until then [s], their
-    median, and the time in which a strong fault has to end the trial.
+    the only one and those on which the guard noticed it alone; (b) the times until then [s], and
+    their median.
     """
     drawing = _drawn(met_by_kind(rows), kinds)
     style.headline(drawing, title)
@@ -40,7 +40,8 @@ def _drawn(met: dict[str, Met], kinds: Sequence[FaultRow]) -> Figure:
             times.plot([np.median(one.times_s)], [row], "|", color=style.INK, ms=7)
     days.set_yticks(at, [kind.name for kind in kinds])
     days.set_ylim(len(kinds) - 0.5, -0.5)
-    times.set_xscale("log")
+    if any(time_s > 0 for row in own for time_s in row.times_s):
+        times.set_xscale("log")
     style.panel(days, "a", "met, alone, noticed alone", "days")
     style.panel(times, "b", "noticed after", "time from the fault to a hold or an abort [s]")
     signs = [

@@ -121,7 +121,7 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
     could be printed as a traceback and then ignored. Main thread only.
     """
     _install(dict.fromkeys(STOP_SIGNALS, _Leave(code, say)))
-    _listen_to_signals()
+    listen_to_signals()
 
 
 class _Leave:
@@ -138,7 +138,7 @@ class _Leave:
 
 
 @cache
-def _listen_to_signals() -> None:
+def listen_to_signals() -> None:
     """Start a thread that ends the process at a signal whose handler does; main thread only.
 
     Python calls a handler once the main thread is back from compiled code, which may take minutes.

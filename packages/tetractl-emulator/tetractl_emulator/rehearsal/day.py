@@ -24,6 +24,7 @@ from typing import Any
 from tetractl.cli.app import run_app
 from tetractl.core.setup import Setup
 from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.run.interrupt import listen_to_signals
 from tetractl_emulator.rehearsal.participants import LabRehearsal
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow, faults_of_day
 from tetractl_emulator.rehearsal.world import world_of_day
@@ -142,6 +143,8 @@ def _run(words: list[str], folder: Path) -> None:
         sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
+        listen_to_signals()  # as each process does, so that a day leaves no more behind
+        running = set(threading.enumerate())
         before, loaded = _open_files(), set(sys.modules)
         gc.freeze()  # what there is need not be searched for garbage
         gc.disable()  # nor what comes: a day leaves little
@@ -149,7 +152,7 @@ def _run(words: list[str], folder: Path) -> None:
         sys.argv = ["tetractl", *words]
         code = int(run_app())
         gc.collect()
-        threads = [one.name for one in threading.enumerate() if one is not threading.main_thread()]
+        threads = [thread.name for thread in threading.enumerate() if thread not in running]
         files = sorted(_open_files() - before)
         kept, new = sys.getallocatedblocks() - blocks, sys.modules.keys() - loaded
         memory = [f"{kept} blocks of memory"] if kept > KEPT and not new else []

@@ -105,9 +105,14 @@ class Truth:
 
     @cached_property
     def unseen(self) -> Floats:
-        """Time since each robot was last shown (T, N) [s]; 0 if not known."""
-        shown = [e["unseen_ms"] or [0.0] * len(self.setup.names) for e in self.of("truth")]
-        return np.array(shown).reshape(-1, len(self.setup.names)) / 1000
+        """Time since each robot was last shown (T, N) [s]; 0 if not known, as in a dish that has
+        other cells than those that are steered.
+        """
+        count = len(self.setup.names)
+        unknown = [0.0] * count
+        rows = [event["unseen_ms"] for event in self.of("truth")]
+        shown = [row if len(row) == count else unknown for row in rows]
+        return np.array(shown).reshape(-1, count) / 1000
 
     @cached_property
     def acting(self) -> Floats:

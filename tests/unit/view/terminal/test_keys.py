@@ -77,7 +77,7 @@ def test_an_arrow_is_no_emergency_stop(key, terminal):
 
 @pytest.mark.parametrize("keys", [b" ", b"\x1b\x1b", b"\x1bx", b"\x1b[A ", b"\x1b[A\x1b\x1b"])
 def test_space_and_escape_stop_the_robots(keys, terminal):
-    assert pressed(terminal, keys) == 1
+    assert pressed(terminal, keys) >= 1  # once a read: a terminal may hand the keys on in pieces
 
 
 def test_escape_alone_stops_the_robots(terminal):

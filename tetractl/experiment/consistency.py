@@ -209,18 +209,21 @@ def overlapping(experiment: Experiment) -> Findings:
 
 def unreachable(experiment: Experiment) -> Findings:
     """At no target would a robot's body be in an obstacle or, if plans keep to the walls, over the
-    arena's edge.
+    arena's edge. Targets that are themselves there are reported by `misplaced` alone.
     """
     control = experiment.controller
     if not isinstance(control, KeepsClear) or experiment.chosen is not None:
         return
     setup = experiment.setup
     x, y = setup.targets.T
-    gaps = [shape.distance(x, y) for shape in setup.obstacles]
-    if control.collision.walls:
-        gaps.append(setup.arena.inside(x, y))
-    nearest_gap = np.min(gaps, axis=0, initial=np.inf)
-    for i in np.flatnonzero(nearest_gap < setup.body_radius).tolist():
+    to_edge = setup.arena.inside(x, y)
+    to_obstacle = np.full(len(x), np.inf)
+    for shape in setup.obstacles:
+        to_obstacle = np.minimum(to_obstacle, shape.distance(x, y))
+    well_placed = (to_edge >= 0) & (to_obstacle > 0)
+    keeps_to_walls = control.collision.walls
+    nearest_gap = np.minimum(to_obstacle, to_edge) if keeps_to_walls else to_obstacle
+    for i in np.flatnonzero(well_placed & (nearest_gap < setup.body_radius)).tolist():
         place = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
         message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
         yield error(("robots", i, "target"), f"{place}: {message}")

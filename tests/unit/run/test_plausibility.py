@@ -206,6 +206,15 @@ def test_a_target_over_the_edge_is_refused_where_plans_keep_to_the_walls():
     load_spec(THREE, (*sets, "controller.collision.walls=false"))
 
 
+@pytest.mark.parametrize("target", ["[4000, 1200]", "[1300, 1200]"])
+def test_a_target_outside_the_arena_or_in_an_obstacle_has_one_message(target):
+    """Regression: a second one said that it was -2300 mm from the nearest obstacle or edge."""
+    sets = ("controller.collision.radius=20", f"robots.blue.target={target}")
+    with pytest.raises(InvalidSpecError) as refused:
+        load_spec(THREE, sets)
+    assert len(refused.value.message.splitlines()) == 1
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("big", ["1.0e+308", "1.0e+160", "1.0e-290"])
 def test_numbers_at_the_end_of_floating_point_break_nothing(big):

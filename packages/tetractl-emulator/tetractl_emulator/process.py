@@ -93,8 +93,10 @@ class PortHolder(Process):
         self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
 
     def fill_disk(self) -> None:
-        """Let every write of the process to a file fail."""
-        self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, 1)))
+        """Let every write of the process to a file fail, and none be cut short: Python 3.11 keeps
+        a module's bytecode of which a part was written, and the next process may fail on it.
+        """
+        self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0)))
 
     def _act(self, act: Callable[[int], object]) -> None:
         with suppress(OSError):

@@ -130,7 +130,6 @@ class FakeActuator:
     """Lets the world's robots move; those of a lamp or field (`halts` False) move for ever."""
 
     world: World
-    individual: bool = True
     halts: bool = True
     period_ns: int = SECOND // 40
     failure: str | None = None
@@ -147,7 +146,7 @@ class FakeActuator:
         return Health(facts={"actuator": "fake"})
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        return [RobotStatus(True if self.individual else None)] * len(self.world.moving)
+        return [RobotStatus(True if self.halts else None)] * len(self.world.moving)
 
     def send(
         self,

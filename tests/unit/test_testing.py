@@ -274,9 +274,7 @@ class FakeActuatorSection(ActuatorSection):
     type: Literal["fake"]
 
     def build(self, setup, clock):
-        return type(
-            "Nothing", (), {"period_ns": 0, "individual": 1, "halts": True, "failure": None}
-        )()
+        return type("Nothing", (), {"period_ns": 0, "halts": 1, "failure": None})()
 
 
 def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
@@ -285,7 +283,7 @@ def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
     assert found[1].what == "not opened, so its frames are not checked (no camera answers)"
     found = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
     assert found[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
-    assert wrong(found)[1:] == ["period_ns: above 0", "individual: true or false"]
+    assert wrong(found)[1:] == ["period_ns: above 0", "halts: true or false"]
 
 
 class PortSection(ActuatorSection):
@@ -300,7 +298,7 @@ class PortSection(ActuatorSection):
 
 
 class PortActuator:
-    individual, halts, period_ns, failure = False, False, 10**7, None
+    halts, period_ns, failure = False, 10**7, None
 
     def __init__(self, section, setup, clock):
         self.section, self.setup, self.clock = section, setup, clock
@@ -332,7 +330,7 @@ class PortActuator:
 
 def test_an_actuator_sends_to_a_port_behind_which_nothing_is():
     found = list(check_actuator(PortSection(), SETUP))
-    assert (len(found), wrong(found)) == (16, [])
+    assert (len(found), wrong(found)) == (15, [])
     with pytest.raises(ZeroDivisionError):
         list(check_actuator(PortSection(divisor=0.0), SETUP))
 

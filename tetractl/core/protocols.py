@@ -115,11 +115,6 @@ class Actuator(Device, Protocol):
     """
 
     @property
-    def individual(self) -> bool:
-        """Whether one robot can be held still while the others move."""
-        ...
-
-    @property
     def halts(self) -> bool:
         """Whether robots stand still after a stop; swimmers in a magnetic field go on."""
         ...
@@ -145,9 +140,9 @@ class Actuator(Device, Protocol):
 
         `poses` are the newest pose of each robot at the time `exposed_ns`, None for a robot that is
         not tracked; a pose measured earlier is brought to that time by the commands sent. Robots
-        for which `moving` is false are held still; for an actuator that is not `individual`,
-        `moving` is true for all. Raises AbortError for a `Turn` of robots that cannot stand still,
-        as `halts` says.
+        for which `moving` is false are held still; for robots that are stopped `together`, as the
+        guard's checks say, `moving` is true for all. Raises AbortError for a `Turn` of robots that
+        cannot stand still, as `halts` says.
         """
         ...
 

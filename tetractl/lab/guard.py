@@ -90,6 +90,11 @@ class Guard:
         return self._checks.drift
 
     @property
+    def together(self) -> bool:
+        """Whether no robot can be held still while the others move."""
+        return self._checks.together
+
+    @property
     def refused(self) -> tuple[str, ...]:
         """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
         return tuple(track.refused for track in self._filters)
@@ -262,7 +267,7 @@ class Guard:
         turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
         fresh &= self._ahead or now_ns - self._steered_ns < turn_ns
         tracked = self._tracked()  # without those that were lost just now
-        one_by_one = fresh and not self.rules.stopped_together
+        one_by_one = fresh and not self.together
         moving = tracked if one_by_one else (fresh,) * len(tracked)
         well = zip(moving, tracked, self._left, strict=True)
         held = any(left and not (move and seen) for move, seen, left in well)

@@ -25,11 +25,13 @@ NOISE_MM = 2.0
 @dataclass(frozen=True, slots=True)
 class GuardChecks:
     """The checks of a kind of robots, in the order in which they are made, and the two that the
-    guard itself asks about motion."""
+    guard itself asks about motion. Robots that are stopped `together` share one signal: none of
+    them can be held still while the others move."""
 
     checks: tuple[GuardCheck, ...]
     motion: MotionCheck
     drift: DriftCheck
+    together: bool = False
 
 
 ChecksOf = Callable[[GuardRules], GuardChecks]

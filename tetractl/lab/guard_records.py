@@ -25,9 +25,8 @@ class GuardRules:
     """The spec's `limits`, and the properties of robots and arena that the guard needs.
 
     `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) the greatest turning rates
-    [rad/s]; `mm` is the number of millimetres per length unit. Robots that are `stopped_together`
-    cannot be stopped one by one. A run that `goes_on` continues without a lost robot, and ends when
-    the last robot is lost. `sight` is what the camera can see.
+    [rad/s]; `mm` is the number of millimetres per length unit. A run that `goes_on` continues
+    without a lost robot, and ends when the last robot is lost. `sight` is what the camera can see.
     """
 
     names: tuple[str, ...]
@@ -39,7 +38,6 @@ class GuardRules:
     mm: float = 1.0
     silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
     wheel_radius: float = 0.0  # 0 for robots without wheels
-    stopped_together: bool = False
     goes_on: bool = False
     sight: Sight = UNSTATED
 

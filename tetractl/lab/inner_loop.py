@@ -244,7 +244,7 @@ class InnerLoop:
             return
         period = self._actuator.period_ns
         self._next_ns = max(self._next_ns + period, now + period // 2)
-        if self._actuator.individual or any(ruling.moving):
+        if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
             exposed_ns = 0 if newest is None else newest.frame.sampled_ns
             self._note(self._actuator.send(held, ruling.poses, ruling.moving, exposed_ns))

@@ -46,8 +46,7 @@ class Rig:
         self.setup, self.clock = setup, clock
         self.mm = setup.metres / MM  # millimetres per length unit of the spec
         self._checks_of = checks_of
-        together = not actuator.individual
-        self.guard = Guard(guard_rules(setup, limits, together), checks_of)
+        self.guard = Guard(guard_rules(setup, limits), checks_of)
         self.loop = InnerLoop(
             camera,
             actuator,
@@ -110,8 +109,7 @@ class Rig:
         if isinstance(self.actuator, SettlesRobots):
             self.actuator.settle(setup)
         self.tracker.settle(setup, numbers)
-        together = not self.actuator.individual
-        self.guard = Guard(guard_rules(setup, self.limits, together), self._checks_of)
+        self.guard = Guard(guard_rules(setup, self.limits), self._checks_of)
         self.loop.restart(self.guard)
         self.frames = self.loop.frames
         wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
@@ -166,7 +164,7 @@ def build_rig(
     return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake, checks_of=checks_of)
 
 
-def guard_rules(setup: Setup, limits: LabLimits, together: bool = False) -> GuardRules:
+def guard_rules(setup: Setup, limits: LabLimits) -> GuardRules:
     """Return the guard's rules for a setup, with lengths in the spec's length unit."""
     per_mm = MM / setup.metres
     silence_s = setup.period_s * (limits.late_steps + 1)
@@ -180,7 +178,6 @@ def guard_rules(setup: Setup, limits: LabLimits, together: bool = False) -> Guar
         mm=1 / per_mm,
         silence_ns=round(max(silence_s, 0.5) * SECOND),
         wheel_radius=setup.wheel_radius or 0.0,
-        stopped_together=together,
         goes_on=setup.loss is not None and not setup.loss.ends,
         sight=setup.sight,
     )

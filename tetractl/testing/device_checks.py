@@ -18,9 +18,11 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Floats, Pose
 from tetractl.core.protocols import Actuator, Camera, Device
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import ActuatorSection, CameraSection
+from tetractl.experiment.lab_section import ActuatorSection, CameraSection, LabLimits
 from tetractl.experiment.section_abilities import OnPort
 from tetractl.lab.actuators.own_section import OwnSection
+from tetractl.lab.guard_checks import ChecksOf
+from tetractl.lab.rig import guard_rules
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.testing.finding import Finding, Findings, near, true
@@ -164,9 +166,9 @@ def check_actuator(
 
     actuator = build()
     yield _members("actuator", actuator, Actuator)
+    halts = actuator.halts
     yield Finding("period_ns: above 0", "" if actuator.period_ns > 0 else f"{actuator.period_ns}")
-    for name, value in (("individual", actuator.individual), ("halts", actuator.halts)):
-        yield Finding(f"{name}: true or false", "" if isinstance(value, bool) else repr(value))
+    yield Finding("halts: true or false", "" if isinstance(halts, bool) else repr(halts))
     yield Finding("failure: None before the device is opened", actuator.failure or "")
     if robots is None:
         yield from _check_sending(section, setup)
@@ -178,7 +180,7 @@ def check_actuator(
         yield true("poll: a status of each robot, without problems", asked)
         yield from _check_health(actuator, healthy=True)
         yield true("poll, check: nothing moves", not any(robots.moves()))
-        yield from _Steered(actuator, setup, robots).check()
+        yield from _Steered(actuator, section, setup, robots).check()
     yield from _check_leaving(actuator, build())
 
 
@@ -188,7 +190,7 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
     clock = MonotonicClock()
     if isinstance(section, OwnSection):
         with resolve_name(section.device)(section, setup, clock, _Nowhere) as actuator:
-            yield from _Steered(actuator, setup, MovedRobots(clock, list, None)).sent()
+            yield from _Steered(actuator, section, setup, MovedRobots(clock, list, None)).sent()
         return
     if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
         yield Finding("send: not called, as the section has no field `port` for a serial port")
@@ -208,7 +210,7 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
                 f"send: not called, as a port without a device is refused ({error.message})"
             )
             return
-        yield from _Steered(actuator, setup, MovedRobots(clock, list, None)).sent()
+        yield from _Steered(actuator, section, setup, MovedRobots(clock, list, None)).sent()
 
 
 def _swallow(port: int) -> None:
@@ -232,7 +234,15 @@ class _Nowhere(SerialPort):
 class _Steered:
     """An actuator that is open, and the robots it moves."""
 
-    def __init__(self, actuator: Actuator, setup: Setup, robots: MovedRobots) -> None:
+    def __init__(
+        self,
+        actuator: Actuator,
+        section: ActuatorSection,
+        setup: Setup,
+        robots: MovedRobots,
+    ) -> None:
+        checks_of: ChecksOf = resolve_name(section.checks)
+        self.together = checks_of(guard_rules(setup, LabLimits())).together
         self.actuator, self.setup, self.robots = actuator, setup, robots
         self.poses = [Pose(*map(float, row)) for row in setup.starts.array()]
         self.all = (True,) * len(self.poses)
@@ -270,7 +280,7 @@ class _Steered:
         wheels = [each is None or each.shape == speed.shape for each in (sent.left, sent.right)]
         outputs = all(isinstance(value, float) for value in sent.outputs.values())
         yield true("steer: wheels (N,) or None; outputs are numbers", all(wheels) and outputs)
-        sent = self.steer(0.5, (not self.actuator.individual, *self.all[1:]), first=False)
+        sent = self.steer(0.5, (self.together, *self.all[1:]), first=False)
         finite = np.isfinite([sent.speed, sent.turning]).all()
         yield true("steer: past a robot that is not tracked", finite)
         yield true("steer: then stop", self.actuator.stop().action == Stop())
@@ -284,7 +294,7 @@ class _Steered:
         yield true("steer: robots move", moved)
         yield from self.stopped("stop", actuator.stop())
         yield from self.turned()
-        if actuator.individual:
+        if not self.together:
             clock = self.robots.clock
             clock.sleep_until(clock.now() + actuator.period_ns)  # so that the turn has begun
             actuator.stop()
@@ -292,7 +302,7 @@ class _Steered:
             sent = self.steer(0.5, (False, *self.all[1:]))
             held = not (sent.moving[0] or sent.speed[0] or sent.turning[0])
             held &= self.wait(lambda: all(self.robots.moves()[1:])) and not self.robots.moves()[0]
-            yield true("individual: one robot is held, the others move", held)
+            yield true("moving: one robot is held, the others move", held)
         yield from self.stopped("emergency stop", actuator.stop(emergency=True))
         yield true("failure: None", actuator.failure is None)
         if self.robots.unplug is None:

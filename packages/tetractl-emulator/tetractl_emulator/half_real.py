@@ -119,7 +119,7 @@ class TwinActuator:
 
     def __init__(self, real: Actuator, twin: Actuator) -> None:
         self._real, self._twin, self._opened = real, twin, ExitStack()
-        self.individual, self.halts = real.individual, real.halts
+        self.halts = real.halts
         self.period_ns = real.period_ns
 
     def __enter__(self) -> Self:

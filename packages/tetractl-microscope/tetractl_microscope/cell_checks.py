@@ -29,7 +29,8 @@ NOISE = 0.0
 def cell_checks(rules: GuardRules) -> GuardChecks:
     """Return the checks of cells."""
     motion = MotionCheck(rules.speeds, rules.wheel_radius, NOISE, rules.sight, rules.mm)
-    return GuardChecks((Swims(motion, rules), Stays(rules)), motion, drift_of(rules))
+    checks = Swims(motion, rules), Stays(rules)
+    return GuardChecks(checks, motion, drift_of(rules), together=True)
 
 
 class Swims(Check):

@@ -1,6 +1,7 @@
 import math
 import random
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -59,8 +60,12 @@ class Course:
         return ruling
 
 
-def running(rules=RULES, poses=PLACES):
-    course = Course(rules)
+def stopped(rules, together):
+    return replace(robot_checks(rules), together=together)
+
+
+def running(rules=RULES, poses=PLACES, checks_of=robot_checks):
+    course = Course(rules, checks_of)
     course.frames(3, poses)
     course.guard.ready()
     course.guard.go(course.at)
@@ -170,7 +175,8 @@ def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_o
 
 @pytest.mark.parametrize("together", [False, True])
 def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(together):
-    course = running(replace(RULES, goes_on=True, stopped_together=together))
+    rules = replace(RULES, goes_on=True)
+    course = running(rules, checks_of=partial(stopped, together=together))
     guard, lost = course.guard, (None, PLACES[1])
     ruling = course.frames(40, lost)
     assert list(guard.lost) == [0]

@@ -20,7 +20,13 @@ pytestmark = pytest.mark.slow
 
 PERIOD = SECOND // 5
 SETUP = experiment().setup
-CELLS = {"individual": False, "halts": False}
+
+
+def together(rules):
+    return replace(robot_checks(rules), together=True)
+
+
+CELLS = {"halts": False, "checks_of": together}
 
 
 def opened(setup=SETUP, **actuator):
@@ -114,7 +120,7 @@ def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_fram
 def test_a_lost_robot_counts_no_more_where_it_was_last_seen():
     """Green passes the place where blue was last seen: no check of this lab says where."""
     setup = replace(SETUP, loss=LossRule(0.3, False))
-    lab = opened(setup, checks_of=lambda rules: replace(robot_checks(rules), checks=()), **CELLS)
+    lab = opened(setup, halts=False, checks_of=lambda rules: replace(together(rules), checks=()))
     lab.camera.hidden = {"blue"}
     drive(lab, 2.0, np.pi / 2)
     assert abs(lab.world.poses[0, 1] - 1200) < 100

@@ -159,7 +159,6 @@ class WheeledActuator(ABC):
     """Drives a setup's robots over a `link` at `rate` commands per second [Hz], see
     `tetractl.core.protocols.Actuator`; `ask` polls them, and below `warn_v` a battery is low."""
 
-    individual = True
     halts = True
     held: CountArray | None = None
     """Outputs (2, N) that are sent whatever the action, as in calibration."""

@@ -26,7 +26,6 @@ def swimming(obstacles=(), goes_on=False):
         arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
         limits=LabLimits(),
         obstacles=obstacles,
-        stopped_together=True,
         goes_on=goes_on,
     )
     guard = Guard(rules, cell_checks)

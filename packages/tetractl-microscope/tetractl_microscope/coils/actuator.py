@@ -42,7 +42,6 @@ class FieldActuator:
     are ns on `clock`. `ports` is for the Driver.
     """
 
-    individual = False
     halts = False
 
     def __init__(

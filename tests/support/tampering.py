@@ -27,7 +27,6 @@ from tetractl.log.format.channels import (
     RECOVERED,
     RUN,
     SPEC,
-    UNUSED,
     Entry,
 )
 from tetractl.log.read.raw_log import RawLog
@@ -147,7 +146,7 @@ def missed(path: Path) -> set[tuple[str, str]]:
     """Return of an intact log the (channel, field) of which `verify` misses a change."""
     assert verify(path).problems == ()
     seen, tried = score(path, 1)
-    apart = {*UNUSED, PICTURE, BACKGROUND, DIGESTS, RECOVERED}  # without messages here, or sealed
+    apart = {PICTURE, BACKGROUND, DIGESTS, RECOVERED}  # without messages here, or sealed
     assert {channel for channel, _ in tried} >= CHANNELS.keys() - apart
     found = {kind for kind in tried if seen[kind] < tried[kind]}
     return {kind for kind in found if kind[0] not in HOST_RECORDS} - STATED_ONCE

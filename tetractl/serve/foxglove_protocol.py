@@ -11,11 +11,11 @@ from base64 import b64encode
 
 from mcap.well_known import MessageEncoding
 
-from tetractl.log.format.channels import CHANNELS, Entry
-from tetractl.log.write.sink import protobuf_schema
+from tetractl.log.format.channels import CHANNELS, NUMBERS, Entry
+from tetractl.log.write.file_writer import protobuf_schema
 
 PROTOCOL = "foxglove.sdk.v1"
-TOPICS = dict(enumerate(CHANNELS, 1))
+TOPICS = {number: topic for topic, number in NUMBERS.items()}
 """Topics by the id of their channel, as in a log."""
 
 _MESSAGE, _TIME = 1, 2  # first byte of a binary message to a client

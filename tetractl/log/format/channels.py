@@ -35,8 +35,6 @@ SCENE = "/scene/static"
 SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
-UNUSED = ("/unused/11", "/unused/12")
-"""Channels without messages, which keep the numbers of those behind them."""
 CAMERA = "/camera/"
 """With what the channels begin on which a camera adds messages to its frames, in this version or an
 earlier one: they are logged as they are, and nothing follows from them.
@@ -57,8 +55,6 @@ CHANNELS: dict[str, type[Message]] = {
     SCENE_PLAN: SceneUpdate,
     LOG: Log,
     HOST_TIMING: pb.StepTiming,
-    UNUSED[0]: pb.Unused,
-    UNUSED[1]: pb.Unused,
     PICTURE: CompressedImage,
     BACKGROUND: CompressedImage,
     HOST_END: pb.HostEnd,
@@ -66,8 +62,27 @@ CHANNELS: dict[str, type[Message]] = {
     DIGESTS: pb.Digests,
     RECOVERED: pb.Recovered,
 }
-"""Topic and message of each channel. The order is part of the format version: channels get the ids
-1, 2, ... in this order, which identify the messages of a log whose channel records are lost.
+"""Topic and message of each channel."""
+NUMBERS = {
+    RUN: 1,
+    HOST: 2,
+    FRAMES: 3,
+    TRANSFORMS: 4,
+    STEP: 5,
+    COMMANDS: 6,
+    SCENE: 7,
+    SCENE_PLAN: 8,
+    LOG: 9,
+    HOST_TIMING: 10,
+    PICTURE: 13,
+    BACKGROUND: 14,
+    HOST_END: 15,
+    RESULT: 16,
+    DIGESTS: 17,
+    RECOVERED: 18,
+}
+"""The number of each channel, which identifies its messages if the record of the channel is lost.
+It is part of the format version. Earlier logs have other channels under 11 and 12.
 """
 
 SPEC = "spec.yaml"

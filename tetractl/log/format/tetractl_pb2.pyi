@@ -141,10 +141,6 @@ class ControllerStep(_message.Message):
     estimate: Estimate
     def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ...) -> None: ...
 
-class Unused(_message.Message):
-    __slots__ = ()
-    def __init__(self) -> None: ...
-
 class StepTiming(_message.Message):
     __slots__ = ("k", "solve_ns", "deadline_missed")
     K_FIELD_NUMBER: _ClassVar[int]

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from tetractl.core.errors import LogError, printable
-from tetractl.log.format.channels import CHANNELS, SUMMARY, Entry
+from tetractl.log.format.channels import NUMBERS, SUMMARY, Entry
 from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_much
 from tetractl.log.read.raw_log import RawLog, read_file
 
@@ -32,8 +32,8 @@ PROBLEMS_MAX = 50
 _HEAD = struct.Struct("<BQ")  # opcode and length, before the contents of every record
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
-_TOPICS = dict(enumerate(CHANNELS, start=1))  # by the number of a channel
-_SUMMARY = {number for number, topic in _TOPICS.items() if topic in SUMMARY}
+_TOPICS = {number: topic for topic, number in NUMBERS.items()}
+_SUMMARY = {NUMBERS[topic] for topic in SUMMARY}
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _MARKS = (
     (Opcode.CHUNK, re.compile(b"\x04\0\0\0zstd"), -28),
@@ -244,7 +244,7 @@ class _Scan:
     def _collected(self) -> RawLog:
         """Return the records found, in file order."""
         result = self._result
-        topics = {number: channel.topic for number, channel in self._channels.items()} or _TOPICS
+        topics = self._topics()
         for _, record in sorted(self._found.items(), key=lambda item: item[0]):
             if isinstance(record, Attachment):
                 result.records.append(record)
@@ -260,6 +260,14 @@ class _Scan:
             for channel in self._channels.values()
         }
         return result
+
+    def _topics(self) -> dict[int, str]:
+        """Return the topic of each channel by its number: as its record states and, for records
+        that are lost, as in the format, unless a record that is left contradicts it.
+        """
+        stated = {number: channel.topic for number, channel in self._channels.items()}
+        numbered_so = all(_TOPICS.get(number, topic) == topic for number, topic in stated.items())
+        return _TOPICS | stated if numbered_so else stated
 
     def _stream(self, begin: int) -> ReadDataStream:
         self._file.seek(begin)

@@ -24,10 +24,10 @@ from tetractl.log.format.channels import (
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.encoder import Encoder
-from tetractl.log.write.sink import new_writer
+from tetractl.log.write.file_writer import FileWriter
 
 TOPICS = (RUN, HOST, HOST_END, RESULT, DIGESTS)
-"""The channels of a brief log, which has no other schemas."""
+"""The channels of a brief log."""
 LEFT_OUT = frozenset({LAYOUT, ENVIRONMENT})
 """The attachments of a whole log that a brief one lacks."""
 
@@ -57,13 +57,11 @@ class _KeptRecords:
     def file(self, end_ns: int) -> bytes:
         """Return the brief log's file, with the digests at the end of the trial [Unix ns]."""
         stream, brief = BytesIO(), LogDigests()
-        writer, channels = new_writer(stream, TOPICS)
+        writer = FileWriter(stream)
         for record in self._records:
             if isinstance(record, Entry):
                 brief.messages([record])
-                writer.add_message(
-                    channels[record.topic], record.log_ns, record.data, record.publish_ns
-                )
+                writer.add_entry(record)
             else:
                 attached = (record.log_time, record.name, record.media_type, record.data)
                 brief.attachment(record.name, record.media_type, record.log_time, record.data)
@@ -71,7 +69,7 @@ class _KeptRecords:
                 writer.add_attachment(0, *attached)
         own, whole = brief.stated(), self._whole.stated()
         stated = Digests(content=whole.content, host=own.host, brief=own.content)
-        writer.add_message(channels[DIGESTS], end_ns, stated.SerializeToString(), end_ns)
+        writer.add_entry(Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString()))
         writer.finish()
         return stream.getvalue()
 

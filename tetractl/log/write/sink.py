@@ -5,23 +5,19 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from functools import cache, wraps
+from functools import wraps
 from pathlib import Path
-from typing import Any, BinaryIO, Concatenate, NoReturn, ParamSpec
+from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
-from google.protobuf.message import Message
 from mcap.records import Channel, Schema
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.errors import LogError
 from tetractl.core.file_lock import lock_file
-from tetractl.core.version import __version__
-from tetractl.log.format.channels import CHANNELS, DIGESTS, METADATA, WRITER, Entry
+from tetractl.log.format.channels import DIGESTS, Entry
 from tetractl.log.format.digest import LogDigests
+from tetractl.log.write.file_writer import FileWriter
 
 CHUNK_S = 0.7
 """Longest time for which a message stays in memory [s of wall time]. With camera frames collected
@@ -80,17 +76,13 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap, self._channels = new_writer(self._file, CHANNELS)
+            self._mcap = FileWriter(self._file)
         except OSError as error:
             self.fail(error)
 
     def channel(self, channel: Channel, schema: Schema | None) -> None:
-        """Add a channel of another log, unless its topic exists already."""
-        if channel.topic not in self._channels:
-            known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
-            self._channels[channel.topic] = self._mcap.register_channel(
-                channel.topic, channel.message_encoding, known or 0, channel.metadata
-            )
+        """Take messages of another log's channel, too; a topic of tetractl's own stays as it is."""
+        self._mcap.allow(channel, schema)
 
     @_while_open
     def messages(self, entries: Iterable[Entry]) -> None:
@@ -98,8 +90,8 @@ class Sink:
         self._chunk_since = self._chunk_since or time.monotonic()
         made = list(entries)
         self.digests.messages(made)
-        for topic, log_ns, publish_ns, data in made:
-            self._mcap.add_message(self._channels[topic], log_ns, data, publish_ns)
+        for entry in made:
+            self._mcap.add_entry(entry)
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
@@ -199,42 +191,6 @@ class Sink:
         file, self._file = self._file, None
         if file:
             file.close()
-
-
-def new_writer(stream: BinaryIO, topics: Collection[str]) -> tuple[Writer, dict[str, int]]:
-    """Begin the file of a log; return its writer, and the number of each channel by topic."""
-    messages = {topic: message for topic, message in CHANNELS.items() if topic in topics}
-    writer = Writer(stream, use_summary_offsets=False, enable_data_crcs=True)
-    writer.start(library=f"{WRITER} {__version__}")
-    # for other readers: some report a file without metadata as damaged
-    writer.add_metadata(*METADATA)
-    schemas = {
-        message: writer.register_schema(*protobuf_schema(message))
-        for message in dict.fromkeys(messages.values())
-    }
-    return writer, {
-        topic: writer.register_channel(topic, MessageEncoding.Protobuf, schemas[message])
-        for topic, message in messages.items()
-    }
-
-
-@cache
-def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
-    """Return name, encoding and data of the schema of a message."""
-    descriptor = message.DESCRIPTOR
-    found, used = build_file_descriptor_set(message), _used(descriptor)
-    for file in found.file:
-        if file.name == descriptor.file.name:  # tetractl's own has the messages of all channels
-            kept = [one for one in file.message_type if one.name in used]
-            del file.message_type[:]
-            file.message_type.extend(kept)
-    return descriptor.full_name, SchemaEncoding.Protobuf, found.SerializeToString()
-
-
-def _used(descriptor: Any) -> set[str]:
-    """Return the names of a message and of all messages inside it."""
-    parts = (field.message_type for field in descriptor.fields if field.message_type)
-    return {descriptor.name}.union(*map(_used, parts))
 
 
 def _owned(path: Path) -> BinaryIO:

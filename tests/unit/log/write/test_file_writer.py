@@ -1,0 +1,95 @@
+"""Channels in the file of a log: their numbers, and which there are."""
+
+from io import BytesIO
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Channel
+from mcap.writer import Writer
+from support.random_trials import trial, write
+
+from tetractl.log.format.channels import DIGESTS, LOG, NUMBERS, RESULT, RUN, Entry
+from tetractl.log.read.salvage import scan
+from tetractl.log.write.brief import BriefLog
+from tetractl.log.write.file_writer import FileWriter
+
+
+def brief(path):
+    """Write the brief log of a trial without steps."""
+    ended = trial(steps=1)
+    log = BriefLog()
+    log.on_start(ended.start)
+    log.on_stop(ended.stop, ended.result)
+    log.save(path)
+    return path
+
+
+@pytest.mark.parametrize("made", [lambda path: write(trial(steps=1), path), brief])
+def test_a_viewer_lists_no_channel_without_messages(made, tmp_path):
+    """Regression: it listed /unused/11 and, of a brief log too, the channels of a camera."""
+    with made(tmp_path / "trial.mcap").open("rb") as file:
+        listed = make_reader(file).get_summary()
+    counts = listed.statistics.channel_message_counts
+    assert {number for number, count in counts.items() if count} == listed.channels.keys()
+    assert {RUN, RESULT, DIGESTS} < {channel.topic for channel in listed.channels.values()}
+    for channel in listed.channels.values():
+        assert channel.id == NUMBERS[channel.topic]
+
+
+def test_a_channel_of_another_log_gets_a_number_that_is_free():
+    stream = BytesIO()
+    writer = FileWriter(stream)
+    writer.allow(
+        Channel(id=9, topic="/camera/own", message_encoding="json", metadata={}, schema_id=0), None
+    )
+    for topic in (LOG, "/camera/own", RUN):
+        writer.add_entry(Entry(topic, 0, 0, b""))
+    writer.finish()
+    stream.seek(0)
+    listed = make_reader(stream).get_summary().channels
+    assert {channel.topic: number for number, channel in listed.items()} == {
+        LOG: NUMBERS[LOG],
+        "/camera/own": max(NUMBERS.values()) + 1,
+        RUN: NUMBERS[RUN],
+    }
+
+
+def without_second_chunk(path, writer, stream, add):
+    """Write three chunks, one with /run and two with /log, damage the second, and return how many
+    messages of each topic are read.
+    """
+    ends = []
+    for topic in (RUN, LOG, LOG):
+        add(topic)
+        writer.flush()
+        ends.append(stream.tell())
+    data = bytearray(stream.getvalue())
+    data[(ends[0] + ends[1]) // 2] ^= 0xFF
+    path.write_bytes(data)
+    return {topic: len(entries) for topic, entries in scan(path).by_topic.items() if entries}
+
+
+def test_messages_of_a_channel_whose_record_is_lost_are_read_by_their_number(tmp_path):
+    writer = FileWriter(stream := BytesIO())
+    found = without_second_chunk(
+        tmp_path / "log.mcap",
+        writer,
+        stream,
+        lambda topic: writer.add_entry(Entry(topic, 0, 0, b"")),
+    )
+    assert found == {RUN: 1, LOG: 1}
+
+
+def test_the_numbers_of_another_writer_are_not_taken_for_those_of_the_format(tmp_path):
+    """Its second channel, whose record is lost, is not /host/machine, the second of ours."""
+    writer = Writer(stream := BytesIO())
+    writer.start()
+    numbers = {}
+
+    def add(topic):
+        if topic not in numbers:
+            numbers[topic] = writer.register_channel(topic, "protobuf", 0)
+        writer.add_message(numbers[topic], 0, b"", 0)
+
+    writer.register_channel("/other", "protobuf", 0)
+    assert without_second_chunk(tmp_path / "log.mcap", writer, stream, add) == {RUN: 1}

@@ -1,0 +1,100 @@
+"""Writes the records of a log's MCAP file, with its channels under the numbers of the format."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any, BinaryIO
+
+from google.protobuf.message import Message
+from mcap.records import Channel, Schema, Statistics
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from tetractl.core.version import __version__
+from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Entry
+
+
+class FileWriter(Writer):
+    """The file of a log, begun with its metadata.
+
+    A channel and its schema are recorded before the channel's first message, so that viewers list
+    no channel without messages. `mcap.Writer` numbers channels in the order in which they are
+    recorded; here each topic has its number of the format, whichever others are in the file.
+    """
+
+    _Writer__channels: dict[int, Channel]
+    _Writer__chunk_builder: Any
+    _Writer__statistics: Statistics
+
+    def __init__(self, stream: BinaryIO) -> None:
+        super().__init__(stream, use_summary_offsets=False, enable_data_crcs=True)
+        self._numbers = dict[str, int]()
+        self._schemas = dict[str, int]()
+        self._others = dict[str, tuple[Channel, Schema | None]]()
+        self.start(library=f"{WRITER} {__version__}")
+        # for other readers: some report a file without metadata as damaged
+        self.add_metadata(*METADATA)
+
+    def allow(self, channel: Channel, schema: Schema | None) -> None:
+        """Take messages of another log's channel; a topic of the format keeps its own."""
+        if channel.topic not in NUMBERS:
+            self._others.setdefault(channel.topic, (channel, schema))
+
+    def add_entry(self, entry: Entry) -> None:
+        """Add a message, after the record of its channel if it is the first."""
+        number = self._numbers.get(entry.topic)
+        if number is None:
+            number = self._record_channel(entry.topic)
+        self.add_message(number, entry.log_ns, entry.data, entry.publish_ns)
+
+    def _record_channel(self, topic: str) -> int:
+        """Record a topic's schema and channel, and return the channel's number."""
+        channel = self._own(topic) if topic in NUMBERS else self._other(topic)
+        self._Writer__channels[channel.id] = channel
+        self._Writer__statistics.channel_count += 1
+        self._Writer__chunk_builder.add_channel(channel)
+        self._numbers[topic] = channel.id
+        return channel.id
+
+    def _own(self, topic: str) -> Channel:
+        schema_id = self._record_schema(*protobuf_schema(CHANNELS[topic]))
+        return Channel(
+            id=NUMBERS[topic],
+            topic=topic,
+            message_encoding=MessageEncoding.Protobuf,
+            metadata={},
+            schema_id=schema_id,
+        )
+
+    def _other(self, topic: str) -> Channel:
+        channel, schema = self._others[topic]
+        schema_id = 0  # MCAP's number of no schema
+        if schema is not None:
+            schema_id = self._record_schema(schema.name, schema.encoding, schema.data)
+        number = max(*NUMBERS.values(), *self._numbers.values()) + 1
+        return replace(channel, id=number, schema_id=schema_id)
+
+    def _record_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Record a schema, unless one of its name is recorded, and return its number."""
+        if name not in self._schemas:
+            self._schemas[name] = self.register_schema(name, encoding, data)
+        return self._schemas[name]
+
+
+@cache
+def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
+    """Return name, encoding and data of the schema of a message."""
+    descriptor = message.DESCRIPTOR
+    found, used = build_file_descriptor_set(message), _used(descriptor)
+    for file in found.file:
+        if file.name == descriptor.file.name:  # tetractl's own has the messages of all channels
+            kept = [one for one in file.message_type if one.name in used]
+            del file.message_type[:]
+            file.message_type.extend(kept)
+    return descriptor.full_name, SchemaEncoding.Protobuf, found.SerializeToString()
+
+
+def _used(descriptor: Any) -> set[str]:
+    """Return the names of a message and of all messages inside it."""
+    parts = (field.message_type for field in descriptor.fields if field.message_type)
+    return {descriptor.name}.union(*map(_used, parts))

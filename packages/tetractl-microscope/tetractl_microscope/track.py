@@ -77,7 +77,8 @@ def track(
     Headings of such tracks are directions of motion over 0.4 s, which lowers a by some 15 %.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
-    bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
+    bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film,
+    or if what swims is like no known organism.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
 

@@ -32,6 +32,11 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         f"noise {followed.noise:.1f}",
         *followed.remarks,
     ]
+    if followed.paths:
+        found.append(
+            f"a number lasts {followed.number_lasts_s:.1f} s, and a track, which may have several "
+            f"in turn, {followed.track_lasts_s:.1f} s (medians)"
+        )
     share = followed.not_followed
     if share is not None and share >= NOT_FOLLOWED_SAID:
         found.append(f"warning: of what moves, {100 * share:.0f} % is not followed")
@@ -81,6 +86,8 @@ def as_items(
         ],
         "indistinguishable": followed.doubtful,
         "not_followed": followed.not_followed,
+        "number_lasts_s": followed.number_lasts_s,
+        "track_lasts_s": followed.track_lasts_s,
         "notes": notes(followed, cells),
         "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
     }

@@ -3,13 +3,14 @@ met.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from tetractl.core.poses import Grey
+from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells.cells_health import faint_line
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.disturbances import Disturbances
@@ -67,6 +68,20 @@ class Followed:
     def rate_hz(self) -> float:
         """The mean rate of the pictures [Hz]."""
         return self.timing.rate_hz
+
+    @property
+    def number_lasts_s(self) -> float | None:
+        """Median time for which a number lasts [s], None without cells."""
+        return _median_s([path.times for path in self.paths])
+
+    @property
+    def track_lasts_s(self) -> float | None:
+        """Median time for which a track lasts, under one number after another [s]."""
+        shown = defaultdict[int, list[float]](list)
+        for path in self.paths:
+            for seconds, cell in zip(path.times.tolist(), path.seen, strict=True):
+                shown[cell.track].append(seconds)
+        return _median_s(list(shown.values()))
 
 
 def follow(
@@ -129,6 +144,11 @@ def follow(
         divisions=tuple(where.divided(pairs)),
         not_followed=unfollowed.share(film, paths, seen_as.um_px, seen_as.organism.body_um[0]),
     )
+
+
+def _median_s(times: Sequence[Sequence[float] | Floats]) -> float | None:
+    """Return the median time from the earliest to the latest of some times [s], None of none."""
+    return float(np.median([np.ptp(each) for each in times])) if times else None
 
 
 def _faded_line(where: Whereabouts) -> str | None:

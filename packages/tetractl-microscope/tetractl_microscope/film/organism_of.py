@@ -31,6 +31,11 @@ ROUNDING_S = 1e-9  # error of a time by rounding [s]
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 FAST = 1.5  # factor by which an object may be faster than an organism is
 FAR = 2.0  # way of the fastest cells between pictures, in lengths, above which links are uncertain
+KNOWN = 0.25  # least share of what swims that an organism must be like (beads in water 3 of 81)
+# mean cosine between the halves of the ways, weighted by them, below which what moves goes to and
+# fro (beads in water .06; Euglena .62, Paramecium .89); fewest ways of which it is computed
+ONWARD, WAYS_MIN = 0.3, 20
+TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +56,23 @@ def recognised(
 ) -> Recognised:
     """Return the organism and scale of a film; TetractlError if no picture of it can be read.
 
-    Without an organism, it is the one that covers most of the way that objects swim. Sizes without
-    a scale tell nothing: then it is the first that is known, Tetrahymena, and the scale is the one
+    Without an organism, it is the one that covers most of the way that objects swim; TetractlError
+    if they go to and fro instead, or if fewer than the share KNOWN are like it. Sizes without a
+    scale tell nothing: then it is the first that is known, Tetrahymena, and the scale is the one
     at which objects that swim have the organism's length. TetractlError if nothing swims there.
     """
     finder = _learned(film)
-    moving = _moving(film, copy.copy(finder))
+    ways = _ways(film, copy.copy(finder))
+    moving = _moving(ways)
     known = list(ORGANISMS.usable().values())
     taken, scale, why = organism or known[0], um_px, ()
+    still = ()
+    if _to_and_fro(ways):
+        if organism is None:
+            raise TetractlError(
+                f"{film.path}: {TO_AND_FRO}", "--organism NAME looks for one all the same"
+            )
+        still = (f"warning: {TO_AND_FRO}",)
     if scale is None:
         if not len(moving):
             raise TetractlError(
@@ -79,10 +93,18 @@ def recognised(
     if um_px is not None and organism is None:
         taken = known[int(np.argmax(_shares(moving, known)))]  # the first if nothing moves
         fits = _fits(moving, taken)
+        if len(moving) >= ENOUGH and fits.mean() < KNOWN:
+            hints = *_coarse(taken, scale, film.rate_hz), "--organism NAME follows one all the same"
+            raise TetractlError(
+                f"{film.path}: no known organism: {len(moving)} objects that swim are "
+                f"{_extent(moving)}, {fits.sum()} of them like {taken.name}",
+                "is --scale right? " + "; ".join(hints),
+            )
         few = f"{fits.sum()} of {len(moving)} objects that swim have its size and speed"
         none = "nothing that swims in the first pictures has a known size and speed"
         why = (f"cells are taken for {taken.name}: {few if fits.any() else none}",)
-    remarks = (*why, *_others(moving, taken, known), *_coarse(taken, scale, film.rate_hz))
+    coarse = (f"warning: {line}" for line in _coarse(taken, scale, film.rate_hz))
+    remarks = (*why, *still, *_others(moving, taken, known), *coarse)
     return Recognised(taken, scale, um_px is None, remarks, finder)
 
 
@@ -112,12 +134,12 @@ def _sample(film: FilmPictures) -> list[Grey]:
     return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
 
 
-def _moving(film: FilmPictures, finder: BlobFinder) -> Floats:
-    """Return length, width [px], speed [px/s] and way [px] of each object (M, 4) that moves evenly
-    and straight in the film's first pictures.
+def _ways(film: FilmPictures, finder: BlobFinder) -> list[Floats]:
+    """Return the way of each object in the film's first pictures: rows of time [s], x, y, length
+    and width [px] (K, 5).
     """
     step = max(1, math.ceil(film.rate_hz * LOOK_S / LOOKED))
-    paths: list[list[Floats]] = []  # rows of time [s], x, y, length and width [px]
+    paths: list[list[Floats]] = []
     going: list[list[Floats]] = []  # those of the newest picture
     for number, picture in film:
         seconds, seen = film.seconds(number), sum(len(path) >= SEEN for path in paths)
@@ -137,7 +159,43 @@ def _moving(film: FilmPictures, finder: BlobFinder) -> Floats:
             if not path:
                 paths.append(path)
             path.append(row)
-    return np.array([row for path in paths if (row := _motion(np.array(path)))]).reshape(-1, 4)
+    return [np.array(path) for path in paths]
+
+
+def _moving(ways: Sequence[Floats]) -> Floats:
+    """Return length, width [px], speed [px/s] and way [px] of each object (M, 4) that moves evenly
+    and straight.
+    """
+    motions = [_motion(rows) for rows in ways]
+    return np.array([motion for motion in motions if motion]).reshape(-1, 4)
+
+
+def _to_and_fro(ways: Sequence[Floats]) -> bool:
+    """Return whether objects that move go on in another direction than they went before.
+
+    Of each object that gets MOVED lengths away, the vectors from the first place to that half-way
+    in time, and from there to the last, are compared; the long ones count most. Of a swimmer they
+    are alike, of a bead in Brownian motion independent.
+    """
+    first, second = [], []
+    for rows in ways:
+        places = rows[:, 1:3]
+        gone = np.linalg.norm(places - places[0], axis=1).max()
+        if len(rows) >= SEEN and gone > MOVED * np.median(rows[:, 3]):
+            half = len(rows) // 2
+            first.append(places[half] - places[0])
+            second.append(places[-1] - places[half])
+    if len(first) < WAYS_MIN:
+        return False
+    before, after = np.array(first), np.array(second)
+    most = np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1)
+    return float(np.vdot(before, after)) < ONWARD * most
+
+
+def _extent(moving: Floats) -> str:
+    """Say which lengths and speeds most moving objects (M, 4) have."""
+    low, high = np.quantile(moving[:, :3], [0.1, 0.9], axis=0)
+    return f"{low[0]:.0f} to {high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s"
 
 
 def _motion(rows: Floats) -> tuple[float, ...]:
@@ -177,12 +235,12 @@ def _coarse(taken: Organism, um_px: float, rate_hz: float) -> Iterator[str]:
     (long, wide), fast = taken.body_um, taken.speed_um_s[1]
     if wide / um_px < SMALL_PX:
         yield (
-            f"warning: {taken.name} is {wide / um_px:.1f} px wide at {um_px:.3g} um/px; "
+            f"{taken.name} is {wide / um_px:.1f} px wide at {um_px:.3g} um/px; "
             f"{SMALL_PX:.0f} px or more are needed: cells may be missed, or be of another kind"
         )
     if fast / rate_hz > FAR * long:
         yield (
-            f"warning: {rate_hz:.3g} pictures a second are too few to distinguish cells: "
+            f"{rate_hz:.3g} pictures a second are too few to distinguish cells: "
             f"{taken.name} of {fast:.0f} um/s moves {fast / rate_hz / long:.1f} lengths; "
             f"film at {math.ceil(fast / (FAR * long))} or more"
         )
@@ -193,11 +251,10 @@ def _others(moving: Floats, taken: Organism, kinds: Sequence[Organism]) -> tuple
     left = moving[(moving[:, 3] > moving[:, 0]) & ~_fits(moving, taken)]
     if len(left) < 2:
         return ()
-    low, high = np.quantile(left[:, :3], [0.1, 0.9], axis=0)
     better = kinds[int(np.argmax(_shares(left, kinds)))]
     follows = f"--organism {better.name} follows them, if they swim and do not drift"
     return (
         f"warning: {len(left)} objects that move have not the size and speed of {taken.name}, but "
-        f"are {low[0]:.0f} to {high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s, and not "
-        "followed: " + (follows if _fits(left, better).any() else "no known organism is like that"),
+        f"are {_extent(left)}, and not followed: "
+        + (follows if _fits(left, better).any() else "no known organism is like that"),
     )

@@ -163,6 +163,23 @@ def test_of_many_uncertain_meetings_a_few_are_listed():
         assert [line[:15] for line in lines if "more meetings" in line] == more
 
 
+def test_how_long_numbers_and_the_tracks_under_them_last_is_said():
+    seen = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
+
+    def path(number, first_s, last_s, track):
+        times = np.arange(first_s, last_s + 0.5)
+        cells = tuple(seen_cell(number, 10.0 * t, 0.0, track) for t in times)
+        return CellPath(number, times, times.astype(int), cells)
+
+    # two numbers of 2 and 4 s in turn on one track of 7 s
+    twice = replace(seen, paths=(path(1, 0, 2, 7), path(2, 3, 7, 7)))
+    assert (twice.number_lasts_s, twice.track_lasts_s) == (3.0, 7.0)
+    assert sum(line.startswith("a number lasts 3.0 s") for line in notes(twice, ())) == 1
+    none = replace(seen, paths=())
+    assert none.number_lasts_s is None and none.track_lasts_s is None
+    assert not any("a number lasts" in line for line in notes(none, ()))
+
+
 @pytest.mark.long
 def test_without_a_field_there_is_no_a():
     made = film(seed=34, side=512, cells=3, crossings=False)

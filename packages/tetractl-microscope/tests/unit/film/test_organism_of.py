@@ -18,7 +18,7 @@ from tetractl_microscope.organisms import (
 )
 from tetractl_microscope.registries import ORGANISMS
 
-from tetractl.core.errors import TetractlError
+from tetractl.core.errors import Exit, TetractlError
 
 pytestmark = pytest.mark.slow
 
@@ -84,10 +84,45 @@ def test_other_swimmers_than_those_chosen_are_counted_and_named():
 
 def test_small_cells_that_seem_large_in_coarse_pictures_are_not_taken_for_others():
     film = Ellipses(7.0, 2.0, 35.0)  # seem 164 um long and 96 um wide
-    found = recognised(film, 16.0)
-    assert found.organism is TETRAHYMENA
-    assert not any("paramecium" in line for line in found.remarks)
-    assert "tetrahymena is 1.6 px wide" in found.remarks[-1]
+    with pytest.raises(TetractlError, match="0 of them like tetrahymena") as refused:
+        recognised(film, 16.0)
+    assert refused.value.hint.startswith("is --scale right? tetrahymena is 1.6 px wide")
+    said = recognised(film, 16.0, TETRAHYMENA).remarks
+    assert not any("paramecium" in line for line in said)
+    assert said[-1].startswith("warning: tetrahymena is 1.6 px wide")
+
+
+def test_what_swims_but_is_like_no_organism_ends_the_run_unless_one_is_named():
+    worms = Ellipses(40.0, 12.0, 60.0)  # 400 um long, 120 um wide
+    with pytest.raises(TetractlError, match="no known organism: ") as refused:
+        recognised(worms, 10.0)
+    assert refused.value.exit == Exit.FAILED and "--organism NAME" in refused.value.hint
+    assert recognised(worms, 10.0, PARAMECIUM).organism is PARAMECIUM
+
+
+@dataclass
+class Beads(Ellipses):
+    """A film of 25 round beads, which make an independent step from picture to picture."""
+
+    def __iter__(self):
+        random = np.random.default_rng(5)
+        places = np.array([(50 + 75 * (i % 5), 50 + 75 * (i // 5)) for i in range(25)], float)
+        for number in range(120):
+            picture = np.full((SIDE, SIDE), 200, np.uint8)
+            for x, y in places:
+                centre = (round(16 * x), round(16 * y))
+                cv2.circle(picture, centre, round(8 * self.long), 90, -1, cv2.LINE_AA, 4)
+            yield number, picture
+            places += random.normal(0.0, self.speed_px_s, places.shape)
+
+
+def test_beads_that_go_to_and_fro_do_not_swim():
+    beads = Beads(12.0, 12.0, 1.5)
+    for um_px in (None, 0.5):
+        with pytest.raises(TetractlError, match="goes to and fro, as beads do: nothing swims"):
+            recognised(beads, um_px)
+    said = recognised(beads, 0.5, HELICAL_MICROROBOT).remarks
+    assert any("nothing swims" in line for line in said)
 
 
 def test_pictures_too_rare_to_tell_cells_apart_are_said():

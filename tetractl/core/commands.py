@@ -65,13 +65,11 @@ class Sent:
 class FrameAddition:
     """What a camera knows of the frame exposed at `sampled_ns` beyond its poses.
 
-    `sure` (N,) is the probability that what is followed as each robot is still that robot, NaN if
-    it is not seen. `messages`, topic and protobuf bytes, are logged as they are; a camera may use
-    the channels of pictures, `log.format.channels`.
+    `messages`, topic and protobuf bytes, are logged as they are; a camera may use the channels of
+    pictures, `log.format.channels`.
     """
 
     sampled_ns: int
-    sure: Floats
     messages: tuple[tuple[str, bytes], ...] = ()
 
 

@@ -72,10 +72,3 @@ def turn_field(
             "do other programs keep this computer busy? searching smaller pictures takes less time",
         )
     return cells
-
-
-def free_candidates(rig: Rig) -> list[RobotCandidate]:
-    """Return the cells that follow the field, are away from the walls, and are not robots."""
-    tracker = rig.tracker
-    cells = [cell for cell in tracker.candidates() if cell.magnetised and cell.free]
-    return [cell for cell in cells if cell.number not in tracker.robots]

@@ -3,12 +3,14 @@
 A device has an ability if it has the protocol's members; nothing needs to be declared.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Protocol, runtime_checkable
 
-from tetractl.core.commands import FrameAddition
+from tetractl.core.commands import FrameAddition, Note
+from tetractl.core.guard_findings import Lose
 from tetractl.core.setup import Setup
 from tetractl.experiment.choice import RobotCandidate
+from tetractl.experiment.lab_section import LabLimits
 
 
 @runtime_checkable
@@ -25,10 +27,37 @@ class HearsDirections(Protocol):
 
 @runtime_checkable
 class AddsToFrames(Protocol):
-    """A camera that knows more of its frames: messages to log, and who may be another robot."""
+    """A camera that knows more of its frames: messages to log."""
 
     def additions(self) -> list[FrameAddition]:
         """Return what was found in each picture since the last call, oldest first."""
+        ...
+
+
+class RobotWatch(Protocol):
+    """What a camera knows of the robots of a trial beyond their poses."""
+
+    def see(self, sampled_ns: int) -> Iterable[Note]:
+        """Take the time of a frame that the guard has accepted; return what the log should say of
+        it."""
+        ...
+
+    def lost(self) -> Iterable[Lose]:
+        """Return each robot that counts as lost, although it may be in view, and why."""
+        ...
+
+    def replace(self, robot: int) -> str:
+        """Follow another body in place of a lost robot from now on; return what it is, "" if none
+        is like it."""
+        ...
+
+
+@runtime_checkable
+class WatchesRobots(Protocol):
+    """A camera that knows more of its robots than their poses: who is lost, and who replaces it."""
+
+    def watch(self, setup: Setup, limits: LabLimits) -> RobotWatch:
+        """Return the watch of a trial with this setup's robots."""
         ...
 
 

@@ -30,13 +30,11 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import Choice, FoundRobots
-from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
-from tetractl.lab.candidates import free_candidates, turn_field
+from tetractl.lab.candidates import turn_field
 from tetractl.lab.culprit import CAMERA
-from tetractl.lab.device_abilities import AddsToFrames, TracksCells
+from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.guard_records import GuardState
-from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import LONGER, REST_NS, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
@@ -123,7 +121,6 @@ class LabPlant:
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
         self._added: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
-        self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
         self._news: deque[Command | Note] = deque(maxlen=WAITING_MAX)
         self._returned: set[int] = set()  # send times of transmissions that `send` has returned
         self._observed_ns: int | None = None
@@ -272,8 +269,10 @@ class LabPlant:
         return self.rig.camera if isinstance(self.rig.camera, AddsToFrames) else None
 
     @cached_property
-    def _tracks(self) -> TracksCells | None:
-        return self.rig.camera if isinstance(self.rig.camera, TracksCells) else None
+    def _watch(self) -> RobotWatch | None:
+        camera = self.rig.camera
+        watches = isinstance(camera, WatchesRobots)
+        return camera.watch(self.setup, self.rig.limits) if watches else None
 
     def _raise_abort(self) -> None:
         if self.rig.guard.state is GuardState.ABORT:
@@ -294,8 +293,8 @@ class LabPlant:
             self._newest = Observation(frame.number, *times, poses, fresh, accepted.exposed_ns)
             self._recent.append(self._newest)
             added = self._added.get(frame.sampled_ns)
-            if added is not None:
-                self._news.extend(self._identities.see(added))
+            if self._watch is not None:
+                self._news.extend(self._watch.see(frame.sampled_ns))
             self._fresh.append(Sample(self._newest, None, added.messages if added else ()))
         if paths:
             x, y = np.array(paths).transpose(2, 0, 1)
@@ -304,30 +303,24 @@ class LabPlant:
         if self._newest is not None:  # frames that the guard rejected give no sample
             now = self._newest.sampled_ns
             self._added = {at: added for at, added in self._added.items() if at > now}
-            self._lose_cells(now)
+            if self._watch is not None:
+                self._take_losses(self._watch, now)
 
-    def _lose_cells(self, now: int) -> None:
-        """Report a robot as lost if its cell has divided, has left or cannot be identified; replace
-        it by another cell if the spec requires that.
+    def _take_losses(self, watch: RobotWatch, now: int) -> None:
+        """Report the robots that count as lost to the guard; if the spec requires that, another
+        body replaces a robot that has been lost for long enough.
         """
-        guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
-        if self._tracks is not None:
-            for i in self._tracks.divided:
-                guard.lose(i, f"{names[i]} has divided, or has parted from an unknown cell")
-        for i, why in self._identities.unknown.items():
-            guard.lose(i, why)
+        guard, loss = self.rig.guard, self.setup.loss
+        for lost in watch.lost():
+            guard.lose(lost.robot, lost.text)
         if loss is None or not loss.replaced:
             return
         for i, seen_ns in list(guard.lost.items()):
             if now - seen_ns < loss.after_s * SECOND:
                 continue
-            other = most_alike(self.setup, i, free_candidates(self.rig))
-            if other is not None:
-                self.rig.tracker.replace(i, other.number)
-                self._identities.forget(i)
+            if what := watch.replace(i):
                 guard.replaced(i)
-                what = f"a {other.a:.2f} rad/s, speed {other.speed:.0f} {self.setup.unit}/s"
-                self._news.append(Note(now, "warning", f"{names[i]} is another cell now: {what}"))
+                self._news.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
         """Return the poses with headings unwrapped relative to the last poses.

@@ -10,6 +10,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Health, Note, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
+from tetractl.core.guard_findings import Lose
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.tour import LossRule
 from tetractl.experiment.lab_section import STOPS, LabLimits
@@ -125,6 +126,56 @@ def test_a_lost_robot_counts_no_more_where_it_was_last_seen():
     drive(lab, 2.0, np.pi / 2)
     assert abs(lab.world.poses[0, 1] - 1200) < 100
     assert min(lab.plant.settle().apart) > 300
+
+
+class Watch:
+    """A camera's watch, for which blue is lost."""
+
+    def __init__(self, instead):
+        self.instead, self.seen = instead, []
+
+    def see(self, sampled_ns):
+        self.seen.append(sampled_ns)
+        if len(self.seen) == 1:
+            yield Note(sampled_ns, "warning", "blue is hard to see")
+
+    def lost(self):
+        yield Lose(1, "blue is another robot")
+
+    def replace(self, robot):
+        return self.instead
+
+
+@pytest.mark.parametrize(
+    ("loss", "instead", "says", "lost"),
+    [
+        (LossRule(0.0, False), "", ["blue is hard to see"], [1]),
+        (LossRule(0.0, True), "", ["blue is hard to see"], [1]),
+        (
+            LossRule(0.0, True),
+            "is now a red robot",
+            ["blue is hard to see", "blue is now a red robot"],
+            [],
+        ),
+    ],
+)
+def test_a_robot_that_counts_as_lost_for_its_camera_is_left_out_or_replaced(
+    loss, instead, says, lost
+):
+    lab, watch = fake_lab(replace(SETUP, loss=loss)), Watch(instead)
+    lab.camera.watch = lambda setup, limits: watch
+    lab.plant.open()
+    lab.plant.observe()
+    texts = [note.text for note in lab.plant.news() if isinstance(note, Note)]
+    assert list(lab.plant.rig.guard.lost) == lost
+    assert texts == says
+
+
+def test_a_robot_that_counts_as_lost_for_its_camera_ends_a_run_that_allows_no_loss():
+    lab = opened()
+    lab.camera.watch = lambda setup, limits: Watch("")
+    with pytest.raises(AbortError, match="blue is another robot"):
+        drive(lab, 1.0)
 
 
 def test_a_long_first_plan_is_no_late_step():

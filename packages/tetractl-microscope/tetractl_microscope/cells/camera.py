@@ -16,11 +16,13 @@ from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import RobotCandidate
-from tetractl.lab.identity_watch import SURE
+from tetractl.experiment.lab_section import LabLimits
 from tetractl_microscope.cells.cell import SeenCell
+from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
+from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
@@ -67,6 +69,7 @@ class CellCamera(PictureCamera[SeenDish]):
         # for each track: time [s] and way [um] from which its mean speed is computed
         self._since: dict[int, tuple[float, float]] = {}
         self._pictures, self._added = PictureLog(), deque[FrameAddition](maxlen=ADDED)
+        self._identified = deque[Identities](maxlen=ADDED)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
         self._identities: list[int] | None = None  # cell number per robot, once all were seen
@@ -121,8 +124,12 @@ class CellCamera(PictureCamera[SeenDish]):
         self.divided.discard(robot)
 
     def additions(self) -> list[FrameAddition]:
-        """Return identities and pictures of each frame since the last call, oldest first."""
+        """Return the pictures of each frame since the last call, oldest first."""
         return [self._added.popleft() for _ in range(len(self._added))]
+
+    def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
+        """Return the watch of a trial with this setup's robots."""
+        return CellWatch(self, self._identified, setup, limits.identity)
 
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts of source, light, focus and
@@ -163,7 +170,8 @@ class CellCamera(PictureCamera[SeenDish]):
         robots = [found.get(identity) for identity in identities]
         messages = self._pictures.messages(picture, exposed_ns, self._tracker.finder.background)
         sure = np.array([np.nan if cell is None else cell.probability for cell in robots])
-        self._added.append(FrameAddition(exposed_ns, sure, messages))
+        self._added.append(FrameAddition(exposed_ns, messages))
+        self._identified.append(Identities(exposed_ns, sure))
         return SeenDish(
             poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
             strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),

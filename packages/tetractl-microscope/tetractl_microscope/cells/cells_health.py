@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tetractl.core.poses import Pose
-from tetractl.lab.identity_watch import SURE
 from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.pictures.looks import Look
 
 DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright

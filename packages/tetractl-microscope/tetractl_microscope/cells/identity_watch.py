@@ -1,11 +1,12 @@
 """Notes when it becomes unknown which cell is which of the robots, and which of them must therefore
-count as lost. The lab's plant counts them so, and its rule of lost robots decides what follows.
+count as lost. The rule of lost robots in the spec decides what follows.
 """
 
 from collections.abc import Iterator, Sequence
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import FrameAddition, Note
+from tetractl.core.commands import Note
+from tetractl.core.poses import Floats
 
 SURE = 0.9
 """Least probability of a robot's identity; below it, it is unknown which robot it is."""
@@ -23,12 +24,13 @@ class IdentityWatch:
         self._since_ns: dict[int, int] = {}  # time when each unknown robot became unknown
         self.unknown: dict[int, str] = {}
 
-    def see(self, added: FrameAddition) -> Iterator[Note]:
-        """Take the probabilities of a frame; yield a note for each robot whose identity becomes
-        known or unknown.
+    def see(self, now: int, probabilities: Floats) -> Iterator[Note]:
+        """Take the probability of each robot's identity (N,) in the frame of the time `now` [ns],
+        NaN if it is not seen; yield a note for each robot that becomes known or unknown.
         """
-        now = added.sampled_ns
-        for i, (name, probability) in enumerate(zip(self._names, added.sure.tolist(), strict=True)):
+        for i, (name, probability) in enumerate(
+            zip(self._names, probabilities.tolist(), strict=True)
+        ):
             if probability < SURE and i not in self._since_ns:
                 self._since_ns[i] = now
                 text = f"{name} has met another cell: the probability of its identity is"

@@ -1,0 +1,68 @@
+"""Watches the robots of a trial in a dish: which cells count as lost though they may be in view,
+and which other cell is steered in place of a lost one. The lab's plant asks it.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from tetractl.core.commands import Note
+from tetractl.core.guard_findings import Lose
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.experiment.choice import RobotCandidate
+from tetractl.experiment.choosing import most_alike
+from tetractl.lab.device_abilities import TracksCells
+from tetractl_microscope.cells.identity_watch import IdentityWatch
+
+
+@dataclass(frozen=True, slots=True)
+class Identities:
+    """With which probability (N,) each robot's cell in the picture exposed at `exposed_ns` is still
+    that cell; NaN if it is not seen."""
+
+    exposed_ns: int
+    probability: Floats
+
+
+class CellWatch:
+    """A `RobotWatch` of the cells of a `camera`, which adds to `waiting` for each picture. An
+    identity that has not been known for `patience_s` [s] is lost."""
+
+    def __init__(
+        self, camera: TracksCells, waiting: deque[Identities], setup: Setup, patience_s: float
+    ) -> None:
+        self._camera, self._waiting, self._setup = camera, waiting, setup
+        self._identities = IdentityWatch(setup.names, patience_s)
+
+    def see(self, sampled_ns: int) -> Iterator[Note]:
+        """Take a frame that the guard has accepted; yield a note if it changes what is known."""
+        while self._waiting and self._waiting[0].exposed_ns <= sampled_ns:
+            one = self._waiting.popleft()
+            if one.exposed_ns == sampled_ns:
+                yield from self._identities.see(sampled_ns, one.probability)
+
+    def lost(self) -> Iterator[Lose]:
+        """Yield each robot whose cell has divided or cannot be identified."""
+        for robot in self._camera.divided:
+            name = self._setup.names[robot]
+            yield Lose(robot, f"{name} has divided, or has parted from an unknown cell")
+        for robot, why in self._identities.unknown.items():
+            yield Lose(robot, why)
+
+    def replace(self, robot: int) -> str:
+        """Steer the most similar free cell in place of a lost robot; return a text about it, "" if
+        no free cell is similar."""
+        other = most_alike(self._setup, robot, free_cells(self._camera))
+        if other is None:
+            return ""
+        self._camera.replace(robot, other.number)
+        self._identities.forget(robot)
+        what = f"a {other.a:.2f} rad/s, speed {other.speed:.0f} {self._setup.unit}/s"
+        return f"is another cell now: {what}"
+
+
+def free_cells(camera: TracksCells) -> list[RobotCandidate]:
+    """Return the cells that follow the field, are away from the walls, and are not robots."""
+    cells = [cell for cell in camera.candidates() if cell.magnetised and cell.free]
+    return [cell for cell in cells if cell.number not in camera.robots]

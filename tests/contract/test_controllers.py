@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support.controllers import CONTROLLERS, FOR_ONE_ROBOT
+from support.controllers import CONTROLLERS, FOR_ONE_ROBOT, FOR_THREE_ROBOTS
 from support.plants import sim
 from support.scripted import seen
 from support.trials import THREE_M3PI, experiment
@@ -113,6 +113,8 @@ def test_poses_that_are_no_numbers_are_refused(fields):
 
 
 def test_one_robot_or_five_are_steered_too(fields):
+    if fields["type"] in FOR_THREE_ROBOTS:
+        pytest.skip("its network has inputs for three robots")
     for count in (1,) if alone(fields) else (1, 5):
         robots = [
             {"name": f"r{i}", "start": [700, 500 + 300 * i], "target": [1000, 600 + 280 * i]}

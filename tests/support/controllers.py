@@ -1,6 +1,9 @@
 """Controllers by name, as specs: what the contract suite runs against."""
 
+from base64 import b64encode
 from typing import Any
+
+import numpy as np
 
 from tetractl.core.registries import OPTIMIZERS
 
@@ -26,6 +29,11 @@ RECOMMENDED: dict[str, dict[str, Any]] = {
     "bodies": {"optimizer": MULTISTART, "accept_error": 40, "collision": {"radius": 40}},
 }
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
+_GAPS = np.kron(np.ones(3), np.eye(2))  # adds up the gaps of three robots, x and y
+_OTHERS = np.zeros((2, 8))  # headings, and the last direction
+_NUMBERS = np.concatenate([np.hstack([_GAPS, _OTHERS]).ravel(), np.zeros(2)])
+STRAIGHT = {"inputs": 14, "outputs": 2, "numbers": b64encode(_NUMBERS.tobytes()).decode()}
+"""A policy's layer for three robots: along the sum of their gaps."""
 CONTROLLERS: dict[str, dict[str, Any]] = {
     **{
         f"{kind}, {name}".removesuffix(", "): {"type": kind, "horizon_max": 14} | fields
@@ -35,7 +43,10 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
     "ensemble": {"type": "ensemble"},
     "rrt": {"type": "rrt", "margin": 40},
+    "policy": {"type": "policy", "layers": [STRAIGHT]},
 }
 """Every controller. A further one joins the contract by an entry here."""
 FOR_ONE_ROBOT = {"rrt"}
 """Types that steer one robot alone: they get the first one of the experiments."""
+FOR_THREE_ROBOTS = {"policy"}
+"""Types whose entry above fits three robots alone."""

@@ -26,6 +26,7 @@ CONTROLLERS = Registry(
         "sequence": "tetractl.control.sequence:SequenceSection",
         "ensemble": "tetractl.control.ensemble:EnsembleSection",
         "rrt": "tetractl.control.rrt:RrtSection",
+        "policy": "tetractl.control.policy:PolicySection",
     },
     SECTION,
 )

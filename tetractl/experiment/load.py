@@ -19,6 +19,7 @@ from tetractl.experiment.controller import as_given, without_retired
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import Identified, merge, read_identified
+from tetractl.experiment.policy_weights import put_layers, read_weights
 from tetractl.experiment.registry_fields import STRICT, packages
 from tetractl.experiment.yaml.core_yaml import MAX_DEPTH, dump
 from tetractl.experiment.yaml.document import (
@@ -100,7 +101,7 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
 def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = False) -> LoadedSpec:
     """Check the text of a spec, as `load_spec` does; `name` is its name in error messages.
 
-    The spec must not name a file of identified values, as there is no folder to find it in. The
+    The spec must not name a file, as there is no folder to find it in. The
     places of a resolved spec that tetractl has `written` are not checked: a trial may have measured
     them.
     """
@@ -200,6 +201,7 @@ def _experiment(
         attached = attach((), path, held)
         document = document_of(text, origin, sets, (found, str(path)))
         del document.data["identified"]  # its values are now in the spec
+    attached = _with_weights(document, folder, attached)
     experiment = None
     try:
         experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)
@@ -211,6 +213,26 @@ def _experiment(
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
     return experiment, attached, given
+
+
+def _with_weights(document: Document, folder: Path | None, attached: Attached) -> Attached:
+    """Put the layers of a policy's file of weights, if the spec names one, into the document, and
+    return the attached files with that file."""
+    controller = document.data.get("controller")
+    if not isinstance(controller, dict) or "layers" in controller:
+        return attached
+    named = controller.get("weights")
+    if not isinstance(named, str):
+        return attached
+    if folder is None:
+        loc = ("controller", "weights")
+        place = document.place(loc)
+        document.problems.append(place.problem(loc, "can be named only in a spec file", place.text))
+        return attached
+    path = folder / named
+    layers, text = read_weights(path)
+    put_layers(document, layers, str(path))
+    return attach(attached, path, text)
 
 
 def _valid_entries(data: dict[str, Any]) -> Entries:

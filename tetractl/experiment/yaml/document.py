@@ -114,8 +114,9 @@ def frozen(value: Any) -> Any:
     return tuple(map(frozen, value)) if isinstance(value, list) else value
 
 
-def read_text(path: Path) -> str:
-    """Read a spec file; InvalidSpecError if it is missing or cannot be read."""
+def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
+    """Read a spec file, or one that a spec names; InvalidSpecError if it is missing, is larger than
+    `max_bytes` or cannot be read."""
 
     def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:
         return InvalidSpecError([SpecProblem(printable(str(path)), message, line, column)])
@@ -124,7 +125,7 @@ def read_text(path: Path) -> str:
         if path.exists() and not (path.is_file() or path.is_dir()):  # reading a FIFO may never end
             raise refusal("is not a regular file")
         with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+            raw = stream.read(max_bytes + 1)
     except FileNotFoundError:
         raise refusal("there is no such file") from None
     except IsADirectoryError:
@@ -133,8 +134,9 @@ def read_text(path: Path) -> str:
         raise refusal(f"cannot be read: {error.strerror or error}") from None
     except ValueError as error:  # a null character in the name
         raise refusal(f"cannot be read: {error}") from None
-    if len(raw) > MAX_BYTES:
-        raise refusal(f"is larger than {MAX_BYTES >> 20} MiB; a spec is a few kilobytes of YAML")
+    if len(raw) > max_bytes:
+        usual = "; a spec is a few kilobytes of YAML" if max_bytes == MAX_BYTES else ""
+        raise refusal(f"is larger than {max_bytes >> 20} MiB{usual}")
     if b"\0" in raw:
         raise refusal("is a binary file; a spec is YAML text")
     try:

@@ -154,6 +154,67 @@ def test_what_is_drawn_moves_with_the_time(page):
 
 
 @needs_chromium
+def test_curves_follow_the_theme(page):
+    """Regression: in the dark they kept the colour that they had on a light page."""
+    painted = """
+        (() => {
+          const { canvas } = player.charts.cost, probe = document.createElement("canvas");
+          const [context, ink] = [canvas.getContext("2d"), probe.getContext("2d")];
+          ink.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--whole");
+          ink.fillRect(0, 0, 1, 1);
+          const wanted = ink.getImageData(0, 0, 1, 1).data.join();
+          const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+          const starts = [...Array(data.length / 4).keys()];
+          return starts.some((i) => data.slice(4 * i, 4 * i + 4).join() === wanted);
+        })()
+    """
+    toggle = "document.getElementById('theme').click()"
+    for _ in range(2):
+        assert page.run(painted)
+        page.run(toggle)
+
+
+@needs_chromium
+def test_targets_are_squares(page):
+    counts = page.run(
+        """
+        (() => {
+          const counts = { strokeRect: 0, arc: 0, lineTo: 0, moveTo: 0, beginPath: 0, stroke: 0 };
+          const calls = Object.keys(counts).map((name) => [name, () => { counts[name] += 1; }]);
+          player.scene.targets(Object.fromEntries(calls));
+          return [counts.strokeRect, counts.arc, counts.lineTo];
+        })()
+        """
+    )
+    robots = page.run("player.trial.robots.length")
+    assert counts == [robots, robots, 0]  # targets, starts, no crosses
+
+
+@needs_chromium
+def test_the_dots_of_a_figure_are_one_stop_of_the_tab_key(page):
+    """Regression: there were as many stops as trials."""
+    stops = """
+        [...document.querySelectorAll("svg.errors")]
+          .map((drawing) => drawing.querySelectorAll('a:not([tabindex="-1"])').length)
+    """
+    dots = page.run('document.querySelectorAll("svg.errors a").length')
+    assert dots > len(page.run(stops))
+    assert set(page.run(stops)) == {1}
+    page.run(
+        """
+        (() => {
+          const first = document.querySelector("svg.errors a");
+          first.focus();
+          first.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true }));
+        })()
+        """
+    )
+    moved = "[...document.querySelectorAll('svg.errors a')].indexOf(document.activeElement)"
+    assert page.run(moved) == 1
+    assert set(page.run(stops)) == {1}
+
+
+@needs_chromium
 def test_the_whole_player_fits_a_laptops_screen_in_two_columns(folder, page):
     show(page, folder, 1280, 900)
     box = "document.querySelector('{}').getBoundingClientRect()"

@@ -2,7 +2,8 @@
 
 A hue is a robot, or a cell. Shades of slate are batches (arms, controllers, folders) and what
 belongs to no robot, such as a total error. Grey is what something is compared with: a limit, a
-published value. ALARM is a fault. How figures draw them is in `view/style.py`.
+published value. Sand is an obstacle. ALARM is a fault. How figures draw them is in `view/style.py`,
+how the report does in `report/assets/page.css`.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 SLATES = ("#2B3A4A", "#7A8EA3", "#B3C0CC")
 """The colours of batches, from dark to light."""
 INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
+OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
 ALARM = "#B00020"
 
 

@@ -26,7 +26,7 @@ GREY = colors.GREY
 FAINT = colors.FAINT
 ALARM = colors.ALARM
 SLATES = colors.SLATES
-OBSTACLE: dict[str, Any] = {"fc": "#F6DF8B", "ec": "#B8960C", "lw": 0.6}
+OBSTACLE: dict[str, Any] = {"fc": colors.OBSTACLE, "ec": colors.OBSTACLE_EDGE, "lw": 0.6}
 TARGET: dict[str, Any] = {"marker": "s", "mfc": "none", "ls": "none"}
 LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": "--"}
 """A limit, or a published value."""

@@ -9,7 +9,7 @@ import json
 from importlib.resources import files
 from typing import Any
 
-from tetractl.core.colors import robot_colors
+from tetractl.core.colors import GREY, SLATES, robot_colors
 from tetractl.core.setup import Setup
 from tetractl.log.format import channels
 from tetractl.log.format.scene import WORLD, frame_of
@@ -19,6 +19,9 @@ ASPECT = 1.1
 """Least ratio of the 3D panel's width to its height."""
 MARGIN = 1.08
 ERROR = "/studio_script/error"
+WHOLE, LIGHT = SLATES[1:]
+"""Colours of what belongs to no robot. The darkest slate, that of figures, is lost on the dark
+background of viewers."""
 
 _FILES = files("tetractl.log.format")
 
@@ -43,18 +46,18 @@ def layout(setup: Setup) -> str:
         "3D!arena": _view(setup, parts["view"]),
         "Plot!error": plot(
             f"error [{setup.unit}]",
-            (f"{ERROR}.total", "total", "#888888"),
+            (f"{ERROR}.total", "total", WHOLE),
             *((f"{ERROR}.robots[{i}]", name, color) for i, name, color in curves),
         ),
         "Plot!cost": plot(
             f"cost of the plan [{setup.unit}]",
-            (f"{step}.cost", "J", "#0072B2"),
-            (f"{step}.target_cost", "without obstacles", "#888888"),
+            (f"{step}.cost", "J", WHOLE),
+            (f"{step}.target_cost", "without obstacles", LIGHT),
         ),
         "Plot!time": plot(
             "solve time [ns]",
-            (f"{timing}.solve_ns", "solve time", "#0072B2"),
-            (str(round(setup.period_s * 1e9)), "control period", "#B00020"),
+            (f"{timing}.solve_ns", "solve time", WHOLE),
+            (str(round(setup.period_s * 1e9)), "control period", GREY),
         ),
         "Plot!estimate": plot(
             "estimated a [rad/s]",

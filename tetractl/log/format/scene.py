@@ -27,7 +27,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
-from tetractl.core.colors import robot_colors
+from tetractl.core.colors import GREY, OBSTACLE, robot_colors
 from tetractl.core.commands import Note
 from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
@@ -37,11 +37,13 @@ from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames, drawn
 
 WORLD = "world"
-GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
 _LEVELS = {"debug": Log.DEBUG, "info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _STRIP = LinePrimitive.LINE_STRIP
 _UPRIGHT = Quaternion(w=1.0)  # must be set: the default is a zero quaternion
+_SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+_ANGLES = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
+_RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _PAIR = np.dtype([("tags", "V3"), ("one", "<f8"), ("tag", "V1"), ("two", "<f8")])
 """A serialised message of two doubles."""
 
@@ -139,7 +141,7 @@ class Scene:
             (arena.right, arena.top),
             (arena.left, arena.top),
         ]
-        border = self._line(np.array(corners), GREY, LinePrimitive.LINE_LOOP)
+        border = self._line(np.array(corners), _color(GREY), LinePrimitive.LINE_LOOP)
         entities = [self._entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
             entities.append(self._obstacle(f"obstacle/{i}", unix_ns, obstacle))
@@ -156,24 +158,22 @@ class Scene:
             pose=Pose(orientation=_UPRIGHT),
             points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
             indices=triangles.ravel().tolist(),
-            color=GREY,
+            color=_color(OBSTACLE),
         )
         return self._entity(entity_id, unix_ns, triangles=[block])
 
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Return rings: of a robot's size around the target, of half that size around each
-        way-point, and of the hold's radius around the target.
+        """Return squares, as wide as a robot around the target and half as wide around each
+        way-point, and a ring of the hold's radius around the target.
         """
-        angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
-        ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
-        wanted = [(body, target), *((body / 2, point) for point in way_points)]
+        half = self._body / 2 / self._metres
+        outlines = [half * _SQUARE + target]
+        outlines += [half / 2 * _SQUARE + point for point in way_points]
         if self._setup.hold is not None:
-            wanted.append((self._setup.hold.radius, target))
-        lines = [
-            self._line(radius * ring + at, color, LinePrimitive.LINE_LOOP) for radius, at in wanted
-        ]
+            outlines.append(self._setup.hold.radius * _RING + target)
+        lines = [self._line(xy, color, LinePrimitive.LINE_LOOP) for xy in outlines]
         return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:

@@ -3,7 +3,7 @@
 const MARGIN = { left: 52, right: 10, top: 8, bottom: 30 };
 
 class Chart {
-  // series: [{ name, color, x, y }]; options: { log, xLabel, yLabel, onSeek }
+  // series: [{ name, color, x, y }], a color being #rrggbb or, to follow the theme, one of page.css; options: { log, xLabel, yLabel, onSeek }
   constructor(canvas, options) {
     this.canvas = canvas;
     this.options = options;
@@ -76,7 +76,7 @@ class Chart {
         if (pen) context.lineTo(px(x[i]), py(y[i])); else context.moveTo(px(x[i]), py(y[i]));
         pen = true;
       }
-      context.strokeStyle = ink;
+      context.strokeStyle = paint(ink);
       context.lineWidth = 1.6;
       context.setLineDash(dashed ? [4, 3] : []);
       context.stroke();
@@ -124,7 +124,7 @@ class Chart {
     const lines = [[color("ink"), `${this.options.xLabel}: ${digits(at)}`]];
     for (const { name, color: ink, x, y } of this.series) {
       const i = indexAt(x, at);
-      if (i >= 0) lines.push([ink, `${name} ${digits(y[i])}`]);
+      if (i >= 0) lines.push([paint(ink), `${name} ${digits(y[i])}`]);
     }
     context.font = "11px system-ui, sans-serif";
     const wide = Math.max(...lines.map(([, text]) => context.measureText(text).width)) + 12;
@@ -142,6 +142,10 @@ class Chart {
       context.fillText(text, left + 6, MARGIN.top + 5 + 15 * i);
     });
   }
+}
+
+function paint(ink) {
+  return ink.startsWith("#") ? ink : color(ink);
 }
 
 function power(value, plain) {

@@ -129,12 +129,12 @@ class Player {
       name: robot.name, color: robot.color, x, y: distances.map((those) => those[r]),
     }));
     const total = {
-      name: "total", color: color("ink"), x, dashed: true,
+      name: "total", color: "whole", x, dashed: true,
       y: distances.map((those) => those.reduce((sum, one) => sum + one)),
     };
     this.charts.distance.show([...each, total], start, end);
-    this.charts.cost.show([{ name: "J", color: color("accent"), x: steps.t, y: steps.cost }], start, end);
-    const solve = [{ name: "solve", color: color("accent"), x: steps.t, y: steps.solve_ms }];
+    this.charts.cost.show([{ name: "J", color: "whole", x: steps.t, y: steps.cost }], start, end);
+    const solve = [{ name: "solve", color: "whole", x: steps.t, y: steps.solve_ms }];
     this.charts.solve.show(solve, start, end);
   }
 
@@ -260,7 +260,7 @@ class Player {
     if (!this.trial.history || k === this.searched) return;
     this.searched = k;
     const y = k < 0 ? [] : this.trial.history[k], x = [...y.keys()];
-    this.charts.history.show([{ name: "J", color: color("accent"), x, y }], 0, x.at(-1) ?? 1);
+    this.charts.history.show([{ name: "J", color: "whole", x, y }], 0, x.at(-1) ?? 1);
     this.charts.history.draw();
   }
 

@@ -143,31 +143,27 @@ class Scene {
     }
   }
 
+  // Targets as squares, way-points as smaller ones, starts and the edge of a hold as rings.
   targets(context) {
-    const arm = 7;
+    const half = 7;
+    const square = ([x, y], reach) => context.strokeRect(x - reach, y - reach, 2 * reach, 2 * reach);
+    const ring = ([x, y], radius) => {
+      context.beginPath();
+      context.arc(x, y, radius, 0, 2 * Math.PI);
+      context.stroke();
+    };
     for (const robot of this.trial.robots) {
       context.strokeStyle = robot.color;
       context.lineWidth = 2;
-      const [x, y] = this.place(...robot.target);
-      context.beginPath();
-      context.moveTo(x - arm, y); context.lineTo(x + arm, y);
-      context.moveTo(x, y - arm); context.lineTo(x, y + arm);
-      context.stroke();
-      const [sx, sy] = this.place(...robot.start);
+      const target = this.place(...robot.target);
+      square(target, half);
       context.lineWidth = 1.2;
-      const rings = robot.via.map((point) => [this.place(...point), 3]);
+      for (const point of robot.via) square(this.place(...point), half / 2);
       if (this.trial.hold) {
         const [edge] = this.place(robot.target[0] + this.trial.hold, robot.target[1]);
-        rings.push([[x, y], Math.abs(edge - x)]);
+        ring(target, Math.abs(edge - target[0]));
       }
-      for (const [[rx, ry], radius] of rings) {
-        context.beginPath();
-        context.arc(rx, ry, radius, 0, 2 * Math.PI);
-        context.stroke();
-      }
-      context.beginPath();
-      context.arc(sx, sy, 4, 0, 2 * Math.PI);
-      context.stroke();
+      ring(this.place(...robot.start), 4);
     }
   }
 

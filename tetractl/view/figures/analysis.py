@@ -38,7 +38,7 @@ def _drawn(found: Analysis, here: Steering) -> Figure:
     off = f"error from the planned end [{unit}]"
     style.panel(panels[0], "a", "95 % of the end positions, with feedback", f"x {off}", f"y {off}")
     number = np.arange(1, len(here.singular) + 1)
-    panels[1].bar(number, here.singular, color=style.GREY, width=0.6)
+    panels[1].bar(number, here.singular, color=style.WHOLE, width=0.6)
     if (here.singular > 0).any():
         panels[1].set_yscale("log")
     panels[1].set_xticks(number)
@@ -48,7 +48,7 @@ def _drawn(found: Analysis, here: Steering) -> Figure:
         error, mean = here.error, f"mean total error [{unit}]"
         _curve(panels[2], [(100 * gap, one) for gap, one in found.by_gap], [error])
         panels[2].plot(
-            100 * found.gap, error, "D", color=style.ALARM, ms=5, label="robots in the spec"
+            100 * found.gap, error, "D", color=style.WHOLE, ms=5, label="robots in the spec"
         )
         panels[2].legend()
         gap = "smallest relative difference of two robots' a [%]"
@@ -75,6 +75,6 @@ def _ends(axes: Axes, found: Analysis, here: Steering) -> None:
 def _curve(axes: Axes, points: Sequence[tuple[float, float]], more: Sequence[float] = ()) -> None:
     """Draw errors over a quantity, on a logarithmic axis if these and `more` are positive."""
     x, errors = zip(*points, strict=True)
-    axes.plot(x, errors, color=style.INK, marker="o", ms=3)
+    axes.plot(x, errors, color=style.WHOLE, marker="o", ms=3)
     if np.nanmin([*errors, *more]) > 0:
         axes.set_yscale("log")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rich.segment import Segment
 from rich.style import Style
 
+from tetractl.core.colors import OBSTACLE_EDGE
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
@@ -21,7 +22,7 @@ DOWN, ACROSS = (
     _BITS.shape
 )  # dots of a braille cell; it is twice as high as wide, so they are square
 _PLAIN = Style()
-OBSTACLE_STYLE = Style(color="#C9A227")
+OBSTACLE_STYLE = Style(color=OBSTACLE_EDGE)
 BORDER_STYLE = Style(dim=True)
 
 

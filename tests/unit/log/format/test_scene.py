@@ -79,8 +79,10 @@ def test_the_scene_stands_where_the_spec_says(made, messages):
     assert box.max(axis=0)[:2] == pytest.approx((1.4, 1.3))
     assert np.hypot(*(disc[:, :2] - (0.7, 1.9)).T) == pytest.approx(0.0505)
     assert {z > 0 for z in disc[:, 2]} == {True, False}
-    ring = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
-    assert np.allclose(ring.mean(axis=0), (1.7, 0.5997))
+    target = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
+    assert len(target) == 4  # a square, as in every view
+    assert np.allclose(target.mean(axis=0), (1.7, 0.5997))
+    assert np.ptp(target, axis=0)[0] == pytest.approx(np.ptp(target, axis=0)[1])
     body = entities["robot/robot 2"]
     assert body.frame_id == "robot/robot 2"
     assert body.triangles[0].points[0].x > 0  # the nose points along the heading

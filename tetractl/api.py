@@ -3,7 +3,6 @@ pandas) are imported by the functions that need them. Only `tetractl run` drives
 user of that command can stop the robots.
 """
 
-import json
 import logging
 import sys
 import threading
@@ -75,12 +74,22 @@ def _spec(spec: Spec) -> LoadedSpec:
     if isinstance(spec, LoadedSpec):
         return spec
     if isinstance(spec, Mapping):
-        return parse_spec(json.dumps(spec))
+        return load.parse_contents(spec, "spec")
+    _demand(spec, str | Path, "a spec is a file, a dict or what load_spec returns")
     return load_spec(spec)
 
 
 def _trial(trial: Trial) -> TrialLog:
-    return trial if isinstance(trial, TrialLog) else read_log(trial)
+    if isinstance(trial, TrialLog):
+        return trial
+    _demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
+    return read_log(trial)
+
+
+def _demand(value: object, kind: Any, words: str) -> None:
+    """Raise UsageError, with what is expected in words, if a value is not of a kind."""
+    if not isinstance(value, kind):
+        raise UsageError(f"{words}, but this is a {type(value).__name__}")
 
 
 def run_trial(
@@ -152,7 +161,7 @@ def run_batch(
 
 
 def run_study(
-    path: str | Path,
+    study: str | Path | Mapping[str, Any],
     folder: str | Path | None = None,
     *,
     jobs: int = 1,
@@ -162,7 +171,8 @@ def run_study(
     """Simulate the trials of a study that its folder lacks, write its tables and figures, and
     return the results of each arm by the arm's name.
 
-    The folder is logs/NAME if none is given; `logs` is all, failed, sample:N or none. A trial that
+    The study is a file, or its contents; the `base` of contents is a file or a spec's contents. The
+    folder is logs/NAME if none is given; `logs` is all, failed, sample:N or none. A trial that
     fails does not stop the others; its error is raised at the end. `progress` and errors are those
     of `run_batch`.
     """
@@ -172,7 +182,7 @@ def run_study(
     from tetractl.study.load_study import load_study
     from tetractl.view.terminal.progress import ScriptProgress
 
-    loaded = load_study(Path(path))
+    loaded = load_study(study if isinstance(study, Mapping) else Path(study))
     store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))
     after = (
         f"read_batch({str(store.folder)!r}) reads the trials that ended; "

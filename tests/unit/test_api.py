@@ -192,6 +192,39 @@ def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
     assert tetractl.plot(log).axes
 
 
+def test_a_study_is_run_from_its_contents(tmp_path):
+    """Also its base is what a script has in hand."""
+    study = {
+        "name": "turning",
+        "base": yaml.safe_load(SPEC),
+        "sweep": {"type": "grid", "fields": {"robots.0.a": [2, 3]}},
+        "trials": {"count": 1, "seed": 1},
+    }
+    arms = tetractl.run_study(study, tmp_path / "logs", progress=False)
+    assert [len(batch.trials) for batch in arms.values()] == [1, 1]
+    assert list(arms) == ["a=2", "a=3"]
+
+
+def test_problems_of_contents_name_no_line_of_a_text_that_nobody_wrote(tmp_path):
+    contents = yaml.safe_load(SPEC)
+    with pytest.raises(SpecError, match=r"^spec: name: 3: must be text"):
+        tetractl.run_trial(contents | {"name": 3})
+    with pytest.raises(SpecError, match=r"^base: name: 3: must be text"):
+        tetractl.run_study({"name": "s", "base": contents | {"name": 3}}, tmp_path)
+    with pytest.raises(SpecError, match=r"^study: base: 5: must be text"):
+        tetractl.run_study({"name": "s", "base": 5}, tmp_path)
+
+
+def test_another_object_is_refused_in_one_line():
+    with pytest.raises(UsageError, match=r"^a spec is a file, a dict or .* but this is a int$"):
+        tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(UsageError, match=r"^a trial is a log's file, or .* but this is a int$"):
+        tetractl.to_arrays(5)  # pyright: ignore[reportArgumentType]
+    contents = yaml.safe_load(SPEC) | {"name": np.zeros(3)}
+    with pytest.raises(SpecError, match=r"^spec: Object of type ndarray"):
+        tetractl.run_trial(contents)
+
+
 def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
     folder = tmp_path / "logs"
     with pytest.raises(KeyboardInterrupt) as caught:

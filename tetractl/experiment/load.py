@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -107,6 +108,33 @@ def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = F
     """
     experiment, _, given = _experiment(text, name, sets, None, written)
     return LoadedSpec(experiment, text, name, given=given)
+
+
+def parse_contents(contents: Mapping[str, Any], name: str, sets: Sequence[str] = ()) -> LoadedSpec:
+    """Check a spec given as its contents, as `parse_spec` does; problems name fields, but no lines,
+    which no file has."""
+    text = as_text(contents, name)
+    with without_lines():
+        return parse_spec(text, name, sets)
+
+
+@contextmanager
+def without_lines() -> Iterator[None]:
+    """Raise the problems of contents again, without the lines that no file has."""
+    try:
+        yield
+    except InvalidSpecError as error:
+        problems = [replace(problem, line=None, column=None) for problem in error.problems]
+        raise InvalidSpecError(problems, error.hint) from None
+
+
+def as_text(contents: Mapping[str, Any], name: str) -> str:
+    """Return contents as YAML text; SpecError if they hold an object that YAML does not."""
+    try:
+        return json.dumps(contents)
+    except (TypeError, ValueError) as error:
+        hint = "give text, numbers, lists and dicts, such as array.tolist()"
+        raise SpecError(f"{name}: {printable(str(error), 200)}", hint) from None
 
 
 def resolved_yaml(experiment: Experiment) -> str:

@@ -6,21 +6,28 @@ An arm is the combination of one point of the sweep with one controller.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
 from tetractl.experiment.explain import validated
-from tetractl.experiment.load import LoadedSpec, arm_hash, load_spec
+from tetractl.experiment.load import (
+    LoadedSpec,
+    arm_hash,
+    as_text,
+    load_spec,
+    parse_contents,
+    without_lines,
+)
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
@@ -81,6 +88,10 @@ def as_yaml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)  # JSON is YAML
 
 
+def _kind_of_base(base: object) -> str:
+    return "contents" if isinstance(base, dict) else "file"
+
+
 class Study(Model):
     """One study, as read from a YAML file. Each point of the sweep is run with each controller; all
     arms have the same seeds, so that trials with the same number are pairs."""
@@ -90,8 +101,13 @@ class Study(Model):
     underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """Description in one or two sentences."""
-    base: str = Field(min_length=1, max_length=1000)
-    """Path of the spec that every arm changes, relative to the study's file."""
+    base: Annotated[
+        Annotated[str, Field(min_length=1, max_length=1000), Tag("file")]
+        | Annotated[dict[str, Any], Tag("contents")],
+        Discriminator(_kind_of_base),
+    ]
+    """Path of the spec that every arm changes, relative to the study's file. In Python also the
+    spec's contents."""
     sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
     """The swept fields with their values; without a sweep, the base's values are used."""
     controllers: dict[Name, dict[FieldPath, Any]] = Field(default={}, max_length=1000)
@@ -130,18 +146,44 @@ class LoadedStudy:
         )
 
 
-def load_study(path: Path) -> LoadedStudy:
-    """Read and check a study's file and the spec of every arm.
+@dataclass(frozen=True, slots=True)
+class Base:
+    """The spec that every arm changes: a file, or contents that stand in the study."""
+
+    source: Path | dict[str, Any]
+
+    @property
+    def named(self) -> str | None:
+        """What a problem with the whole base quotes, None for contents."""
+        return None if isinstance(self.source, dict) else printable(self.source.name)
+
+    def load(self, sets: Sequence[str]) -> LoadedSpec:
+        """Return the spec with `path=value` settings; raises InvalidSpecError."""
+        if isinstance(self.source, dict):
+            return parse_contents(self.source, "base", sets)
+        return load_spec(self.source, sets)
+
+
+def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:
+    """Read and check a study, a file or its contents, and the spec of every arm.
 
     Raises InvalidSpecError, with one line per problem. A problem is located in the study if a value
     of the study causes it, and in the base spec if that is invalid by itself.
     """
-    document = parse_document(read_text(path), str(path))
+    if isinstance(source, Path):
+        return _loaded(parse_document(read_text(source), str(source)), source.parent)
+    document = parse_document(as_text(source, "study"), "study")
+    with without_lines():
+        return _loaded(document, Path())
+
+
+def _loaded(document: Document, folder: Path) -> LoadedStudy:
+    """Check a study whose base is relative to `folder`."""
     study = _study(document)
-    base = path.parent / study.base
-    if not base.exists():
-        text = f"there is no such file: {printable(str(base))}"
-        raise InvalidSpecError([document.place(("base",)).problem(("base",), text, study.base)])
+    base = Base(study.base if isinstance(study.base, dict) else folder / study.base)
+    if isinstance(base.source, Path) and not base.source.exists():
+        text = f"there is no such file: {printable(str(base.source))}"
+        raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
     arms, problems, hint = list[Arm](), dict[SpecProblem, None](), None
     for controller, values, settings in _arms(study, document):
         try:
@@ -203,7 +245,7 @@ def _arms(study: Study, document: Document) -> Iterable[tuple[str, dict[str, Any
 
 
 def _arm(
-    base: Path,
+    base: Base,
     study: Study,
     controller: str,
     values: Mapping[str, Any],
@@ -218,19 +260,19 @@ def _arm(
     sets = tuple(setting for setting, _ in settings)
     trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
-        spec = load_spec(base, (*sets, *trials))
+        spec = base.load((*sets, *trials))
     except InvalidSpecError as error:
         found = {f"--set {printable(setting, 200)}": loc for setting, loc in settings}
         raise InvalidSpecError([_placed(p, found, document) for p in error.problems]) from None
     if not spec.experiment.plant.simulated:
         loc: Loc = ("base",)
         text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
-        raise InvalidSpecError([document.place(loc).problem(loc, text, study.base)])
+        raise InvalidSpecError([document.place(loc).problem(loc, text, base.named)])
     try:
         check(spec.experiment)
     except SpecError as error:
         place = document.place(("base",))
-        raise InvalidSpecError([place.problem(("base",), error.message, study.base)]) from None
+        raise InvalidSpecError([place.problem(("base",), error.message, base.named)]) from None
     name, known_by = arm_name(controller, values), arm_hash(spec.experiment)
     return Arm(name, controller, values, sets, spec, known_by, code_of(spec.experiment))
 

@@ -87,7 +87,7 @@ def calibrate_robots(
                 report(f"warning: {question}")
             found = bench.measure()
             waits = bench.first_motions()
-            emulated = rig.emulated
+            emulated = rig.emulated(rig.camera.check(), rig.actuator.check())
         finally:
             bench.close()
         if known is not None:

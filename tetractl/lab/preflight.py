@@ -155,7 +155,7 @@ def inspect(rig: Rig) -> Preflight:
         problems += _strangers(rig, newest.frame)
         problems += drifting_robots(rig)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
-    emulated = ", ".join(rig.emulated)
+    emulated = ", ".join(rig.emulated(camera, actuator))
     return Preflight(
         robots,
         latency_ms,

@@ -8,6 +8,7 @@ from pkgutil import resolve_name
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
@@ -131,10 +132,9 @@ class Rig:
         """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
-    @property
-    def emulated(self) -> tuple[str, ...]:
-        """The devices that are not real, as the plant or they themselves say: "camera"."""
-        said = {"camera": self.camera.check().emulated, "actuator": self.actuator.check().emulated}
+    def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
+        """Return which devices are not real, as the plant or their checks say: "camera"."""
+        said = {"camera": camera.emulated, "actuator": actuator.emulated}
         return tuple(name for name in said if said[name] or name in self._emulated)
 
     def not_tracked(self, i: int) -> str:

@@ -24,6 +24,28 @@ def test_a_good_lab_has_no_problem():
     assert looked_over().problems == ()
 
 
+def test_each_device_is_checked_once(monkeypatch):
+    """Regression: whether devices are emulated was asked by a second check, of 0.7 s in a dish."""
+    lab = fake_lab(experiment().setup)
+    checked = []
+
+    def watch(name):
+        device = getattr(lab, name)
+        check = device.check
+
+        def counted():
+            checked.append(name)
+            return check()
+
+        monkeypatch.setattr(device, "check", counted)
+
+    watch("camera")
+    watch("actuator")
+    with lab.plant.rig as rig:
+        inspect(rig)
+    assert sorted(checked) == ["actuator", "camera"]
+
+
 class Missing:
     """A device that cannot be opened."""
 

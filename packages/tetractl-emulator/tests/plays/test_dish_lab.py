@@ -69,7 +69,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     [
         ("light, share: 0.02", 2, "0 of 0 cells respond to the field"),
         ("off", 2, "the current driver does not answer"),
-        ("light, share: 0.02", 8, "not tracked"),
+        ("light, share: 0.02", 6, "not tracked"),
         ("repeat", 6, "no new camera frame"),
     ],
 )

@@ -32,9 +32,9 @@ BACKGROUND_S = 20.0  # length of the film's first part, which gives the backgrou
 FAST = 1.5  # factor by which an object may be faster than an organism is
 FAR = 2.0  # way of the fastest cells between pictures, in lengths, above which links are uncertain
 KNOWN = 0.25  # least share of what swims that an organism must be like (beads in water 3 of 81)
-# mean cosine between the halves of the ways, weighted by them, below which what moves goes to and
-# fro (beads in water .06; Euglena .62, Paramecium .89); fewest ways of which it is computed
-ONWARD, WAYS_MIN = 0.3, 20
+# mean cosine between successive parts of ways, below which what moves goes to and fro (beads in
+# water .23; Euglena .78, Paramecium .92), and fewest objects of which it is computed
+ONWARD, WAYS_MIN = 0.5, 10
 TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 
@@ -173,23 +173,34 @@ def _moving(ways: Sequence[Floats]) -> Floats:
 def _to_and_fro(ways: Sequence[Floats]) -> bool:
     """Return whether objects that move go on in another direction than they went before.
 
-    Of each object that gets MOVED lengths away, the vectors from the first place to that half-way
-    in time, and from there to the last, are compared; the long ones count most. Of a swimmer they
-    are alike, of a bead in Brownian motion independent.
+    Compared are displacements over successive times of equal length, in which the object usually
+    gets MOVED lengths away, and the long ones count most. Of a swimmer they are alike, also of one
+    that turns in a field; of a bead in Brownian motion they are independent.
     """
-    first, second = [], []
+    alike = 0.0
+    most = 0.0
+    objects = 0
     for rows in ways:
-        places = rows[:, 1:3]
-        gone = np.linalg.norm(places - places[0], axis=1).max()
-        if len(rows) >= SEEN and gone > MOVED * np.median(rows[:, 3]):
-            half = len(rows) // 2
-            first.append(places[half] - places[0])
-            second.append(places[-1] - places[half])
-    if len(first) < WAYS_MIN:
-        return False
-    before, after = np.array(first), np.array(second)
-    most = np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1)
-    return float(np.vdot(before, after)) < ONWARD * most
+        apart = _pictures_apart(rows)
+        if apart:
+            moved = rows[apart:, 1:3] - rows[:-apart, 1:3]
+            before, after = moved[:-apart], moved[apart:]
+            alike += float(np.vdot(before, after))
+            most += float(np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1))
+            objects += 1
+    return objects >= WAYS_MIN and alike < ONWARD * most
+
+
+def _pictures_apart(rows: Floats) -> int:
+    """Return in how many pictures an object usually gets MOVED lengths away; 0 if in more than half
+    of its pictures, or if it was seen too briefly.
+    """
+    least = MOVED * np.median(rows[:, 3])
+    for apart in range(1, (len(rows) - 1) // 2 + 1 if len(rows) >= SEEN else 0):
+        moved = rows[apart:, 1:3] - rows[:-apart, 1:3]
+        if np.median(np.linalg.norm(moved, axis=1)) > least:
+            return apart
+    return 0
 
 
 def _extent(moving: Floats) -> str:

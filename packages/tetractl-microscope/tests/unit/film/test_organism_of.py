@@ -116,6 +116,31 @@ class Beads(Ellipses):
             places += random.normal(0.0, self.speed_px_s, places.shape)
 
 
+@dataclass
+class Circles(Ellipses):
+    """A film of 25 bodies that swim on circles, one turn in 1.5 s."""
+
+    def __iter__(self):
+        radius_px = self.speed_px_s * 1.5 / math.tau
+        for number in range(120):
+            picture = np.full((SIDE, SIDE), 200, np.uint8)
+            turned = math.tau * self.seconds(number) / 1.5
+            for i in range(25):
+                angle = i + turned
+                x = 50 + 75 * (i % 5) + radius_px * math.cos(angle)
+                y = 50 + 75 * (i // 5) + radius_px * math.sin(angle)
+                centre, axes = (round(16 * x), round(16 * y)), (8 * self.long, 8 * self.wide)
+                size = tuple(round(axis) for axis in axes)
+                along = math.degrees(angle) + 90
+                cv2.ellipse(picture, centre, size, along, 0, 360, 90, -1, cv2.LINE_AA, 4)
+            yield number, picture
+
+
+def test_cells_that_turn_while_they_are_looked_at_swim_all_the_same():
+    film = Circles(22.0, 11.0, 100.0)
+    assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
+
+
 def test_beads_that_go_to_and_fro_do_not_swim():
     beads = Beads(12.0, 12.0, 1.5)
     for um_px in (None, 0.5):

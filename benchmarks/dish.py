@@ -21,17 +21,18 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
 from scipy.optimize import linear_sum_assignment
 from support.virtual_lab import DISH, VirtualLab, virtual_dish
-from tetractl_microscope.choices import RankedChoice, ranked
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.ranked import RankedChoice, ranked
+from tetractl_microscope.choice.section import choice_of
+from tetractl_microscope.choice.turn_field import turn_field
 
 from tetractl.analysis.closed_loop import Noise
 from tetractl.core.errors import TetractlError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Start, Step
-from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
-from tetractl.lab.candidates import turn_field
 from tetractl.lab.rig import build_rig
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_with
@@ -67,7 +68,7 @@ def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
         Robot(name=name, start=(x, y), heading=turn, target=tuple(target), a=a, speed=speed)
         for name, (x, y, turn), target, a, speed in rows
     )
-    chosen = experiment.chosen and experiment.chosen.model_copy(update={"found": True})
+    chosen = experiment.chosen and choice_of(experiment).model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": robots, "chosen": chosen})
     vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
     return copied
@@ -126,7 +127,7 @@ def survey(count: int) -> None:
             experiment = dish.spec.experiment
             rig = build_rig(experiment.plant, experiment.setup, dish.clock)
             with rig:
-                cells = turn_field(rig, experiment.chosen, seed, LabSupervision())
+                cells = turn_field(rig, choice_of(experiment), seed, LabSupervision())
             known = true_cells(cells, dish)
         choices = [
             ranked(experiment, cells, noise, PLANS),

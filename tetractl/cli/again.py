@@ -91,8 +91,8 @@ def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec
     if plant == "sim" or not isinstance(lab, LabSection):
         return on_plant(spec, plant)
     changed: dict[str, Any] = {"plant": lab_as(plant, lab)}
-    if (choice := experiment.chosen) is not None:  # no robot is where the log's trial began
-        changed["chosen"] = choice.model_copy(update={"found": False})
+    if experiment.chosen is not None:  # no robot is where the log's trial began
+        changed["chosen"] = experiment.chosen.sought()
     return replace(spec, experiment=experiment.model_copy(update=changed))
 
 

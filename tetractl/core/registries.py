@@ -92,6 +92,7 @@ DISTURBANCES = Registry(
     },
     "tetractl.experiment.disturbance:DisturbanceSection",
 )
+TRIAL_ROBOTS = Registry("tetractl.trial_robots", {}, "tetractl.experiment.trial_robots:TrialRobots")
 SPEC_REGISTRIES = (
     OPTIMIZERS,
     CONTROLLERS,
@@ -101,6 +102,7 @@ SPEC_REGISTRIES = (
     DISTURBANCES,
     CAMERAS,
     ACTUATORS,
+    TRIAL_ROBOTS,
 )
 """Registries of the kinds that a spec may name."""
 

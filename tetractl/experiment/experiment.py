@@ -20,6 +20,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask, LossRule
+from tetractl.experiment.assignment import dealt
 from tetractl.experiment.base import (
     Finite,
     Length,
@@ -30,13 +31,14 @@ from tetractl.experiment.base import (
     Positive,
     inconsistent,
 )
-from tetractl.experiment.choice import Choice, OrMapping, dealt
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
+from tetractl.experiment.or_mapping import OrMapping
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.strength import PerStrength, rate, unit_of
+from tetractl.experiment.trial_robots import OrTrialRobots, TrialRobots
 
 
 class Units(Model):
@@ -148,6 +150,7 @@ class Scale(Model):
     """Body length of the robots that the error is scaled to [unit]."""
 
 
+_Listed = Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)]
 _PLANT = KindSection(PLANTS, default="sim")
 _CONTROLLER = KindSection(CONTROLLERS, default="mpc")
 
@@ -164,9 +167,7 @@ class Experiment(Model):
     """Units of all numbers."""
     arena: Arena
     """The field of view; starts and targets must lie in it."""
-    robots: Annotated[
-        Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrMapping(Choice)
-    ]
+    robots: Annotated[_Listed, OrTrialRobots(_Listed)]
     """The robots, all steered by the one direction u; or a mapping with `choose`: then each trial
     finds its robots.
     """
@@ -174,7 +175,7 @@ class Experiment(Model):
     """Strength B of the field, which coils are sent: in V/cm if robots have `a: {per_V_cm: ...}`,
     otherwise in mT. Turning rates a in rad/s are those at this strength.
     """
-    chosen: Choice | None = None
+    chosen: Annotated[TrialRobots | None, OrTrialRobots()] = None
     """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
     trial has found its robots.
     """
@@ -224,7 +225,7 @@ class Experiment(Model):
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
         """Assign the targets and set `assign` to `given`, so that they are assigned once only."""
-        if isinstance(self.robots, Choice):
+        if isinstance(self.robots, TrialRobots):
             # allowed, although the model is immutable: it is not in use yet
             object.__setattr__(self, "chosen", self.robots)
             object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
@@ -282,14 +283,14 @@ class Experiment(Model):
     @property
     def open(self) -> bool:
         """Whether the robots are still to be found by the trial."""
-        return self.chosen is not None and not self.chosen.found
+        return self.chosen is not None and not self.chosen.are_found
 
     @property
-    def asked(self) -> tuple[Robot, ...] | Choice:
+    def asked(self) -> tuple[Robot, ...] | TrialRobots:
         """The robots as the spec asks for them, which is the same in all trials of a spec: listed,
         or the rule by which each trial chooses its own.
         """
-        return self.chosen.model_copy(update={"found": False}) if self.chosen else self.robots
+        return self.chosen.sought() if self.chosen else self.robots
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy; its `setup` is made again, as it depends on the plant."""
@@ -347,12 +348,10 @@ class Experiment(Model):
         return LossRule(limits.untracked_abort, self.on_lost == "replace", wheels, ends)
 
 
-def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:
+def _stand_ins(rule: TrialRobots, arena: Arena) -> tuple[Robot, ...]:
     """Return placeholder robots in the arena's middle, used until a trial's robots are known."""
     middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
     return tuple(
-        Robot(
-            name=f"cell {i + 1}", start=middle, target=tuple(goal), a=choice.a, speed=choice.speed
-        )
-        for i, goal in enumerate(choice.goals[: choice.choose].tolist())
+        Robot(name=one.name, start=middle, target=one.target, a=one.a, speed=one.speed)
+        for one in rule.stand_ins
     )

@@ -126,8 +126,9 @@ def _problem(
             (*loc, "type"), known + did_you_mean(str(wrong), list(options)), place.text
         )
     if kind == "not_installed":
-        place = document.place((*loc, "type"))
-        return place.problem((*loc, "type"), context["why"], place.text)
+        key = context.get("key", "type")
+        place = document.place((*loc, key))
+        return place.problem((*loc, key), context["why"], place.text)
     place = document.place(loc)
     message = _words(details, loc, value, document.data, schema)
     if value is None and loc in document.values and kind != "inconsistent":

@@ -15,6 +15,7 @@ BRINGS = {
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
     ("tetractl.actuators", "field"): MICROSCOPE,
+    ("tetractl.trial_robots", "choose"): MICROSCOPE,
     ("tetractl.examples", "tetrahymena_dish"): MICROSCOPE,
     ("tetractl.examples", "tetrahymena_lab"): MICROSCOPE,
     ("tetractl.examples", "two_cells"): MICROSCOPE,

@@ -7,12 +7,10 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import UNSTATED, Floats, Sight
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
-from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.yaml.problems import Loc
 
 Lengths = TypeVar("Lengths", float, Floats)
@@ -90,17 +88,6 @@ class PlantSection(Model):
 
         Only real robots need `supervision`.
         """
-
-    def find(
-        self,
-        choice: Choice,
-        setup: Setup,
-        clock: Clock,
-        seed: np.random.SeedSequence,
-        supervision: LabSupervision,
-    ) -> FoundRobots:
-        """Return the robots that a trial may choose from; `setup` has placeholder robots."""
-        raise UsageError(f"a plant of type {self.type} has no robots to choose from")
 
     @property
     def disturbed(self) -> bool:

@@ -7,10 +7,11 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from tetractl.core.registries import SPEC_REGISTRIES
+from tetractl.core.registries import SPEC_REGISTRIES, TRIAL_ROBOTS
 from tetractl.core.registry import Registry
 from tetractl.experiment.base import Model
 from tetractl.experiment.packages import not_installed
+from tetractl.experiment.trial_robots import TrialRobots
 
 STRICT = {"strict": True}
 """Validation context in which values of another type are refused, as when a spec is read."""
@@ -119,6 +120,8 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
     if isinstance(value, tuple):
         for item in value:
             yield from _kinds(item)
+    if isinstance(value, TrialRobots):
+        yield TRIAL_ROBOTS, value.key
     if isinstance(value, Model):
         fields = dict(value)
         name = fields.get("type")

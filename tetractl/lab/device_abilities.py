@@ -3,13 +3,12 @@
 A device has an ability if it has the protocol's members; nothing needs to be declared.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
 
 from tetractl.core.commands import FrameAddition, Note
 from tetractl.core.guard_findings import Lose
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.lab_section import LabLimits
 
 
@@ -58,43 +57,4 @@ class WatchesRobots(Protocol):
 
     def watch(self, setup: Setup, limits: LabLimits) -> RobotWatch:
         """Return the watch of a trial with this setup's robots."""
-        ...
-
-
-@runtime_checkable
-class TracksCells(Protocol):
-    """A camera that tracks all cells in view, of which some are the robots.
-
-    Trials that choose their robots need it, and robots that are replaced after their loss.
-    """
-
-    @property
-    def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells; empty before all were seen in one picture."""
-        ...
-
-    @property
-    def divided(self) -> Collection[int]:
-        """The indices of the robots from whose blob another cell separated."""
-        ...
-
-    def candidates(self) -> list[RobotCandidate]:
-        """Return the cells in the newest picture whose identity is sure."""
-        ...
-
-    def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Track the cells with these numbers as the robots of a setup from now on."""
-        ...
-
-    def replace(self, robot: int, number: int) -> None:
-        """From now on, track the cell with this number as the robot with the index `robot`."""
-        ...
-
-
-@runtime_checkable
-class SettlesRobots(Protocol):
-    """An actuator that can go on with the robots that a trial has chosen."""
-
-    def settle(self, setup: Setup) -> None:
-        """Continue with the robots of this setup."""
         ...

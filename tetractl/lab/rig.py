@@ -13,7 +13,6 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
-from tetractl.lab.device_abilities import SettlesRobots, TracksCells
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules
@@ -101,15 +100,12 @@ class Rig:
         """Call `act` once the devices are released."""
         self._opened.callback(act)
 
-    def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with a new setup, whose robots are the cells with these numbers; their present
-        poses become their starts.
+    def settle(self, setup: Setup) -> None:
+        """Continue with the robots of a new setup, to which camera and actuator have settled; their
+        present poses become their starts.
         """
         self.setup = setup
         self.start_anywhere()
-        if isinstance(self.actuator, SettlesRobots):
-            self.actuator.settle(setup)
-        self.tracker.settle(setup, numbers)
         self.guard = Guard(guard_rules(setup, self.limits), self._checks_of)
         self.loop.restart(self.guard)
         self.frames = self.loop.frames
@@ -119,13 +115,6 @@ class Rig:
         """Let the robots start where they stand, however far from the setup's starts."""
         anywhere = {"start_mm": math.inf, "start_heading": math.inf}
         self.limits = self.limits.model_copy(update=anywhere)
-
-    @property
-    def tracker(self) -> TracksCells:
-        """The camera, which tracks cells; AbortError if it does not."""
-        if not isinstance(self.camera, TracksCells):
-            raise AbortError("this camera tracks its robots only, and finds no others")
-        return self.camera
 
     @property
     def left(self) -> list[int]:

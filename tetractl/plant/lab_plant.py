@@ -29,9 +29,7 @@ from tetractl.core.poses import Floats, Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
-from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.lab_section import LabSection
-from tetractl.lab.candidates import turn_field
 from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.guard_records import GuardState
@@ -73,31 +71,6 @@ class RigSection(LabSection):
     ) -> "LabPlant":
         """Return the plant of one trial; nothing is opened yet."""
         return self.plant(self.rig(setup, clock, seed, supervision), supervision)
-
-    def find(
-        self,
-        choice: Choice,
-        setup: Setup,
-        clock: Clock,
-        seed: np.random.SeedSequence,
-        supervision: LabSupervision,
-    ) -> FoundRobots:
-        """Open the lab, rotate the field, and return the cells that the camera has found; the field
-        goes on rotating until the first direction is sent.
-        """
-        rig = self.rig(setup, clock, seed, supervision, chosen=True)
-
-        def build(numbers: Sequence[int], chosen: Setup) -> LabPlant:
-            rig.settle(chosen, numbers)
-            return self.plant(rig, supervision)
-
-        try:
-            rig.__enter__()
-            cells = turn_field(rig, choice, int(seed.generate_state(1)[0]), supervision)
-        except BaseException:
-            rig.close()
-            raise
-        return FoundRobots(cells, build, rig.close)
 
 
 class LabPlantSection(RigSection):

@@ -29,8 +29,8 @@ class RandomStream(IntEnum):
     """Errors of the true parameters, once a trial: N of the turning rate a, then N of the speed."""
     DISTURBANCES = 4
     """The k-th disturbance of the spec, k = 0, 1, ..., 99, draws from stream 4 + k."""
-    CANDIDATES = 1000
-    """The cells among which a trial chooses its robots, once a trial."""
+    TRIAL_ROBOTS = 1000
+    """What finds the robots of a trial, see `tetractl.experiment.trial_robots`, once a trial."""
     BODIES = 2**32 - 1
     """What is constant in a trial and no parameter: of wheels gains, dead zones and radii; of cells
     all properties, then the noise of their swimming."""

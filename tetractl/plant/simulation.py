@@ -41,7 +41,6 @@ from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
@@ -49,7 +48,6 @@ from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.drive import Drive
 from tetractl.plant.random_streams import RandomStream, generator
-from tetractl.plant.scattered_cells import scattered_cells
 from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.sim_settings import SimSettings
 from tetractl.plant.timetable import Timetable
@@ -76,23 +74,6 @@ class SimSection(SimSettings):
     ) -> "SimPlant":
         """Return the simulation of one trial."""
         return SimPlant(self, setup, clock, seed)
-
-    def find(
-        self,
-        choice: Choice,
-        setup: Setup,
-        clock: Clock,
-        seed: np.random.SeedSequence,
-        supervision: LabSupervision,
-    ) -> FoundRobots:
-        """Return random cells scattered in the arena, with turning rates and speeds as a survey
-        would measure them."""
-        cells = scattered_cells(choice, setup, generator(seed, RandomStream.CANDIDATES))
-
-        def build(numbers: Sequence[int], chosen: Setup) -> SimPlant:
-            return SimPlant(self, chosen, clock, seed)
-
-        return FoundRobots(cells, build, close=lambda: None)
 
 
 @dataclass(frozen=True, slots=True)

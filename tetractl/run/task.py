@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 
@@ -22,9 +23,9 @@ from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.core.worker import Relay, Worker
-from tetractl.experiment.choosing import chosen_from, settled
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.prepared import Prepare
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.provenance import trial_code
 from tetractl.log.write.brief import BriefLog
@@ -221,17 +222,12 @@ def _built(
 ) -> tuple[LoadedSpec, Plant]:
     """Return the spec, completed with the robots that the plant has found, and the plant."""
     experiment = spec.experiment
-    if experiment.chosen is None or experiment.chosen.found:
+    rule = experiment.chosen
+    if rule is None or rule.are_found:
         return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)
-    found = experiment.plant.find(experiment.chosen, experiment.setup, clock, seed, supervision)
-    try:
-        chosen = chosen_from(experiment, found.candidates)
-        spec = replace(spec, experiment=settled(experiment, chosen))
-        numbers = [one.number for one in chosen]
-        return spec, found.build(numbers, spec.experiment.setup)
-    except BaseException:
-        found.close()
-        raise
+    prepare: Prepare = resolve_name(rule.prepare)
+    prepared = prepare(experiment, clock, seed, supervision)
+    return replace(spec, experiment=prepared.experiment), prepared.plant
 
 
 def _unix_ns() -> int:

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.choice import Choice, RobotCandidate
-from tetractl.lab.candidates import manoeuvre, turn_field
 from tetractl.lab.rig import Rig
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.dish_abilities import tracker_of
+from tetractl_microscope.choice.section import Choice
+from tetractl_microscope.choice.turn_field import manoeuvre, turn_field
 
 GRID_S = 0.05  # time step of the analysis
 SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
@@ -62,12 +64,13 @@ def watch_turning(
     few of them were seen for long enough. Raises as `turn_field`.
     """
     seen: dict[int, list[tuple[float, float, float]]] = {}
+    tracker = tracker_of(rig)
 
     def on_look() -> None:
         if (newest := rig.frames.newest) is None:
             return
         at = newest.frame.sampled_ns / SECOND
-        for cell in rig.tracker.candidates():
+        for cell in tracker.candidates():
             path = seen.setdefault(cell.number, [])
             if cell.free and (not path or at > path[-1][0]):
                 path.append((at, cell.pose.x, cell.pose.y))

@@ -15,7 +15,7 @@ from tetractl.core.table.table_files import json_text
 from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
-    from tetractl.experiment.choice import RobotCandidate
+    from tetractl_microscope.choice.candidate import RobotCandidate
 
 
 def survey(
@@ -65,7 +65,8 @@ def survey(
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl_microscope.cells.section import CellsSection
-    from tetractl_microscope.choices import alike, ranked
+    from tetractl_microscope.choice.ranked import alike, ranked
+    from tetractl_microscope.choice.section import Choice
     from tetractl_microscope.handedness import handedness_lines, watch_turning
 
     loaded = ui.load(spec, sets)
@@ -78,7 +79,7 @@ def survey(
             raise UsageError(f"a camera of type {camera.type} cannot be measured by a micrometer")
         return save_calibration(out, camera.measured_by(*_places(micrometer)))
     choice, unit = experiment.chosen, experiment.units.length
-    if choice is None or not experiment.open:
+    if not isinstance(choice, Choice) or not experiment.open:
         raise UsageError(
             f"{spec}: the spec lists its robots, so a survey has no cells to choose",
             "a survey needs `robots: {choose: N, ...}` in the spec",

@@ -7,12 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
+from support.marked_robots import MarkedRobots
 
 from tetractl.core.commands import Verdict
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.experiment.choice import Choice
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.describe import flagged
 from tetractl.results.open_batch import Batch, Damaged
@@ -121,9 +121,9 @@ def test_two_experiments_in_one_batch_are_refused_with_what_differs():
 
 
 def test_a_trial_aborted_before_it_chose_its_robots_is_of_the_same_experiment():
-    rule = {"choose": 3, "targets": [[900, 900], [900, 1300], [1200, 700]], "a": 4, "speed": 200}
-    chose = experiment(chosen=rule | {"found": True})
-    wanted = chose.model_copy(update={"chosen": Choice.model_validate(rule)})
+    marks = (900, 900), (900, 1300), (1200, 700)
+    chose = experiment(chosen=MarkedRobots(marks=marks, found=True))
+    wanted = chose.model_copy(update={"chosen": MarkedRobots(marks=marks)})
     wanted = wanted.model_copy(update={"robots": wanted.robots[::-1]})
     trials = batch(ERRORS[:2].tolist(), chose)
     aborted = trial("aborted.mcap", wanted, result([1, 1, 1], outcome=Outcome.ABORTED), 2)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.marked_robots import install
 from support.mutate import with_entry
 from support.paths import ROOT
 
@@ -31,10 +32,10 @@ LISTED = """robots:
 - {name: two, start: [1900, 900], target: [1200, 1000], a: 3.5, speed: 420}
 - {name: three, start: [1500, 2100], target: [2100, 2100], a: 2.5, speed: 380}
 """
-CHOSEN = "robots: {choose: 3, ring: {center: [1500, 1500], radius: 500}, a: 4, speed: 420}\n"
+
+MARKED = "robots: {marks: [[800, 800], [1900, 900], [1500, 2100]]}\n"
 
 GOES_ON = LossRule(0.3, False, dead=True)
-ROUND = "obstacles: [{type: circle, center: [1500, 1500], radius: 100}]\n"
 
 
 def seen(t, *valid):
@@ -124,8 +125,11 @@ def test_a_trial_ends_or_goes_on_without_a_robot_that_does_not_move(tmp_path):
     assert verify(path).problems == ()
 
 
-@pytest.mark.parametrize(("robots", "on_lost"), [(LISTED, "drop"), (CHOSEN, "replace")])
-def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(robots, on_lost, tmp_path):
+@pytest.mark.parametrize(("robots", "on_lost"), [(LISTED, "drop"), (MARKED, "replace")])
+def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(
+    robots, on_lost, tmp_path, monkeypatch
+):
+    install(monkeypatch)
     spec = parse_spec(REST + robots + f"on_lost: {on_lost}\n", "three.yaml")
     result = run_trial(spec, tmp_path)
     path = log_path(tmp_path, 0)
@@ -149,7 +153,6 @@ def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(robots, on_lost
     assert any("lost" in note for note in _notes(read_result(path)))
 
 
-@pytest.mark.parametrize("robots", [LISTED, CHOSEN + ROUND])
-def test_only_one_cell_among_others_can_be_replaced(robots):
+def test_a_robot_of_a_list_cannot_be_replaced():
     with pytest.raises(SpecError, match="on_lost"):
-        parse_spec(REST + robots + "on_lost: replace\n", "three.yaml")
+        parse_spec(REST + LISTED + "on_lost: replace\n", "three.yaml")

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from tetractl_microscope.choice.turn_field import manoeuvre
 from tetractl_microscope.handedness import handedness, handedness_lines
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.candidates import manoeuvre
 
 RATES = 2.5, 3.0, 3.5, 4.0, 5.0, 0.0, 4.5  # turning rates a [rad/s]; one cell has no magnet
 

@@ -15,7 +15,6 @@ from tetractl.core.commands import FrameAddition, Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.core.worker import WAITING_MAX
-from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.lab_section import LabLimits
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
@@ -26,6 +25,7 @@ from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
+from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.whole_pictures import PictureLog

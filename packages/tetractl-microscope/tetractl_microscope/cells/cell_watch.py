@@ -10,10 +10,10 @@ from tetractl.core.commands import Note
 from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import RobotCandidate
-from tetractl.experiment.choosing import most_alike
-from tetractl.lab.device_abilities import TracksCells
 from tetractl_microscope.cells.identity_watch import IdentityWatch
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.choosing import most_alike
+from tetractl_microscope.choice.dish_abilities import TracksCells
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.experiment.choice import RESPONDS
 from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
 from tetractl_microscope.cells.kernels.helix_path import likelihoods, smooth
@@ -38,6 +37,7 @@ from tetractl_microscope.cells.kernels.helix_steps import (
     Y,
 )
 from tetractl_microscope.cells.readings import MERGED
+from tetractl_microscope.choice.candidate import RESPONDS
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.picture_times import PictureTimes

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from support.marked_robots import MarkedRobots
 from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
@@ -360,7 +361,7 @@ def refusals():
 def chose(log, order):
     """The trial as one that chose its robots by a rule, which assigns the targets in some order."""
     goals = [robot["target"] for robot in THREE_M3PI["robots"]]
-    rule = {"choose": 3, "targets": goals, "a": 4, "speed": 200, "found": True}
+    rule = MarkedRobots(marks=goals, found=True)
     robots = [
         {**robot, "target": goals[i]} for robot, i in zip(THREE_M3PI["robots"], order, strict=True)
     ]

@@ -8,13 +8,13 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
+from tetractl_microscope.choice.candidate import RobotCandidate
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note, Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Pose
-from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.lab_section import LabLimits
 
 SETUP = experiment().setup

@@ -4,8 +4,9 @@ import numpy as np
 
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import Choice, RobotCandidate
 from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.section import Choice
 
 CELLS_MIN = 6
 """Number of cells, if the trial chooses no more than that: a few more than trials mostly choose."""

@@ -8,8 +8,10 @@ import numpy as np
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.choice import Choice, RobotCandidate, dealt
+from tetractl.experiment.assignment import dealt
 from tetractl.experiment.experiment import Experiment, Robot
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.section import Choice, choice_of
 
 UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
 MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
@@ -20,8 +22,7 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
 
     AbortError if there are too few cells, or a wanted cell is missing.
     """
-    choice = experiment.chosen
-    assert choice is not None, "the spec must have robots: {choose: N}"
+    choice = choice_of(experiment)
     able = [cell for cell in cells if cell.magnetised]
     if len(able) < choice.choose:
         raise AbortError(
@@ -38,8 +39,7 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
 def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
     """Return the experiment with the given cells as robots, which start at the cells' poses and are
     assigned targets."""
-    choice = experiment.chosen
-    assert choice is not None, "the spec must have robots: {choose: N}"
+    choice = choice_of(experiment)
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
     goals = choice.goals
     robots = [

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.paths import EXAMPLES
-from tetractl_microscope.choices import RankedChoice, ranked
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.ranked import RankedChoice, ranked
 
 from tetractl.analysis.closed_loop import Noise
 from tetractl.core.poses import Pose
-from tetractl.experiment.choice import RobotCandidate
 from tetractl.experiment.load import load_spec
 
 pytestmark = pytest.mark.slow

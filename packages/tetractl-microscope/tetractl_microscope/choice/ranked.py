@@ -8,9 +8,10 @@ import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl.analysis.steering import planner, plans
-from tetractl.experiment.choice import RobotCandidate
-from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.choosing import settled, worth
+from tetractl_microscope.choice.section import choice_of
 
 COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
 # for each round, the fraction of the choices that are compared, and of the plans that are used
@@ -74,8 +75,7 @@ def ranked(
     first round, there are no further ones. Only cells with a magnet count, and no choice has two
     that are `alike`; [] if no choice is left.
     """
-    choice = experiment.chosen
-    assert choice is not None, "the spec must have robots: {choose: N}"
+    choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     told_apart = [some for some in combinations(able, choice.choose) if not any(alike(some))]
     every = sorted(told_apart, key=lambda some: worth(some, experiment))

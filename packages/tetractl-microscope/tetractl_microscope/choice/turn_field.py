@@ -9,8 +9,10 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.choice import Choice, RobotCandidate
 from tetractl.lab.rig import Rig
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.dish_abilities import tracker_of
+from tetractl_microscope.choice.section import Choice
 
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
 
@@ -45,12 +47,13 @@ def turn_field(
     pictures arrive, if they are searched too slowly to follow the cells, if the actuator fails, or
     at an emergency stop; KeyboardInterrupt if the operator cancels.
     """
+    tracker = tracker_of(rig)
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
     began, before = rig.clock.now(), rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
-        walled |= {cell.number for cell in rig.tracker.candidates() if not cell.free}
+        walled |= {cell.number for cell in tracker.candidates() if not cell.free}
         on_look()
         if supervision.emergency.is_set():
             raise AbortError("emergency stop by the operator")
@@ -60,7 +63,7 @@ def turn_field(
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.guard.no_frame(rig.silent_ns()))
-    now = rig.tracker.candidates()
+    now = tracker.candidates()
     cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
     # a cell is recognised if it moves by at most 35 um between two pictures
     least = choice.speed * rig.setup.metres * 1e6 / 35.0

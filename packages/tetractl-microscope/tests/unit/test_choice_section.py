@@ -1,0 +1,75 @@
+"""`robots: {choose: N, ...}`: trials choose their robots among the cells of a dish."""
+
+import re
+
+import numpy as np
+import pytest
+from support.paths import EXAMPLES
+from tetractl_microscope.choice.section import Choice, choice_of
+
+from tetractl.core.errors import SpecError
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.registry_fields import packages
+from tetractl.log.read.reader import read_trial
+from tetractl.run.task import run_trial
+
+SPEC = """
+name: three
+units: {length: um}
+arena: {left: 0, bottom: 0, width: 3000, height: 3000}
+controller: {type: mpc, time_limit: 1}
+robots: {choose: 3, ring: {center: [1500, 1500], radius: 500}, a: 4, speed: 420}
+"""
+ROUND = "obstacles: [{type: circle, center: [1500, 1500], radius: 100}]\n"
+
+
+def test_a_choice_has_stand_ins_in_the_middle_until_a_trial_has_found_its_robots():
+    experiment = parse_spec(SPEC, "three.yaml").experiment
+    assert [robot.name for robot in experiment.robots] == ["cell 1", "cell 2", "cell 3"]
+    assert {robot.start for robot in experiment.robots} == {(1500.0, 1500.0)}
+    assert experiment.robots[0].target == (2000.0, 1500.0)
+    assert experiment.open
+    assert choice_of(experiment) == experiment.asked
+
+
+def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
+    spec = parse_spec(SPEC, "three.yaml")
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        run_trial(spec, tmp_path / name)
+    one, two = (read_trial(tmp_path / name / "trial-000.mcap") for name in ("one", "two"))
+    assert one.experiment == two.experiment
+    assert not one.experiment.open
+    assert one.experiment.asked == spec.experiment.asked
+    a = np.array([robot.a for robot in one.experiment.robots])
+    assert (np.diff(a) < 0).all()
+    assert packages(one.experiment).keys() == {"tetractl-microscope"}
+
+
+@pytest.mark.parametrize(
+    ("robots", "line"),
+    [
+        ("{choose: 3, a: 4, speed: 420}", "robots.targets: give either targets or a ring"),
+        ("{ring: {center: [1, 1], radius: 5}, a: 4, speed: 4}", "robots.choose: is missing"),
+        (
+            "{choose: 2, targets: [[9, 9]], a: 4, speed: 4}",
+            "must be at least 2, one for each robot",
+        ),
+        ("{choose: 1, targets: [[9, 9]], a: -4, speed: 4}", "robots.a: -4: must be greater than 0"),
+    ],
+)
+def test_a_choice_that_is_wrong_is_one_line(robots, line):
+    text = re.sub("robots: .*", f"robots: {robots}", SPEC)
+    with pytest.raises(SpecError, match=line):
+        parse_spec(text, "three.yaml")
+
+
+def test_only_a_cell_among_others_can_be_replaced():
+    experiment = parse_spec(SPEC + "on_lost: replace\n", "three.yaml").experiment
+    assert experiment.setup.loss.replaced
+    with pytest.raises(SpecError, match="on_lost"):
+        parse_spec(SPEC + ROUND + "on_lost: replace\n", "three.yaml")
+
+
+def test_the_dish_of_the_examples_asks_for_a_choice():
+    assert isinstance(load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment.chosen, Choice)

@@ -1,0 +1,1 @@
+"""Trials that choose their robots among the cells of a dish: `robots: {choose: N, ...}`."""

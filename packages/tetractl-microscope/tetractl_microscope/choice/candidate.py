@@ -1,0 +1,30 @@
+"""A cell that may become a robot of a trial."""
+
+from dataclasses import dataclass
+
+from tetractl.core.poses import Pose
+
+RESPONDS = 3.5  # standard deviations of a above 0: one cell of 4000 is there by chance
+
+
+@dataclass(frozen=True, slots=True)
+class RobotCandidate:
+    """A cell of the dish: its number, its pose in the spec's unit, and its response to the field.
+
+    `a` [rad/s] is known with a standard deviation `a_sd`, `speed` [length unit/s] with `speed_sd`.
+    A cell that was near the arena's edge is not `free`, as a wall may have turned it.
+    """
+
+    number: int
+    pose: Pose
+    a: float
+    a_sd: float
+    speed: float
+    speed_sd: float
+    free: bool = True
+
+    @property
+    def magnetised(self) -> bool:
+        """Whether the cell responds to the field: its a and its speed exceed 0 by RESPONDS standard
+        deviations. What does not swim, such as a speck, has an axis that noise may turn."""
+        return self.a > RESPONDS * self.a_sd and self.speed > RESPONDS * self.speed_sd

@@ -1,0 +1,71 @@
+"""Finds the robots of a trial among the cells of a dish, or of a simulation of one."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import UsageError
+from tetractl.core.protocols import LabSupervision
+from tetractl.core.setup import Setup
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.prepared import PreparedTrial
+from tetractl.lab.rig import Rig
+from tetractl.plant.lab_plant import RigSection
+from tetractl.plant.random_streams import RandomStream, generator
+from tetractl.plant.simulation import SimSection
+from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.choosing import chosen_from, settled
+from tetractl_microscope.choice.dish_abilities import SettlesRobots, tracker_of
+from tetractl_microscope.choice.scattered_cells import scattered_cells
+from tetractl_microscope.choice.section import choice_of
+from tetractl_microscope.choice.turn_field import turn_field
+
+
+def prepare(
+    experiment: Experiment,
+    clock: Clock,
+    seed: np.random.SeedSequence,
+    supervision: LabSupervision,
+) -> PreparedTrial:
+    """Return the experiment with the cells that become the robots of a trial, and their plant."""
+    plant = experiment.plant
+    if isinstance(plant, RigSection):
+        return _in_a_dish(plant, experiment, clock, seed, supervision)
+    if not isinstance(plant, SimSection):
+        raise UsageError(f"a plant of type {plant.type} has no robots to choose from")
+    random = generator(seed, RandomStream.TRIAL_ROBOTS)
+    cells = scattered_cells(choice_of(experiment), experiment.setup, random)
+    found = settled(experiment, chosen_from(experiment, cells))
+    return PreparedTrial(found, plant.build(found.setup, clock, seed, supervision))
+
+
+def _in_a_dish(
+    lab: RigSection,
+    experiment: Experiment,
+    clock: Clock,
+    seed: np.random.SeedSequence,
+    supervision: LabSupervision,
+) -> PreparedTrial:
+    """Open the lab, and rotate the field to see how cells respond; it goes on rotating until the
+    first direction is sent."""
+    rig = lab.rig(experiment.setup, clock, seed, supervision, chosen=True)
+    try:
+        rig.__enter__()
+        turned = int(seed.generate_state(1)[0])
+        cells = turn_field(rig, choice_of(experiment), turned, supervision)
+        chosen = chosen_from(experiment, cells)
+        found = settled(experiment, chosen)
+        settle(rig, found.setup, chosen)
+        return PreparedTrial(found, lab.plant(rig, supervision))
+    except BaseException:
+        rig.close()
+        raise
+
+
+def settle(rig: Rig, setup: Setup, cells: Sequence[RobotCandidate]) -> None:
+    """Go on with the cells as the robots of a setup, from where they are."""
+    if isinstance(rig.actuator, SettlesRobots):
+        rig.actuator.settle(setup)
+    tracker_of(rig).settle(setup, [cell.number for cell in cells])
+    rig.settle(setup)

@@ -1,0 +1,109 @@
+"""The section of a spec by which each trial finds its robots: `robots: {choose: N, ...}`."""
+
+from collections.abc import Sequence
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from tetractl.core.poses import Floats
+from tetractl.experiment.base import Model, Point, Positive, inconsistent
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.trial_robots import StandIn, TrialRobots
+
+
+class Ring(Model):
+    """Targets spread evenly on a circle, one for each robot."""
+
+    center: Point
+    """Centre of the circle [length unit]."""
+    radius: Positive
+    """Radius of the circle [length unit]."""
+
+    def points(self, count: int) -> tuple[tuple[float, float], ...]:
+        """Return the given number of targets on the circle."""
+        angles = 2 * np.pi * np.arange(count) / count
+        x, y = self.center
+        return tuple(
+            (x + self.radius * float(np.cos(one)), y + self.radius * float(np.sin(one)))
+            for one in angles
+        )
+
+
+class WantedCell(Model):
+    """A cell that a survey proposed; the trial finds the cell again by these values."""
+
+    a: Positive
+    """Turning rate a of the cell [rad/s]."""
+    speed: Positive
+    """Speed of the cell [length unit/s]."""
+
+
+class Choice(TrialRobots):
+    """Robots that the trial finds at their present poses. In the lab the field rotates for
+    `seconds`, and the camera measures each cell's response; the robots are the cells whose turning
+    rates a differ most, or the `wanted` cells. In a simulation the cells are drawn at random.
+    """
+
+    key: ClassVar[str] = "choose"
+    prepare: ClassVar[str] = "tetractl_microscope.choice.prepare:prepare"
+
+    choose: int = Field(ge=1, le=20)
+    """Number of robots to choose."""
+    targets: tuple[Point, ...] = Field(default=(), max_length=1000)
+    """Targets [x, y] [length unit], at least as many as robots. Targets are assigned so that the
+    sum of the squared distances from start to target is least.
+    """
+    ring: Ring | None = None
+    """Targets on a circle, in place of `targets`."""
+    a: Positive
+    """Typical turning rate a of the cells [rad/s]."""
+    speed: Positive
+    """Typical speed of the cells [length unit/s]."""
+    wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
+    """The cells that a survey proposed, as many as there are robots."""
+    seconds: Positive = Field(default=8.0, le=600)
+    """Time for which the field rotates before the cells are chosen [s]."""
+    turn: Positive = Field(default=3.2, le=60)
+    """Duration of one turn of the field [s]; cells with a turning rate a below 2 pi / `turn` lag
+    behind."""
+
+    found: bool = False
+    """Whether a trial has found its robots; the trial sets this in the spec that it logs."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Choice":
+        if (self.ring is None) == (not self.targets):
+            raise inconsistent("targets", "give either targets or a ring")
+        if self.targets and len(self.targets) < self.choose:
+            raise inconsistent("targets", f"must be at least {self.choose}, one for each robot")
+        if self.wanted and len(self.wanted) != self.choose:
+            raise inconsistent("wanted", f"must be {self.choose}, one for each robot")
+        return self
+
+    @property
+    def goals(self) -> Floats:
+        """The targets (M, 2), at least as many as robots."""
+        points = self.targets if self.ring is None else self.ring.points(self.choose)
+        return np.array(points, dtype=np.float64)
+
+    @property
+    def are_found(self) -> bool:
+        """Whether a trial has found its robots."""
+        return self.found
+
+    def sought(self) -> Self:
+        """Return the choice as the spec gave it."""
+        return self.model_copy(update={"found": False})
+
+    @property
+    def stand_ins(self) -> Sequence[StandIn]:
+        """A typical cell for each of the first targets."""
+        goals = enumerate(self.goals[: self.choose].tolist(), 1)
+        return [StandIn(f"cell {i}", (x, y), self.a, self.speed) for i, (x, y) in goals]
+
+
+def choice_of(experiment: Experiment) -> Choice:
+    """Return the choice of an experiment whose trials choose their robots."""
+    assert isinstance(experiment.chosen, Choice), "the spec must have robots: {choose: N}"
+    return experiment.chosen

@@ -1,0 +1,48 @@
+"""Trials that find their robots on marks, as a package could bring them: `robots: {marks: ...}`."""
+
+from typing import ClassVar
+
+from tetractl.core.registries import TRIAL_ROBOTS
+from tetractl.experiment.experiment import Experiment, Robot
+from tetractl.experiment.prepared import PreparedTrial
+from tetractl.experiment.trial_robots import StandIn, TrialRobots
+
+
+class MarkedRobots(TrialRobots):
+    """One robot on each mark, which swims 300 to the right."""
+
+    key: ClassVar[str] = "marks"
+    prepare: ClassVar[str] = "support.marked_robots:prepare"
+
+    marks: tuple[tuple[float, float], ...]
+    found: bool = False
+
+    @property
+    def are_found(self):
+        return self.found
+
+    def sought(self):
+        return self.model_copy(update={"found": False})
+
+    @property
+    def stand_ins(self):
+        marks = enumerate(self.marks, 1)
+        return [StandIn(f"robot {i}", (x + 300, y), 4.0, 200.0) for i, (x, y) in marks]
+
+
+def prepare(experiment, clock, seed, supervision):
+    rule = experiment.chosen
+    assert isinstance(rule, MarkedRobots)
+    robots = tuple(
+        Robot(name=one.name, start=mark, target=one.target, a=one.a, speed=one.speed)
+        for mark, one in zip(rule.marks, rule.stand_ins, strict=True)
+    )
+    chosen = rule.model_copy(update={"found": True})
+    found: Experiment = experiment.model_copy(update={"robots": robots, "chosen": chosen})
+    return PreparedTrial(found, found.plant.build(found.setup, clock, seed, supervision))
+
+
+def install(monkeypatch):
+    """Let a package that brings the rule be installed, and no other that brings one."""
+    monkeypatch.setattr(TRIAL_ROBOTS, "_installed", {})
+    monkeypatch.setitem(TRIAL_ROBOTS.builtin, "marks", "support.marked_robots:MarkedRobots")

@@ -1,0 +1,99 @@
+"""The mapping in place of a list of `robots`, by which each trial finds its own.
+
+A package brings it: an entry point of the group `tetractl.trial_robots` maps a key of the mapping,
+such as `choose` of `robots: {choose: 3, ...}`, to its class.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from tetractl.core.registries import TRIAL_ROBOTS
+from tetractl.experiment.base import Model
+from tetractl.experiment.packages import missing, not_installed
+
+
+@dataclass(frozen=True, slots=True)
+class StandIn:
+    """A robot of which only what is asked for is known: its place is still to be found. `target`
+    [length unit], turning rate `a` [rad/s], `speed` [length unit/s]."""
+
+    name: str
+    target: tuple[float, float]
+    a: float
+    speed: float
+
+
+class TrialRobots(Model):
+    """A rule by which each trial finds its robots."""
+
+    key: ClassVar[str]
+    """The name of the class in the registry, which the mapping must have as a key."""
+    prepare: ClassVar[str]
+    """The function that finds the robots of a trial, a `tetractl.experiment.prepared.Prepare`, as
+    "module:function"."""
+
+    @property
+    @abstractmethod
+    def are_found(self) -> bool:
+        """Whether the robots of the spec with this rule are those that a trial has found."""
+
+    @abstractmethod
+    def sought(self) -> Self:
+        """Return the rule as the spec gave it, before a trial has found the robots."""
+
+    @property
+    @abstractmethod
+    def stand_ins(self) -> Sequence[StandIn]:
+        """The robots until a trial has found them."""
+
+
+class OrTrialRobots:
+    """Annotation of a field whose value may be a rule by which trials find their robots, as a
+    mapping; `listed` is what the value is otherwise, by default None."""
+
+    def __init__(self, listed: Any = None) -> None:
+        self.listed = listed
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def validate(value: Any, otherwise: Any, info: core_schema.ValidationInfo) -> Any:
+            if isinstance(value, TrialRobots):
+                return value
+            if isinstance(value, dict):
+                strict = bool(info.context and info.context.get("strict"))
+                return rule_of(value).model_validate(value, strict=strict, context=info.context)
+            if self.listed is None and value is not None:
+                raise PydanticCustomError("model_type", "must be a mapping of keys to values")
+            return otherwise(value)
+
+        listed = self.listed
+        otherwise = core_schema.any_schema() if listed is None else handler.generate_schema(listed)
+        return core_schema.with_info_wrap_validator_function(
+            validate,
+            otherwise,
+            serialization=core_schema.simple_ser_schema("any"),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        rules = [handler(one.__pydantic_core_schema__) for one in TRIAL_ROBOTS.usable().values()]
+        otherwise = {"type": "null"} if self.listed is None else handler(schema)
+        return {"anyOf": [otherwise, *rules]}
+
+
+def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
+    """Return the class that is named after a key of the mapping, else the first there is."""
+    names = list(TRIAL_ROBOTS.names())
+    names += [name for name, _ in missing(TRIAL_ROBOTS.group, names)]
+    name = next((name for name in names if name in mapping), names[0])
+    if name not in TRIAL_ROBOTS and (why := not_installed(TRIAL_ROBOTS.group, name)):
+        raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(why), "key": name})
+    return TRIAL_ROBOTS.load(name)

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -49,6 +50,15 @@ class PlainSection(ControllerSection):
         warm_up(self.known(setup), setup.starts)
 
 
+@dataclass(frozen=True, slots=True)
+class PlainStep:
+    """A step that is to be decided: the problem with the poses at which the next direction acts,
+    and how far the robots are from their targets, (N,) [length unit]."""
+
+    problem: Problem
+    gaps: Floats
+
+
 class PlainController:
     """The controller of one trial: its number of the step, k, and its estimator; `key` seeds all
     its random numbers."""
@@ -73,6 +83,11 @@ class PlainController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
+        step = self.step(observation, last_command)
+        return step if isinstance(step, Outcome) else self.decide(step, observation)
+
+    def step(self, observation: Observation, last_command: Command | None) -> "PlainStep | Outcome":
+        """Return what is known at one step, or the outcome if the trial is over."""
         self._time.seen(observation, last_command)
         problem = self.predicted(observation, last_command)
         gaps = problem.poses.distances(problem.targets)
@@ -80,7 +95,11 @@ class PlainController:
             return Outcome.ARRIVED
         if self._time.over:
             return Outcome.TIME_LIMIT
-        decision = self.decided(problem, observation, gaps, mix(self.key, self.k))
+        return PlainStep(problem, gaps)
+
+    def decide(self, step: "PlainStep", observation: Observation) -> Plan | Outcome | End:
+        """Return the decision of a step, and go on to the next."""
+        decision = self.decided(step.problem, observation, step.gaps, mix(self.key, self.k))
         self.k += 1
         return decision
 

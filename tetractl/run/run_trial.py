@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,6 @@ from tetractl.core.commands import (
     Action,
     Command,
     Note,
-    PlantInfo,
     Sample,
     Steer,
     Stop,
@@ -39,9 +38,23 @@ Timed = tuple[Decision, int]
 """A controller's decision, and the wall time that it needed [ns]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked for the decision of one control step: the newest frame, the command before it,
+    None at the first step, and the frames exposed between the two, oldest first."""
+
+    observation: Observation
+    last: Command | None
+    earlier: Sequence[Observation]
+
+
+Course = Generator[Question, Timed, Result]
+"""A trial that asks for each decision, is sent it, and returns the result."""
+
+
 @dataclass(slots=True)
 class Trial:
-    """One trial; `run` may be called once.
+    """One trial; either `run` or `course` may be called, once.
 
     The plant's description is added to `start` when the plant is opened.
     """
@@ -56,6 +69,7 @@ class Trial:
     delay: StatedDelay | None = None
     _solve_ns: list[int] = field(default_factory=list)
     _misses: int = 0
+    _virtual: bool = False  # whether time passes only where the plant's clock is slept on
     _turning: bool = False  # whether robots turn on the spot
     _began_ns: int | None = None  # time at which the first direction was sent
     _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
@@ -71,11 +85,31 @@ class Trial:
         self._tour = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
 
     def run(self) -> Result:
-        """Run the trial and return its result.
+        """Run the trial by the decisions of its controller, and return its result.
 
         After any end or error, the robots are stopped first. A TetractlError or an interruption
         becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
         another exception is raised again after the observers were called with the result.
+        """
+        course = self.course()
+        try:
+            question = next(course)
+            while True:
+                try:
+                    answer = self._answer(question)
+                except BaseException as error:  # the trial ends by it, robots first
+                    question = course.throw(error)
+                else:
+                    question = course.send(answer)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+
+    def course(self) -> Course:
+        """Run the trial, and ask for each decision.
+
+        An exception that is thrown in ends the trial like one of the controller; so does `close`,
+        and then there is no result.
         """
         bug: BaseException | None = None
         try:
@@ -90,7 +124,8 @@ class Trial:
             start = replace(self.start, plant=info)
             for observer in self.observers:
                 observer.on_start(start)
-            outcome, reason = self._steps(info)
+            self._virtual = info.virtual
+            outcome, reason = yield from self._steps()
         except KeyboardInterrupt:
             reason = AT_ONCE if self.interrupt.count > 1 else "interrupted before the first step"
             outcome = Outcome.INTERRUPTED
@@ -105,12 +140,20 @@ class Trial:
         KeyboardInterrupt during an import or compilation into another exception."""
         return (Outcome.INTERRUPTED, AT_ONCE) if self.interrupt.broke else (Outcome.ABORTED, why)
 
-    def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
+    def _answer(self, question: Question) -> Timed:
+        """Return the controller's decision."""
+        if question.last is None and not self._virtual:
+            return self._first(question.observation)
+        return self._plan(question.observation, question.last, question.earlier)
+
+    def _steps(self) -> Generator[Question, Timed, tuple[Outcome, str]]:
         """Run the control loop of Algorithm 2; return the outcome and its reason."""
         period_s = self.start.setup.period_s
         period = round(period_s * SECOND)
         observation = self.plant.observe()
-        decision, solve_ns = self._first(observation, info)
+        decision, solve_ns = yield Question(observation, None, ())
+        if self._virtual and isinstance(self.first_plan, Square):  # planning took no time
+            self._drive_square(self.first_plan, observation)
         began, standing = self.clock.now(), True
         for k in itertools.count():
             if isinstance(decision, Outcome):
@@ -148,7 +191,7 @@ class Trial:
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
             last, observation = observation, self.plant.observe()
             between = self._frames_between(last, observation)
-            decision, solve_ns = self._plan(observation, command, between)
+            decision, solve_ns = yield Question(observation, command, between)
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _frames_between(self, last: Observation, now: Observation) -> list[Observation]:
@@ -171,28 +214,27 @@ class Trial:
         decision = self.controller.plan(observation, last, earlier)
         return decision, time.perf_counter_ns() - before
 
-    def _first(self, observation: Observation, info: PlantInfo) -> Timed:
-        """Compute the first plan while the robots stand, and record frames in the lab, or while
+    def _first(self, observation: Observation) -> Timed:
+        """Compute the first plan in real time while the robots stand, and record frames, or while
         they drive squares (section IV-B.1 of the paper).
         """
         square = self.first_plan if isinstance(self.first_plan, Square) else None
-        if info.virtual and square is None:
-            return self._plan(observation, None, ())
         with self._planning(observation) as planning:
-            if info.virtual:  # virtual time must not depend on this host's speed
-                with self.interrupt.breakable():
-                    wait([planning])
             driven = False
             while not planning.done() or (square and not driven):
                 if square:
-                    for direction in directions(observation.poses.heading):
-                        self._drive_side(direction, self.clock.now() + round(square.side * SECOND))
+                    self._drive_square(square, observation)
                     driven = True
                 else:
                     with self.interrupt.breakable():
                         wait([planning], timeout=self.start.setup.period_s)
                     self._pass_samples()
             return planning.result()
+
+    def _drive_square(self, square: Square, observation: Observation) -> None:
+        """Drive one square from the poses of `observation`."""
+        for direction in directions(observation.poses.heading):
+            self._drive_side(direction, self.clock.now() + round(square.side * SECOND))
 
     @contextmanager
     def _planning(self, observation: Observation) -> Iterator[Future[Timed]]:

@@ -18,7 +18,11 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, ControllerSection, Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.format.codec import STOP_REASON_MAX
-from tetractl.log.read.validate import STEP_MAX, check_actions, check_plan
+from tetractl.log.read.limits import CHUNK_MAX
+from tetractl.log.read.validate import check_actions, check_plan
+
+NUMBERS_MAX = CHUNK_MAX // 32
+"""Most numbers of a plan: they take a quarter of the largest chunk of a log that is read."""
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":
@@ -65,6 +69,7 @@ class CheckedController:
             made = _made(Plan if isinstance(found, Plan) else End, found)
         if isinstance(made, Plan):
             check_plan(made, len(self._setup.names))
+            _check_integers(made)
             if not 0 <= made.chosen < len(made.searches):
                 raise ValueError(f"chosen is {made.chosen} of {len(made.searches)} searches")
             if not (0 <= made.leg <= len(self._setup.legs) and 0 <= made.generator < 1 << 64):
@@ -72,6 +77,16 @@ class CheckedController:
         if not 0 <= made.delay_ns <= round(self._setup.period_s * SECOND):
             raise ValueError(f"delay_ns is {made.delay_ns}, not within a control period")
         return made
+
+
+def _check_integers(plan: Plan) -> None:
+    """Check that a log can hold the evaluations of a plan, and as many numbers as it has."""
+    for search in plan.searches:
+        if not 0 <= search.evaluations < 1 << 63:
+            raise ValueError(f"a search has {search.evaluations} evaluations")
+    searched = sum(search.signals.size + search.history.size for search in plan.searches)
+    if plan.signals.size + plan.path.size + searched > NUMBERS_MAX:
+        raise ValueError("a plan has very many numbers")
 
 
 class _FieldError(ValueError):
@@ -96,7 +111,7 @@ _hints = cache(get_type_hints)
 
 def _array(value: Any) -> Floats:
     found = np.asarray(value)
-    if found.size > STEP_MAX // 8:
+    if found.size > NUMBERS_MAX:
         raise ValueError(f"{found.size} numbers")
     return found.astype(np.float64, casting="same_kind")  # not of text, objects, complex numbers
 

@@ -17,8 +17,7 @@ from tetractl.core.plan import End, Estimate, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.controller import ControllerSection
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.validate import STEP_MAX, VALUE_MAX
-from tetractl.run.checked_controller import CheckedController
+from tetractl.run.checked_controller import NUMBERS_MAX, CheckedController
 
 SETUP = experiment().setup
 ROBOTS = len(SETUP.names)
@@ -86,16 +85,16 @@ def estimate(**changed):
 WRONG = {
     "text": "east", "None": None, "a class": Plan, "an object": Odd(), "a generator": count(),
     "path nan": plan(path=at(np.nan)), "path inf": plan(path=at(np.inf)),
-    "path 1e10": plan(path=at(1e10)), "path 1e9": plan(path=at(VALUE_MAX)),
+    "path beyond single precision": plan(path=at(1e39)),
     "path of one robot more": plan(path=np.zeros((3, 4, 3))),
     "path too long": plan(path=np.zeros((4, ROBOTS, 3))), "path None": plan(path=None),
     "path of objects": plan(path=at(0).astype(object)), "path flat": plan(path=at(0)[0, 0]),
     "path without headings": plan(path=at(0)[..., :2]), "path an object": plan(path=Odd()),
-    "signals nan": plan(signals=np.full(2, np.nan)), "1e300": plan(signals=np.full(2, 1e300)),
+    "signals nan": plan(signals=np.full(2, np.nan)),
     "signals None": plan(signals=None), "signals text": plan(signals="east"),
     "signals 2-D": plan(signals=np.zeros((2, 1))), "signals 0-D": plan(signals=np.array(0.5)),
     "no signals": plan(0), "signals complex": plan(signals=np.full(2, 1j)), "million": plan(10**6),
-    "long": plan(STEP_MAX // 16), "cost nan": plan(cost=np.nan), "cost 1e200": plan(cost=1e200),
+    "long": plan(NUMBERS_MAX // 2), "cost nan": plan(cost=np.nan),
     "cost text": plan(cost="low"), "cost None": plan(cost=None), "cost object": plan(cost=Odd()),
     "target cost": plan(target_cost=-np.inf), "chosen": plan(chosen=1), "-1": plan(chosen=-1),
     "chosen 0.5": plan(chosen=0.5), "no search": plan(searches=()), "searches": plan(searches="a"),
@@ -108,10 +107,11 @@ WRONG = {
     "length": searched(length=7), "history": searched(history=np.zeros(0)),
     "history nan": searched(history=np.array([np.nan])), "history None": searched(history=None),
     "search cost": searched(cost=np.nan), "evaluations": searched(evaluations=-1),
+    "evaluations 2**63": searched(evaluations=2**63),
     "evaluations 0.5": searched(evaluations=0.5), "stopped": searched(stopped=None),
     "estimate": plan(estimate="good"), "estimate nan": estimate(a=np.full(ROBOTS, np.nan)),
     "estimate of 2": estimate(speed=np.ones(2)), "misfit": estimate(misfit=np.ones((ROBOTS, 2))),
-    "dead time": estimate(dead_time=1e300), "end": End(Outcome.ARRIVED, 10**30),
+    "dead time": estimate(dead_time=np.inf), "end": End(Outcome.ARRIVED, 10**30),
     "end -1": End(Outcome.ARRIVED, -1), "end text": End("arrived", 0),
     "end None": End(Outcome.ARRIVED, None), "outcome text": "arrived",
     "aborted": Outcome.ABORTED, "interrupted": Outcome.INTERRUPTED,
@@ -144,12 +144,12 @@ def test_what_an_optimiser_of_another_package_gives_is_refused():
 
 FINE = {
     "plan": plan(),
-    "at the limits": plan(path=at(0.9999 * VALUE_MAX), signals=np.full(2, -VALUE_MAX)),
-    "as long as it may be": plan(STEP_MAX // 80),
+    "large": plan(path=at(1e38), signals=np.full(2, -1e300)),
+    "as long as it may be": plan(NUMBERS_MAX // 12),
     "lists": plan(signals=[0.5, 0.5], path=at(1.0).tolist(), searches=list(plan().searches)),
     "single precision": plan(signals=np.full(2, 0.5, np.float32), cost=np.float32(3)),
     "whole numbers": plan(signals=np.array([1, 2]), chosen=np.int64(0), generator=np.uint64(2**63)),
-    "cost 1e90": plan(cost=1e90), "stopped": searched(stopped="\x1b[31m" + 10**6 * "x"),
+    "cost 1e200": plan(cost=1e200), "stopped": searched(stopped="\x1b[31m" + 10**6 * "x"),
     "estimate": estimate(heading_bias=np.zeros(ROBOTS), dead_time=0.1),
 }  # fmt: skip
 

@@ -137,7 +137,7 @@ class Dashboard:
         frame, step = self._frame, self._frame.step
         end = "" if frame.end_s is None else f" / {frame.end_s:.1f}"
         lines = [
-            Text(self._heading, "bold", no_wrap=True),
+            Text(_fitting(width, *_shortened(self._heading)), "bold", no_wrap=True),
             _row(width, "time", "t", f"{frame.time_s:.1f}{end} s"),
         ]
         if step is None:
@@ -160,15 +160,17 @@ class Dashboard:
         most = max(height - 12, 3)
         shown = len(now) if len(now) <= most else most - 1
         names = setup.names[:shown]
-        name_width = min(max((len(name) for name in names), default=0), max(width // 3, 4))
         decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # four digits: 854.0 mm
         values = [f"{value:.{decimals}f}" for value in now[:shown]]
         value_width = max(len(f"{full:.{decimals}f}"), *(len(value) for value in values))
+        longest = max((len(name) for name in names), default=0)
+        name_width = min(longest, max(width - 5 - value_width, 4))  # the bar has what is left
         bar_width = width - 3 - name_width - 1 - value_width - 1
-        what = "to target" if width < COMPACT else "distance to target"
+        what = f"to target [{setup.unit}]"
+        titles = (f"distance {what}, {frame.known}", f"{what}, {frame.known}", what)
         known = frame.step and frame.step.plan.estimate
         stands = known.standing(setup.names) if known else []
-        lines = [Text(f"{what} [{setup.unit}], {frame.known}", "dim", no_wrap=True)]
+        lines = [Text(_fitting(width, *titles), "dim", no_wrap=True)]
         for robot, (name, value) in enumerate(zip(names, values, strict=True)):
             color = self._colors[robot]
             mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, frame.poses[robot, 2])
@@ -178,7 +180,7 @@ class Dashboard:
                 f"{value:>{value_width}} ",
             )
             room, part = min(max(bar_width, 0), 40), float(now[robot]) / full
-            stood = Text("stands"[:room], "yellow")
+            stood = Text(_fitting(room, "stands", ""), "yellow")
             line.append_text(stood if name in stands else bar(glyphs, room, part, color))
             lines.append(line)
         if shown < len(now):
@@ -204,10 +206,14 @@ class Dashboard:
         most = max(self._frame.setup.iterations_max, done)
         unit = self._frame.setup.unit
         first = _number(float(search.history[0])) if done >= 0 else "?"
+        last = _number(plan.cost)
+        costs = (f"{first} {glyphs.to} {last} {unit}", f"{first} {glyphs.to} {last}", last)
         return [
-            _row(width, "plan cost J", "J", f"{first} {glyphs.to} {_number(plan.cost)} {unit}"),
+            _row(width, "plan cost J", "J", *costs),
             sparkline(glyphs, search.history, min(width, 48), total=most + 1, log=True),
-            _row(width, "iterations", "z", f"{done} of {most}, {search.ended}"),
+            _row(
+                width, "iterations", "z", f"{done} of {most}, {search.ended}", f"{done} of {most}"
+            ),
         ]
 
     def _effort(self, width: int) -> list[Text]:
@@ -255,10 +261,25 @@ class Dashboard:
         return lines
 
 
-def _row(width: int, label: str, short: str, value: str) -> Text:
-    """Return a row of a label and a value, with a short label if there is little width."""
+def _row(width: int, label: str, short: str, *values: str) -> Text:
+    """Return a row of a label and the first of several values that fits, with a short label if
+    there is little width.
+    """
     words = f"{short:<5} " if width < COMPACT else f"{label:<11} "
-    return Text.assemble((words, "dim"), value, no_wrap=True)
+    return Text.assemble((words, "dim"), _fitting(width - len(words), *values), no_wrap=True)
+
+
+def _fitting(width: int, *texts: str) -> str:
+    """Return the first of several texts that fits, else the last: a number without its last digits
+    would be another number.
+    """
+    return next((text for text in texts if len(text) <= width), texts[-1])
+
+
+def _shortened(heading: str) -> list[str]:
+    """Return a heading, and what remains of it without its last parts."""
+    parts = heading.split(", ")
+    return [", ".join(parts[:count]) for count in range(len(parts), 0, -1)]
 
 
 def _number(value: float) -> str:

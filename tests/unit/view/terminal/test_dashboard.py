@@ -70,6 +70,23 @@ def test_an_80_by_24_terminal_shows_everything(recording):
         assert words in text
 
 
+LABELS = {"t", "k", "h", "u", "J", "z", "error", "solve", "evals", "to"}
+"""Short labels of narrow numbers, and a word that is part of a longer title elsewhere."""
+
+
+@pytest.mark.parametrize("width", range(44, 80, 3))
+def test_a_narrow_terminal_leaves_words_and_units_out_and_cuts_none(recording, width):
+    """Regression: at 44 columns a cost of 8.7e-06 mm was "8.7e-0", at 60 "measured" was
+    "measure"."""
+
+    def words(columns):
+        shown = screen(recording, columns, 40, 3.05)
+        beside = [line.rpartition("│")[2] for line in shown[:30] if "│" in line]
+        return {word.strip(",") for line in beside for word in line.split() if word.isascii()}
+
+    assert words(width) <= words(160) | LABELS
+
+
 def test_robots_that_stand_are_named(recording):
     log, names = recording.log, recording.log.start.setup.names
     each, first = np.ones(len(names)), np.arange(len(names)) == 0

@@ -49,8 +49,11 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
     return load.load_spec(Path(path), sets)
 
 
-def parse_spec(text: str, *sets: str) -> LoadedSpec:
-    """Check a spec given as YAML text; `sets` and errors are as in `load_spec`."""
+def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
+    """Check a spec given as YAML text or as a mapping; `sets` and errors are as in `load_spec`."""
+    if isinstance(text, Mapping):
+        return load.parse_contents(text, "spec", sets)
+    _demand(text, str, "the contents of a spec are a text or a dict")
     return load.parse_spec(text, "spec", sets)
 
 
@@ -74,7 +77,7 @@ def _spec(spec: Spec) -> LoadedSpec:
     if isinstance(spec, LoadedSpec):
         return spec
     if isinstance(spec, Mapping):
-        return load.parse_contents(spec, "spec")
+        return parse_spec(spec)
     _demand(spec, str | Path, "a spec is a file, a dict or what load_spec returns")
     return load_spec(spec)
 
@@ -299,7 +302,18 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
     return frame
 
 
-def summarise(batch: "Batch | str | Path", name: str = "") -> "BatchStatistics":
+def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
+    """Return a batch that is read, given as a folder, or as the paths of its logs."""
+    from tetractl.results.open_batch import Batch
+
+    if isinstance(batch, Batch):
+        return batch
+    return read_batch(batch) if isinstance(batch, str | Path) else read_batch(*batch)
+
+
+def summarise(
+    batch: "Batch | str | Path | Sequence[str | Path]", name: str = ""
+) -> "BatchStatistics":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
     `name` is the batch's name in tables and figures. Raises UsageError if the trials are not of one
@@ -307,10 +321,12 @@ def summarise(batch: "Batch | str | Path", name: str = "") -> "BatchStatistics":
     """
     from tetractl.results.describe import describe
 
-    return describe(read_batch(batch) if isinstance(batch, str | Path) else batch, name)
+    return describe(_batch(batch), name)
 
 
-def compare(*batches: "BatchStatistics | Batch | str | Path") -> "BatchComparison":
+def compare(
+    *batches: "BatchStatistics | Batch | str | Path | Sequence[str | Path]",
+) -> "BatchComparison":
     """Compare the total errors of every two batches; differences are the first batch minus the
     second.
     """
@@ -323,7 +339,7 @@ def compare(*batches: "BatchStatistics | Batch | str | Path") -> "BatchCompariso
 
 
 def plot(
-    data: "Trial | Sequence[Trial] | BatchStatistics | BatchComparison",
+    data: "Trial | Sequence[Trial] | Batch | BatchStatistics | BatchComparison",
     kind: str = "trajectory",
     *,
     file: str | Path | None = None,
@@ -331,7 +347,8 @@ def plot(
     """Draw a matplotlib figure, and write it to `file` (.png, .svg or .pdf) if given.
 
     `kind` names a figure of `tetractl plot`; "trajectory", "errors" and "batch" show several
-    trials. Statistics and comparisons are shown by "batch", whatever `kind` is.
+    trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
+    whatever `kind` is.
     """
     from tetractl.results.contrast import BatchComparison
     from tetractl.results.describe import BatchStatistics
@@ -344,11 +361,21 @@ def plot(
     elif isinstance(data, BatchStatistics):
         figure = batch_figure([data])
     else:
-        several = [data] if isinstance(data, TrialLog | str | Path) else data
-        figure = draw(kind, [_trial(one) for one in several])
+        figure = draw(kind, _trials(data))
     if file is not None:
         style.save(figure, Path(file))
     return figure
+
+
+def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
+    """Return trials that are read, given as one, several, a batch or its folder."""
+    from tetractl.results.open_batch import Batch
+
+    if isinstance(data, str | Path) and Path(data).is_dir():
+        data = read_batch(data)
+    if isinstance(data, Batch):
+        return [read_log(trial.path) for trial in data.trials]
+    return [_trial(one) for one in ([data] if isinstance(data, TrialLog | str | Path) else data)]
 
 
 def verify(path: str | Path) -> "Verification":

@@ -190,6 +190,10 @@ def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
     assert tetractl.summarise(tmp_path).total == tetractl.summarise(batch).total
     assert len(tetractl.compare(tmp_path, batch).groups) == 2
     assert tetractl.plot(log).axes
+    assert tetractl.plot(tmp_path, "errors").axes
+    assert tetractl.plot(batch, "errors").axes
+    assert tetractl.summarise([log]).total.n == 1
+    assert tetractl.parse_spec(contents).experiment == tetractl.parse_spec(SPEC).experiment
 
 
 def test_a_study_is_run_from_its_contents(tmp_path):

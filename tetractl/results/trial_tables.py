@@ -29,11 +29,8 @@ from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.results.describe import trial_items
 from tetractl.results.open_batch import Batch
 
-OF_STEP = (
-    *("k", "time_s", "observed_s", "direction_rad", "cost", "target_cost", "obstacle_cost"),
-    *("signals", "searches", "iterations", "evaluations", "stopped", "solve_ms", "deadline_missed"),
-)
-"""The columns of `steps` that do not name a robot."""
+_DISTANCES = ("clearance", "edge", "apart")
+"""The lengths among the values of a trial, next to its errors."""
 _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 
 
@@ -51,8 +48,9 @@ def _row(trial: ResultSummary) -> dict[str, Any]:
     """Return the row of one trial: its values by the names of the columns."""
     fields, unit = trial_items(trial), trial.experiment.units.length
     total, errors = fields.pop("total_error"), fields.pop("robot_errors")
+    named = {f"{key}_{unit}" if key in _DISTANCES else key: fields[key] for key in fields}
     names = (f"error_{robot.name}_{unit}" for robot in trial.experiment.robots)
-    return {**fields, f"total_error_{unit}": total, **dict(zip(names, errors, strict=True))}
+    return {**named, f"total_error_{unit}": total, **dict(zip(names, errors, strict=True))}
 
 
 def steps(log: TrialLog, contents: RawLog) -> Table:
@@ -87,7 +85,11 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
         speeds = [one for pair in zip(sent.left, sent.right, strict=True) for one in pair]
         speeds = speeds or [None] * len(wheels)
         rows.append((*row, *sent.delivered, *(speeds if wheels else ())))
-    names = (*OF_STEP, *(f"delivered_{name}" for name in setup.names), *wheels)
+    cost = (f"cost_{setup.unit}", f"target_cost_{setup.unit}", "obstacle_cost")
+    search = ("signals", "searches", "iterations", "evaluations", "stopped")
+    of_step = ("k", "time_s", "observed_s", "direction_rad", *cost, *search)
+    delivered = (f"delivered_{name}" for name in setup.names)
+    names = (*of_step, "solve_ms", "deadline_missed", *delivered, *wheels)
     values = [*zip(*rows, strict=True)] or [()] * len(names)
     columns = dict[str, Any](zip(names, values, strict=True))
     for name in ("time_s", "observed_s"):

@@ -32,6 +32,7 @@ def test_the_columns_are_those_of_the_decoded_steps(path):
     assert list(columns["evaluations"]) == [plan.evaluations for plan in plans]
     assert list(columns["stopped"]) == [str(plan.search.stopped) for plan in plans]
     assert list(columns["solve_ms"]) == [step.solve_ns / 1e6 for step in log.steps]
+    assert list(columns["cost_mm"]) == [plan.cost for plan in plans]
     name = log.start.setup.names[1]
     assert list(columns[f"delivered_{name}"]) == [step.command.delivered[1] for step in log.steps]
     known = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
@@ -42,6 +43,17 @@ def test_the_columns_are_those_of_the_decoded_steps(path):
     assert np.array_equal(of["heading_bias_rad"], np.ravel(bias), equal_nan=True)
     misfit = [[np.nan] * 2 if one.misfit is None else one.misfit.max(axis=1) for one in known]
     assert np.array_equal(of["misfit"], np.ravel(misfit), equal_nan=True)
+
+
+def test_every_length_of_a_trial_has_its_unit_in_its_name(path):
+    """Regression: costs and least distances had none."""
+    log = read_trial(path)
+    columns = of_log(path, ["trials"])[0]["trials"].as_dict()
+    verdict = log.result.verdict
+    for key, each in (("clearance", verdict.clearance), ("edge", verdict.edge)):
+        least = min(each, default=np.inf)
+        assert columns[f"{key}_mm"][0] == (None if least == np.inf else least)
+    assert columns.keys().isdisjoint({"clearance", "edge", "apart", "total_error"})
 
 
 def test_a_plan_is_not_decoded_to_be_exported(path, monkeypatch):

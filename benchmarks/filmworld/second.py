@@ -11,7 +11,7 @@ import numpy as np
 
 from .conditions import RATE_HZ, SIDE_PX, UM_PX, Conditions
 from .optics import Optics, Shape, bubble
-from .swim import NEARBY_UM, STEPS_S, Crowd, Swum, swim
+from .swim import NEARBY_UM, STEPS_S, Fauna, Swum, swim
 from .truth import FilmTruth
 
 CELLS, STRANGERS = 20, 4
@@ -24,14 +24,14 @@ def second_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray],
     """Return the truth of a film, its pictures and the quality at which they are to be coded."""
     random = np.random.default_rng([seed, 2, ("easy", "normal", "hard").index(level)])
     made = Conditions.drawn(random, level)
-    crowd = Crowd.drawn(random, CELLS, STRANGERS, made.pulse)
+    fauna = Fauna.drawn(random, CELLS, STRANGERS, made.pulse)
     times = [0.0]
     while times[-1] < made.seconds:
         times.append(times[-1] + random.uniform(0.3, 1.2))
     turns = np.column_stack([times, random.uniform(-np.pi, np.pi, len(times))])
     rest = (CELLS - 1, 0.4 * made.seconds, 0.6 * made.seconds) if made.events else None
-    swum = swim(random, crowd, made.seconds, turns, rest, made.backs)
-    world = _World.of(random, made, crowd, swum)
+    swum = swim(random, fauna, made.seconds, turns, rest, made.backs)
+    world = _World.of(random, made, fauna, swum)
     count = round(made.seconds * RATE_HZ)
     moments = (np.arange(count) + 0.5) / RATE_HZ
     jitter = random.uniform(0, made.late_s / 2, len(turns))
@@ -44,7 +44,7 @@ class _World:
     """A film's individuals: `slot` of the swimmer, `shift` [um] and first and last step of each."""
 
     made: Conditions
-    crowd: Crowd
+    fauna: Fauna
     swum: Swum
     shapes: list[Shape]
     slot: np.ndarray
@@ -53,11 +53,11 @@ class _World:
     parent: np.ndarray
 
     @classmethod
-    def of(cls, random, made: Conditions, crowd: Crowd, swum: Swum) -> "_World":
+    def of(cls, random, made: Conditions, fauna: Fauna, swum: Swum) -> "_World":
         """Place the cells so that neighbours cross in view; one that leaves on one side is
         followed by a new individual on the other.
         """
-        side, count = SIDE_PX * UM_PX, len(crowd.speed)
+        side, count = SIDE_PX * UM_PX, len(fauna.speed)
         wide = side + 2 * NEARBY_UM
         flat = swum.place[:, :, :2]
         steps = len(flat)
@@ -78,7 +78,7 @@ class _World:
             spans.append((first, end))
             parents.append(parent)
             size = shrink * random.normal(1, 0.0 if first == 0 else 0.08)
-            long, wide = crowd.length[i] * np.clip(size, 0.6, 1.2), crowd.width[i]
+            long, wide = fauna.length[i] * np.clip(size, 0.6, 1.2), fauna.width[i]
             shapes.append(Shape.drawn(random, long, wide, made.texture, made.spread))
 
         for i in range(count):
@@ -88,7 +88,7 @@ class _World:
                 if end - first < 3:
                     continue
                 add(i, shift[i] - turns[first] * wide - NEARBY_UM, int(first), int(end), -1, 1.0)
-        world = cls(made, crowd, swum, shapes, *map(np.array, (slots, shifts, spans, parents)))
+        world = cls(made, fauna, swum, shapes, *map(np.array, (slots, shifts, spans, parents)))
         if made.events:
             world._divide(random)
         return world
@@ -107,7 +107,7 @@ class _World:
         # the daughters swim on as the mother and as the swimmer with the likest heading
         turn = self.swum.heading[half] - self.swum.heading[half, own]
         off = np.abs(np.angle(np.exp(1j * turn))) + 10.0 * (np.arange(len(turn)) == own)
-        other = int(np.argmin(np.where(self.crowd.a > 0, np.abs(off - 0.6), 100.0)))
+        other = int(np.argmin(np.where(self.fauna.a > 0, np.abs(off - 0.6), 100.0)))
         ways = own, other
         ends = int(self.span[mother, 1]), len(self.swum.place)
         slots, shifts, spans, parents = [], [], [], []
@@ -150,8 +150,8 @@ class _World:
             heading=only(self.swum.heading[step][:, self.slot]),
             speed=only(self.swum.speed[step][:, self.slot]),
             resting=self.swum.resting[step][:, self.slot] & here,
-            a=self.crowd.a[self.slot],
-            bias=self.crowd.bias[self.slot],
+            a=self.fauna.a[self.slot],
+            bias=self.fauna.bias[self.slot],
             parent=self.parent,
             turns=turns - [moments[0], 0.0],
             recorded=recorded - moments[0],

@@ -17,7 +17,7 @@ NEARBY_UM = 90.0  # width beyond the picture's edge from which cells come in
 
 
 @dataclass(slots=True)
-class Crowd:
+class Fauna:
     """Constants of N cells: speed along the helix, its radius and frequency, pulses of the speed
     (share, frequency), turning rate `a`, `bias`, `walk` [rad/sqrt(s)], length and width; the body's
     axis lies from e1 (`steady` 0) towards w (1), and by the angle `slant` [rad] off their plane.
@@ -37,7 +37,7 @@ class Crowd:
     slant: np.ndarray
 
     @classmethod
-    def drawn(cls, random: np.random.Generator, cells: int, strangers: int, pulse) -> "Crowd":
+    def drawn(cls, random: np.random.Generator, cells: int, strangers: int, pulse) -> "Fauna":
         count = cells + strangers
         a = random.gamma(14.0, 0.28, count)
         a[cells:] = 0.0
@@ -74,7 +74,7 @@ class Swum:
 
 def swim(
     random: np.random.Generator,
-    crowd: Crowd,
+    fauna: Fauna,
     seconds: float,
     turns: np.ndarray,
     rest: tuple[int, float, float] | None,
@@ -84,14 +84,14 @@ def swim(
     and the time for which it rests. A cell backs away now and then, `backs` times a second, and
     then turns by an angle of its own (an avoiding reaction).
     """
-    count, dt = len(crowd.speed), 1 / STEPS_S
+    count, dt = len(fauna.speed), 1 / STEPS_S
     steps = math.ceil(seconds * STEPS_S) + STEPS_S // 20
-    turning = 2 * np.pi * crowd.hertz
-    lean = np.arctan2(np.abs(turning) * crowd.radius, crowd.speed)
+    turning = 2 * np.pi * fauna.hertz
+    lean = np.arctan2(np.abs(turning) * fauna.radius, fauna.speed)
     # the helix's axis in the body's frame, at the angle `lean` to e1
     own = np.stack([np.cos(lean), np.sin(lean), np.zeros(count)], 1)
-    body = np.array([1.0, 0.0, 0.0]) * (1 - crowd.steady)[:, None] + own * crowd.steady[:, None]
-    body[:, 2] += crowd.slant
+    body = np.array([1.0, 0.0, 0.0]) * (1 - fauna.steady)[:, None] + own * fauna.steady[:, None]
+    body[:, 2] += fauna.slant
     body /= np.linalg.norm(body, axis=1)[:, None]
     frame = _start_frames(random, lean)
     place = np.zeros((count, 3))
@@ -106,15 +106,15 @@ def swim(
         t = k * dt
         axis = np.einsum("nij,nj->ni", frame, own)
         heading = np.arctan2(axis[:, 1], axis[:, 0])
-        noise += -noise * dt / 0.4 + 0.4 * crowd.pulse * math.sqrt(2 * dt / 0.4) * (
+        noise += -noise * dt / 0.4 + 0.4 * fauna.pulse * math.sqrt(2 * dt / 0.4) * (
             random.standard_normal(count)
         )
-        beat = 1 + 1.3 * crowd.pulse * np.sin(2 * np.pi * crowd.pulse_hz * t + start) + noise
+        beat = 1 + 1.3 * fauna.pulse * np.sin(2 * np.pi * fauna.pulse_hz * t + start) + noise
         going = np.ones(count)
         if rest is not None and rest[1] <= t < rest[2]:
             going[rest[0]], resting[k, rest[0]] = 0.0, True
         backing = left > 0
-        ahead = crowd.speed * beat * going * np.where(backing, -0.6, 1.0)
+        ahead = fauna.speed * beat * going * np.where(backing, -0.6, 1.0)
         shown[0][k], shown[1][k] = place, np.einsum("nij,nj->ni", frame, body)
         shown[2][k] = frame[:, :, 2]
         flat[0][k], flat[1][k] = heading, ahead
@@ -125,8 +125,8 @@ def swim(
         depth += -depth * dt / 4 + 12 * math.sqrt(2 * dt / 4) * random.standard_normal(count)
         place[:, 2] += (depth - place[:, 2]) * dt / 0.5
         u = turns[max(int(np.searchsorted(turns[:, 0], t + dt / 2, "right")) - 1, 0), 1]
-        pull = crowd.a * np.sin(u - heading - crowd.bias) * going
-        pull += crowd.walk * going * random.standard_normal(count) / math.sqrt(dt)
+        pull = fauna.a * np.sin(u - heading - fauna.bias) * going
+        pull += fauna.walk * going * random.standard_normal(count) / math.sqrt(dt)
         pull += np.where(backing, swerve, 0.0)
         spin = axis * (turning * going)[:, None]
         # cells between a slide and its cover keep to the plane

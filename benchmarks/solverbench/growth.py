@@ -9,7 +9,7 @@ from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.plan import Limits, Problem
 from tetractl.view.style import GREY, figure, panel, save, styled
 
-from .problems import PARTICLES, SIGNALS, SWARM, crowd, printed
+from .problems import PARTICLES, SIGNALS, SWARM, printed, random_robots
 from .report import Report, Settings, least, load, progress
 
 STEEPEST = 1.05
@@ -38,7 +38,7 @@ def growth(settings: Settings, plot: Path | None) -> Report:
         (
             "robots",
             [1, 2, 3, 4, 8, 16, 32, 64][::every],
-            lambda n: (crowd(n), PARTICLES, SIGNALS),
+            lambda n: (random_robots(n), PARTICLES, SIGNALS),
             RED,
         ),
     ]

@@ -39,7 +39,7 @@ def recommended() -> Problem:
     return _problem(OURS)
 
 
-def crowd(robots: int) -> Problem:
+def random_robots(robots: int) -> Problem:
     """The printed problem for any number of robots, all different."""
     rng, base = np.random.default_rng(robots), printed()
     x, y = rng.uniform(600, 2000, robots), rng.uniform(400, 2100, robots)

@@ -163,8 +163,8 @@ def _one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> 
     starts = first_seen(trail, setup.starts.xy)
     marks = np.concatenate([final, setup.targets, starts])[:, None]
     marks = marks + np.column_stack([ring.real, ring.imag])
-    crowd = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), _edge(setup.arena)]
-    labels = Labels(axes, np.concatenate(crowd), point)
+    covered = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), _edge(setup.arena)]
+    labels = Labels(axes, np.concatenate(covered), point)
     for robot, color in enumerate(colors):
         xy = trail[:, robot]
         axes.plot(xy[:, 0], xy[:, 1], color=color, zorder=3, gid=f"trail-{robot}")

@@ -63,7 +63,7 @@ class CellTrack:
     together_s: float = (
         -math.inf
     )  # last time when it was too near to another cell to be distinguished
-    question: "Question | None" = None
+    question: "WhichIsWhich | None" = None
     last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
 
     @property
@@ -117,7 +117,7 @@ class Meeting:
 
 
 @dataclass(slots=True, eq=False)
-class Question:
+class WhichIsWhich:
     """The open question which of K `cells` is on which of K `tracks`, asked at `since_s` [s].
 
     `rows[t, n]` (K, K) is the filter's row that follows track t as cell n, `likelihood` (K, K) the

@@ -18,7 +18,7 @@ from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
     Known,
     Meeting,
-    Question,
+    WhichIsWhich,
     log_densities,
     normalised,
     orders,
@@ -49,7 +49,7 @@ class Names:
     def __init__(self, bank: HelixFilter, body_um: float, splits: bool) -> None:
         self._bank, self._body_um, self._splits, self._last = bank, body_um, splits, 0
         self._meetings: list[Meeting] = []
-        self._questions: list[Question] = []
+        self._questions: list[WhichIsWhich] = []
         self._lost: list[Known] = []
         self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
 
@@ -253,7 +253,7 @@ class Names:
                 moved = bank.moved(int(rows[t, n]), *place.tolist())
                 bank.drop(int(rows[t, n]))
                 rows[t, n] = moved
-        question = Question(tuple(tracks), tuple(cells), rows, prior, known, since_s)
+        question = WhichIsWhich(tuple(tracks), tuple(cells), rows, prior, known, since_s)
         self._drop(cells)
         self._questions.append(question)
         order, _ = question.best()
@@ -262,7 +262,7 @@ class Names:
             track.question, track.identity = question, cells[order[t]].name
             track.row = int(rows[t, order[t]])
 
-    def _end(self, question: Question) -> None:
+    def _end(self, question: WhichIsWhich) -> None:
         """Settle a question by its likeliest answer."""
         order, shares = question.best()
         likely = question.probabilities()

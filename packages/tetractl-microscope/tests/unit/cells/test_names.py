@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from tetractl_microscope.cells.cell_tracks import CellTrack, Known, Question, orders
+from tetractl_microscope.cells.cell_tracks import CellTrack, Known, WhichIsWhich, orders
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
 from tetractl_microscope.cells.names import ASSERTED, LOST_S, Names
@@ -148,7 +148,7 @@ def test_cells_of_other_sizes_are_distinguished_by_them():
     tracks = CellTrack(1, []), CellTrack(2, [])
     sizes = (60.0, 26.0), (48.0, 29.0)
     cells = tuple(Known(name, None, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
-    question = Question(tracks, cells, np.zeros((2, 2), int), np.zeros(2), np.ones((2, 2)), 0.0)
+    question = WhichIsWhich(tracks, cells, np.zeros((2, 2), int), np.zeros(2), np.ones((2, 2)), 0.0)
     assert question.probabilities() == pytest.approx([0.5, 0.5])
     for _ in range(20):
         for track, size in zip(tracks, sizes[::-1], strict=True):

@@ -178,19 +178,21 @@ class Guard:
         self.culprit.see(now, frame.poses, times)
         fresh = list[bool]()
         gone_ns = self.rules.limits.untracked_abort * SECOND
+        in_run = self._active  # a loss below may end the run: all poses were exposed before
+        for i, track in enumerate(self._filters):
+            if in_run:
+                track.frame(now, self.rules.limits.stale * SECOND)
+            if self.rules.goes_on and now - track.seen_ns >= gone_ns:
+                self.lose(i, self._untracked(i, now))
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             same = frame.exposed_ns and times[i] <= max(track.seen_ns, judged[i])
             if pose is None or not same:
                 self._disobedient.discard(i)
-            if self._active:
-                track.frame(now, self.rules.limits.stale * SECOND)
-            if self.rules.goes_on and now - track.seen_ns >= gone_ns:
-                self.lose(i, self._untracked(i, now))
             if pose is None or i in self.lost:
                 track.lost()
             elif same:
                 pass  # the pose that was accepted or refused before
-            elif not track.add(pose, times[i], self._fault(i, pose, times[i])):
+            elif not track.add(pose, times[i], self._fault(i, pose, times[i], in_run)):
                 self.jumps += 1
             seen = pose is not None and i not in self.lost and not track.refused
             fresh.append(seen and now - track.seen_ns <= UNTRACKED_STOP_S * SECOND)
@@ -281,8 +283,8 @@ class Guard:
     def _active(self) -> bool:
         return self.state in (GuardState.RUN, GuardState.HOLD)
 
-    def _fault(self, i: int, pose: Pose, now_ns: int) -> str:
-        """Return why a pose of robot i is not accepted, "" if it is.
+    def _fault(self, i: int, pose: Pose, now_ns: int, in_run: bool) -> str:
+        """Return why a pose of robot i, exposed in a run or not, is not accepted, "" if it is.
 
         Motion is compared with commands only while a run may move the robot. In a pause it is noted
         in `moved`, since a stop may be lost and sent again.
@@ -292,7 +294,7 @@ class Guard:
         fault = self._ghosts.get(i) or track.fault(pose, now_ns, self._driven)
         if fault or before is None:
             return fault
-        if not self._active:
+        if not in_run:
             if self._driven:
                 for check in self._checks.checks:
                     for finding in check.pause(i, before, pose, now_ns):

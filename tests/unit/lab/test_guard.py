@@ -193,6 +193,42 @@ def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_l
     assert guard.reason.startswith(("green", "blue"))
 
 
+class Writes(Check):
+    """A check that writes down by which question it was asked about which robot."""
+
+    def __init__(self):
+        self.asked = []
+
+    def pose(self, robot, before, pose):
+        self.asked.append(("pose", robot))
+        yield from ()
+
+    def pause(self, robot, before, pose, now_ns):
+        self.asked.append(("pause", robot))
+        yield from ()
+
+
+def test_the_pose_in_the_frame_whose_loss_ends_the_run_is_compared_with_its_commands():
+    """Regression: the last robot's loss was recorded first, and its pose compared as in a pause."""
+    writes = Writes()
+
+    def checks_of(rules):
+        return replace(robot_checks(rules), checks=(writes,))
+
+    course = Course(replace(RULES, goes_on=True), checks_of)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    course.frames(40, (None, PLACES[1]))  # 0.32 s: green is lost
+    assert list(course.guard.lost) == [0]
+    writes.asked.clear()
+    course.at += 300 * MS  # blue, the last robot, is not seen for as long as loses it
+    back = replace(PLACES[1], x=PLACES[1].x + 1.0)
+    course.guard.see(CameraFrame(999, course.at, course.at, (PLACES[0], back)))
+    assert course.guard.reason == "blue is not tracked (0.30 s)"
+    assert writes.asked == [("pose", 1)]
+
+
 def walk(step_mm, course, frames=40):
     """Green's pose walks on by `step_mm` a frame; return how far it was accepted [mm]."""
     x, believed = PLACES[0].x, 0.0

@@ -218,6 +218,9 @@ class Guard:
     def replaced(self, i: int) -> None:
         """Continue with another body in place of a lost robot."""
         del self.lost[i]
+        self._ghosts.pop(i, None)
+        self._disobedient.discard(i)
+        self.moved.pop(i, None)
         self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
         self._checks.motion.forget(i)
 

@@ -511,6 +511,24 @@ def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost,
     assert ruling.warnings == warnings
 
 
+def test_a_body_in_place_of_a_ghost_is_no_ghost():
+    """Regression: the poses of the new body were refused for what the old one had done."""
+
+    def checks_of(rules):
+        return replace(robot_checks(rules), checks=(Finds(Abort("green drifts", (0,))),))
+
+    course = Course(replace(RULES, goes_on=True), checks_of)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    course.frames(2)
+    assert course.guard.refused == ("green drifts", "")
+    course.guard.lose(0, "green has divided")
+    course.guard.replaced(0)
+    course.frame()
+    assert course.seen.fresh == (True, True)
+
+
 def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(Finds(Lose(1, "it is gone")),))

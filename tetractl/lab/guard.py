@@ -249,11 +249,13 @@ class Guard:
         self.awake(now_ns)
         if failure:
             self.abort(failure)
+        warnings: tuple[str, ...] = ()
+        if self._active:
+            warnings, self._warnings = tuple(self._warnings), []
         if (recent := self._damaged.recent(now_ns, damaged)) > DAMAGED_MAX and self._active:
             self.abort(f"{recent} damaged camera frames within a second")
         tracked = self._tracked()
         accepted = tuple(self._at_once(i) if ok else None for i, ok in enumerate(tracked))
-        warnings: tuple[str, ...] = ()
         if self._active:
             silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
             if self._ahead and silent_ns >= self.rules.silence_ns:
@@ -263,7 +265,7 @@ class Guard:
                 self.abort(self.no_frame(unseen_ns))
             self._check_tracking()
             self._check_places(accepted)
-            warnings, self._warnings = tuple(self._warnings), []
+            warnings, self._warnings = (*warnings, *self._warnings), []
         if not self._active:
             still = (False,) * len(self._filters)
             return Ruling(self.state, still, accepted, self.reason, warnings)

@@ -535,6 +535,32 @@ def test_a_body_in_place_of_a_ghost_is_no_ghost():
     assert course.seen.fresh == (True, True)
 
 
+class FindsInFrames(Finds):
+    """A check that finds what it was given, in each frame of a run."""
+
+    def frame(self, now_ns, times, poses):
+        yield from self._findings
+
+    def tick(self, robots):
+        yield from ()
+
+
+def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
+    """Regression: what was warned of since the last tick was lost."""
+
+    def checks_of(rules):
+        return replace(robot_checks(rules), checks=(FindsInFrames(Warn("green wanders")),))
+
+    course = Course(RULES, checks_of)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    course.bad = 21
+    ruling = course.frame()
+    assert ruling.reason == "21 damaged camera frames within a second"
+    assert ruling.warnings == ("green wanders",)
+
+
 def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(Finds(Lose(1, "it is gone")),))

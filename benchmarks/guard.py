@@ -231,9 +231,9 @@ def alarms(first: int, last: int) -> None:
         near = "too close" in result.reason  # which they truly are
         close += near
         ended += not result.outcome.complete and not near
-        refused += guard.jumps > 0
-        if guard.jumps or not result.outcome.complete:
-            print(f"trial {trial}: {result.summary}, {guard.jumps} poses refused", flush=True)
+        refused += guard.refusals > 0
+        if guard.refusals or not result.outcome.complete:
+            print(f"trial {trial}: {result.summary}, {guard.refusals} poses refused", flush=True)
         if trial == last - 1 or trial % 10 == 9:
             print(
                 f"{trial + 1 - first} trials: {ended} false alarms, {refused} with refused poses, "

@@ -40,10 +40,14 @@ class Warn:
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """The run ends. The poses of the robots `false` are not accepted any more."""
+    """The run ends. The poses of the robots `false` are not accepted any more. `suspect` is the one
+    robot that seems to be at fault, None if it is none or several: the guard then asks whether it
+    was the camera, the radio or another robot.
+    """
 
     text: str
     false: tuple[int, ...] = ()
+    suspect: int | None = None
 
 
 Finding = Refuse | Moved | Lose | Warn | Abort

@@ -111,7 +111,7 @@ class _Bench:
         self._scale, self.limit = section.outputs(self.name, limit)
         guard = rig.guard
         fastest = (500.0 / self.rig.mm,), (12.0,)  # faster than any robot during calibration
-        guard.limit(
+        guard.change_rules(
             replace(guard.rules, speeds=fastest[0], turning=fastest[1], silence_ns=3 * SECOND)
         )
 
@@ -127,7 +127,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name} does not answer", "find the cause with `tetractl lab check`"
             )
-        rig.guard.ready()
+        rig.guard.pass_preflight()
 
     def close(self) -> None:
         """Stop the robot and release the devices."""

@@ -1,88 +1,143 @@
 """The guard: decides, at every tick, which robots may move. It does no I/O and reads no clock.
 
-    preflight --ready()--> ready --go()--> run <--> hold
-                             ^              |        |
-                             +---- rest() --+--------+      any --> abort, for good
+What its words mean:
 
-In `hold`, one robot or all are stopped because of a fault that may pass; robots that can only be
-stopped together continue to be steered while one is not tracked. `abort` is final. Lengths are in
-the spec's length unit, times ns on the run's clock.
+- a pose is *refused* if it cannot be its robot's, else *accepted*;
+- a robot is *hidden* if its last accepted pose is over 0.05 s older than the newest frame; it must
+  stop until it is seen again;
+- a robot *disobeys* if its newest pose was refused because it moves as no command does;
+- a robot is *lost* if the run goes on without it, until another body replaces it;
+- a *ghost* is a robot whose poses are refused for good: what the camera shows is another body;
+- robots drive *ahead*, or turn on the spot and wait for a plan;
+- the *rules* are the limits of the spec; the *checks* depend on what robots a device has.
+
+Its states, and the calls that change them:
+
+    preflight --pass_preflight--> ready --start_run--> run <--decide--> hold
+                                    ^                   |                |
+                                    +----- end_run -----+----------------+      any --abort--> abort
+
+In `ready` no robot moves: before a run, in a pause and after it. In `hold`, one robot or all are
+stopped because of a fault that may pass; robots that can only be stopped together continue to be
+steered while one is hidden. `abort` is final.
+
+Why a run is aborted. The first reason stays; in one step of the inner loop they come in this order:
+
+     1  this program stood still                               check_awake
+     2  the camera says that a frame's poses are wrong         check_frame, for each frame
+     3  the last robot is lost, since it is not tracked        check_frame, if a run may lose robots
+     4  a check finds it in the poses: they drift              check_frame, in the order of checks
+     5  the operator stops all robots                          abort
+     6  the actuator cannot send any more                      decide
+     7  much of what the camera sends is damaged               decide: damaged_frames of RUN_CHECKS
+     8  the controller gives no direction                      decide: silent_controller
+     9  no new frame comes                                     decide: silent_camera
+    10  a robot disobeys, is not tracked or seen too rarely    decide: untracked_robots
+    11  a check finds it in the places: robots come too near   decide, in the order of checks
+
+and between two steps, control steps that are late (note_step) and, by `abort`, what only others can
+know: a robot that moves in a pause, a device or inner loop that fails.
+
+The inner loop's thread makes all calls but `note_step`, `abort`, `lose_robot` and `replace_robot`,
+which the controller's thread may make at any time. Lengths are in the spec's length unit, times ns
+on the run's clock.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.experiment.lab_section import UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.accepted_poses import MotionLimits
+from tetractl.lab.camera_stream import CameraStream, no_frame_text, with_outdated
 from tetractl.lab.culprit import Culprit
-from tetractl.lab.damage_count import DamageCount
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.guard_checks import ChecksOf, GuardChecks, robot_checks
-from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
-from tetractl.lab.motion_check import REPEATS, STILL
-from tetractl.lab.pose_filter import MotionLimits, PoseFilter
+from tetractl.lab.guard_checks import ChecksOf, robot_checks
+from tetractl.lab.guard_records import GuardRules, GuardState, GuardStatus, Ruling
+from tetractl.lab.motion_check import REPEATS
+from tetractl.lab.pose_decision import PoseDecision, PoseReading, PoseStatus
+from tetractl.lab.robot_track import RobotTrack
+from tetractl.lab.run_checks import RUN_CHECKS, RobotSituation, Situation, untracked_text
 
-DAMAGED_MAX = 20  # number of damaged pictures or datagrams within a second
+JUMP_HEADING = 0.7
+"""A heading may differ by so much in no time [rad], as `jump_mm` says it of a position."""
 
 
 @dataclass(slots=True)
+class Pace:
+    """When program and controller did something last."""
+
+    ticked_ns: int | None = None
+    directed_ns: int = 0
+    ahead: bool = True
+    late_steps: int = 0  # in a row
+    driven: bool = False  # whether a run has begun, after which no robot is carried
+
+
+@dataclass(slots=True)
+class Warnings:
+    """Warnings that no ruling has passed on yet, and all that are given once only."""
+
+    waiting: list[str] = field(default_factory=list)
+    _given: set[str] = field(default_factory=set)
+
+    def add(self, text: str) -> None:
+        """Add a warning."""
+        self.waiting.append(text)
+
+    def add_once(self, text: str) -> None:
+        """Add a warning, unless it was given before."""
+        if text not in self._given:
+            self._given.add(text)
+            self.waiting.append(text)
+
+    def take(self) -> tuple[str, ...]:
+        """Return the waiting warnings, and let them wait no more."""
+        taken = tuple(self.waiting)
+        self.waiting.clear()
+        return taken
+
+
 class Guard:
     """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks.
 
     `checks_of` makes the list of checks of the robots: of wheeled ones by default.
     """
 
-    rules: GuardRules
-    checks_of: ChecksOf = robot_checks
-    state: GuardState = GuardState.PREFLIGHT
-    reason: str = ""
-    emergency: bool = False
-    jumps: int = 0  # number of poses that were refused
-    lost: dict[int, int] = field(default_factory=dict)  # robots, and when each was last seen [ns]
-    outdated: int = 0  # frames dropped since the last start because they were not newer
-    _filters: list[PoseFilter] = field(default_factory=list)
-    _checks: GuardChecks = field(init=False)
-    culprit: Culprit = field(init=False)
-    _last_frame_ns: int | None = None
-    _apart: bool = False  # whether the poses of the newest frame have times of their own
-    _outdated_in_a_row: int = 0
-    _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
-    _warned: set[str] = field(default_factory=set)
-    _warnings: list[str] = field(default_factory=list)  # warnings not yet returned
-    # robots seen to move in a pause as no command does, and how
-    moved: dict[int, str] = field(default_factory=dict)
-    _driven: bool = False  # whether `go` was called: robots are not carried any more
-    _last_tick_ns: int | None = None
-    _steered_ns: int = 0
-    _ahead: bool = True
-    _damaged: DamageCount = field(default_factory=DamageCount)
-    _late: int = 0
-    _disobedient: set[int] = field(default_factory=set)  # robots that disobeyed in the newest frame
-    _ghosts: dict[int, str] = field(default_factory=dict)  # robots refused for good, and why
+    def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
+        self.rules = rules
+        self._checks_of = checks_of
+        self._status = GuardStatus()
+        self._stream = CameraStream()
+        self._pace = Pace()
+        self._warnings = Warnings()
+        self._make_tracks_and_checks()
 
-    def __post_init__(self) -> None:
-        rules, limits, mm = self.rules, self.rules.limits, self.rules.mm
-        low, high = limits.height_mm
-        motion_limits = partial(
-            MotionLimits,
-            jump=limits.jump_mm / mm,
-            jump_heading=0.7,
-            lowest=low / mm,
-            highest=high / mm,
-            tilt=limits.tilt,
-            mm=mm,
-        )
-        self._filters = [
-            PoseFilter(motion_limits(speed, turning))
-            for speed, turning in zip(rules.speeds, rules.turning, strict=True)
-        ]
-        self._checks = self.checks_of(rules)
-        self.culprit = Culprit(rules.names, self.drift, mm)
+    def _make_tracks_and_checks(self) -> None:
+        rules = self.rules
+        self._robots = [RobotTrack.of(limits) for limits in motion_limits(rules)]
+        self._checks = self._checks_of(rules)
+        self.culprit = Culprit(rules.names, self.drift, rules.mm)
+
+    # ---- what others may know ----
+
+    @property
+    def state(self) -> GuardState:
+        """The state."""
+        return self._status.state
+
+    @property
+    def reason(self) -> str:
+        """Why the run was aborted, "" if it was not."""
+        return self._status.reason
+
+    @property
+    def emergency(self) -> bool:
+        """Whether the operator has stopped the robots, for good."""
+        return self._status.emergency
 
     @property
     def drift(self) -> DriftCheck:
@@ -97,65 +152,155 @@ class Guard:
     @property
     def refused(self) -> tuple[str, ...]:
         """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
-        return tuple(track.refused for track in self._filters)
+        return tuple(robot.refused for robot in self._robots)
 
-    def limit(self, rules: GuardRules) -> None:
-        """Use other rules from now on, before a run; poses and motion are compared by them, too."""
+    @property
+    def lost(self) -> dict[int, int]:
+        """The lost robots and when each was last seen [ns], the longest ago first."""
+        lost = {i: robot.lost_ns for i, robot in enumerate(self._robots)}
+        seen = [(ns, i) for i, ns in lost.items() if ns is not None]
+        return {i: ns for ns, i in sorted(seen)}
+
+    @property
+    def moved(self) -> dict[int, str]:
+        """The robots that were seen to move in a pause, and how."""
+        return {i: robot.strayed for i, robot in enumerate(self._robots) if robot.strayed}
+
+    @property
+    def refusals(self) -> int:
+        """The number of poses that were refused so far."""
+        return self._stream.refused
+
+    @property
+    def dropped(self) -> int:
+        """The number of frames since the last start that were dropped, as they were not newer."""
+        return self._stream.dropped
+
+    @property
+    def newest_frame_ns(self) -> int | None:
+        """When the newest frame was exposed, None before the first."""
+        return self._stream.exposed_ns
+
+    @property
+    def _in_run(self) -> bool:
+        return self.state in (GuardState.RUN, GuardState.HOLD)
+
+    def why_no_frame(self, silent_ns: int) -> str:
+        """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
+        return self.reason or with_outdated(no_frame_text(silent_ns), self._stream.outdated)
+
+    # ---- states ----
+
+    def change_rules(self, rules: GuardRules) -> None:
+        """Use other rules from now on, before a run."""
         self.rules = rules
-        self.__post_init__()
+        self._make_tracks_and_checks()
 
-    def ready(self) -> None:
+    def pass_preflight(self) -> None:
         """Enter `ready`: the preflight has passed."""
         if self.state is GuardState.PREFLIGHT:
-            self.state = GuardState.READY
+            self._enter(GuardState.READY)
 
-    def go(self, now_ns: int) -> None:
+    def start_run(self, now_ns: int) -> None:
         """Enter `run`, so that robots may move; only from `ready`."""
-        if self.state is GuardState.READY:
-            self.state = GuardState.RUN
-            self._last_tick_ns = self._steered_ns = now_ns
-            self._driven, self.outdated = True, 0
-            for check in self._checks.checks:
-                check.start()
-            self._disobedient.clear()
-            for track in self._filters:  # motion before the run is ignored: robots were carried
-                track.forget()
+        if self.state is not GuardState.READY:
+            return
+        self._enter(GuardState.RUN)
+        self._pace.ticked_ns = now_ns
+        self._pace.directed_ns = now_ns
+        self._pace.driven = True
+        self._stream.dropped = 0
+        for check in self._checks.checks:
+            check.start()
+        for robot in self._robots:
+            robot.start_run()
 
-    def rest(self) -> None:
+    def end_run(self) -> None:
         """Return to `ready`: the run has ended normally and the robots are stopped."""
-        if self.state in (GuardState.RUN, GuardState.HOLD):
-            self.state = GuardState.READY
+        if self._in_run:
+            self._enter(GuardState.READY)
 
     def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
         """Enter `abort`, for good; later calls do not change the reason. `suspect` is the robot
-        whose poses may be false, None for no one robot."""
-        self.emergency |= emergency
-        if self.state is not GuardState.ABORT:
-            self.state, self.reason = GuardState.ABORT, reason
-            self.culprit.suspect = suspect
-            limit, newest = UNTRACKED_STOP_S * SECOND, self._last_frame_ns or 0
-            self._ghosts = {
-                i: track.refused
-                for i, track in enumerate(self._filters)
-                if track.refused and newest - track.seen_ns > limit
-            }
+        that seems to be at fault, None for no one robot. Robots that are hidden since their poses
+        are refused become ghosts.
+        """
+        if self.state is GuardState.ABORT:
+            self._status = replace(self._status, emergency=self.emergency or emergency)
+            return
+        self._status = GuardStatus(GuardState.ABORT, reason, emergency)
+        self.culprit.suspect = suspect
+        for robot in self._robots:
+            if robot.refused and robot.hidden(self._stream.newest_ns):
+                robot.ghost = robot.refused
 
-    def steered(self, now_ns: int, ahead: bool = True) -> None:
-        """Record that the controller gave a direction; if not `ahead`, robots turn on the spot."""
-        self._steered_ns, self._ahead = now_ns, ahead
+    def correct_reason(self, reason: str) -> None:
+        """Give a better reason of an abort."""
+        self._status = replace(self._status, reason=reason)
 
-    def late(self, missed: bool) -> None:
-        """Count a control step that missed its deadline; abort after `late_steps` in a row."""
-        self._late = self._late + 1 if missed and self._ahead else 0
-        if self._late >= self.rules.limits.late_steps and self._active:
-            self.abort(f"{self._late} control steps in a row were late")
+    def name_culprit(self) -> None:
+        """After an abort, correct its reason once if not the suspected robot is at fault; slow, so
+        to be called once the robots are stopped.
+        """
+        culprit = self.culprit.why(self.reason)
+        if culprit:
+            self.correct_reason(culprit)
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+    def lose_robot(self, i: int, reason: str) -> None:
+        """Continue without a robot; abort if the rules forbid that or no other robot is left."""
+        robot = self._robots[i]
+        if robot.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
+            return
+        others = [other for other in self._robots if other is not robot and not other.lost]
+        if not self.rules.goes_on or not others:
+            self.abort(reason)
+            return
+        robot.lost_ns = robot.poses.last_ns
+        self._warnings.add(f"{reason}: the run goes on without this robot")
+
+    def replace_robot(self, i: int) -> None:
+        """Continue with another body in place of a lost robot."""
+        limits = self._robots[i].poses.limits
+        self._robots[i] = RobotTrack.of(limits, seen_ns=self._stream.newest_ns)
+        self._checks.motion.forget(i)
+
+    def _enter(self, state: GuardState) -> None:
+        self._status = replace(self._status, state=state)
+
+    # ---- what controller and actuator did ----
+
+    def note_direction(self, now_ns: int, ahead: bool = True) -> None:
+        """Note that the controller gave a direction; if not `ahead`, robots turn on the spot."""
+        self._pace.directed_ns = now_ns
+        self._pace.ahead = ahead
+
+    def note_step(self, missed: bool) -> None:
+        """Note whether a control step missed its deadline; abort after `late_steps` in a row."""
+        pace = self._pace
+        pace.late_steps = pace.late_steps + 1 if missed and pace.ahead else 0
+        if pace.late_steps >= self.rules.limits.late_steps and self._in_run:
+            self.abort(f"{pace.late_steps} control steps in a row were late")
+
+    def note_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Note a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
         for check in self._checks.checks:
             check.sent(now_ns, speed, turning)
 
-    def see(self, frame: CameraFrame) -> AcceptedFrame | None:
+    # ---- each step of the inner loop: check_awake, check_frame for each new frame, decide ----
+
+    def check_awake(self, now_ns: int) -> None:
+        """Abort if nothing was decided for `stream_lost`; to be called before frames are checked
+        that waited meanwhile.
+        """
+        ticked_ns = self._pace.ticked_ns
+        asleep_ns = 0 if ticked_ns is None else now_ns - ticked_ns
+        if self._in_run and asleep_ns >= self.rules.limits.stream_lost * SECOND:
+            self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
+        self._pace.ticked_ns = now_ns
+
+    def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
         Returns None for a frame that was exposed before, or together with, a frame already checked;
@@ -163,236 +308,264 @@ class Guard:
         """
         if frame.fault:
             self.abort(frame.fault)
-        now, newest = frame.sampled_ns, self._last_frame_ns
-        if newest is not None and now <= newest:
-            self.outdated += 1
-            self._outdated_in_a_row += 1
-            self._behind_ns = newest - now
-            if self._active and self.outdated == 1:
-                self._warn(f"a camera frame {self._behind()} was dropped")
+        if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
+            if self._in_run and self._stream.dropped == 1:
+                behind = self._stream.outdated.behind
+                self._warnings.add_once(f"a camera frame {behind} was dropped")
             return None
-        self._last_frame_ns, self._outdated_in_a_row = now, 0
-        times = frame.times([track.seen_ns for track in self._filters])
-        self._apart, judged = bool(frame.exposed_ns), self._checks.motion.times
+        in_run = self._in_run  # all poses were exposed in the run, even if it ends by one of them
+        readings = self._readings(frame)
+        times = tuple(reading.exposed_ns for reading in readings)
         self._checks.motion.frame(times)
-        self.culprit.see(now, frame.poses, times)
-        fresh = list[bool]()
-        gone_ns = self.rules.limits.untracked_abort * SECOND
-        in_run = self._active  # a loss below may end the run: all poses were exposed before
-        for i, track in enumerate(self._filters):
-            if in_run:
-                track.frame(now, self.rules.limits.stale * SECOND)
-            if self.rules.goes_on and now - track.seen_ns >= gone_ns:
-                self.lose(i, self._untracked(i, now))
-        for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
-            same = frame.exposed_ns and times[i] <= max(track.seen_ns, judged[i])
-            if pose is None or not same:
-                self._disobedient.discard(i)
-            if pose is None or i in self.lost:
-                track.lost()
-            elif same:
-                pass  # the pose that was accepted or refused before
-            elif not track.add(pose, times[i], self._fault(i, pose, times[i], in_run)):
-                self.jumps += 1
-            seen = pose is not None and i not in self.lost and not track.refused
-            fresh.append(seen and now - track.seen_ns <= UNTRACKED_STOP_S * SECOND)
-        poses = tuple(track.pose for track in self._filters)
-        own = tuple(track.seen_ns for track in self._filters) if self._apart else ()
-        accepted = AcceptedFrame(frame, poses, tuple(fresh), own)
-        if self._active:
-            for check in self._checks.checks:
-                for finding in check.frame(now, times, accepted.poses):
-                    self._take(finding)
+        self.culprit.see(frame.sampled_ns, frame.poses, times)
+        if in_run:
+            self._count_absence()
+        if self.rules.goes_on:
+            self._lose_unseen()
+        decisions = [self._decide_pose(i, read, in_run) for i, read in enumerate(readings)]
+        for robot, reading, decision in zip(self._robots, readings, decisions, strict=True):
+            self._record_pose(robot, reading, decision)
+        for decision in decisions:
+            self._record(decision.findings)
+        accepted = self._accepted(frame)
+        for check in self._checks.checks:
+            if self._in_run:
+                self._record(check.frame(frame.sampled_ns, times, accepted.poses))
         return accepted
 
-    def lose(self, i: int, reason: str) -> None:
-        """Continue without a lost robot; abort if the rules forbid that or no robot is left."""
-        if i in self.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
-            return
-        if not self.rules.goes_on or len(self.lost) + 1 == len(self._filters):
-            self.abort(reason)
-        else:
-            self.lost[i] = self._filters[i].seen_ns
-            self._warnings.append(f"{reason}: the run goes on without this robot")
-
-    def replaced(self, i: int) -> None:
-        """Continue with another body in place of a lost robot."""
-        del self.lost[i]
-        self._ghosts.pop(i, None)
-        self._disobedient.discard(i)
-        self.moved.pop(i, None)
-        self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
-        self._checks.motion.forget(i)
-
-    def no_frame(self, silent_ns: int) -> str:
-        """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
-        text = self.reason or f"no new camera frame for {silent_ns / SECOND:.2f} s"
-        old = self._outdated_in_a_row if not self.reason else 0
-        return f"{text}: {old} outdated frames came, the last {self._behind()}" if old else text
-
-    def awake(self, now_ns: int) -> None:
-        """Abort if nothing was decided for `stream_lost` before the time of a tick; to be called
-        before frames are seen that waited meanwhile.
-        """
-        asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
-        if self._active and asleep_ns >= self.rules.limits.stream_lost * SECOND:
-            self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
-        self._last_tick_ns = now_ns
-
-    def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
+    def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now.
 
         `damaged` is the number of pictures or datagrams so far that the camera could not read,
         `failure` is why the actuator cannot send any more, None if it can.
         """
-        limits = self.rules.limits
-        self.awake(now_ns)
+        self.check_awake(now_ns)
         if failure:
             self.abort(failure)
+        recently_damaged = self._stream.damage.recent(now_ns, damaged)
+        poses = tuple(self._pose_now(i) for i in range(len(self._robots)))
         warnings: tuple[str, ...] = ()
-        if self._active:
-            warnings, self._warnings = tuple(self._warnings), []
-        if (recent := self._damaged.recent(now_ns, damaged)) > DAMAGED_MAX and self._active:
-            self.abort(f"{recent} damaged camera frames within a second")
-        tracked = self._tracked()
-        accepted = tuple(self._at_once(i) if ok else None for i, ok in enumerate(tracked))
-        if self._active:
-            silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
-            if self._ahead and silent_ns >= self.rules.silence_ns:
-                silent = f"the controller gave no direction for {silent_ns / SECOND:.1f} s"
-                self.abort(f"{steps} control steps in a row were late: {silent}")
-            if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= limits.stream_lost * SECOND:
-                self.abort(self.no_frame(unseen_ns))
-            self._check_tracking()
-            self._check_places(accepted)
-            warnings, self._warnings = (*warnings, *self._warnings), []
-        if not self._active:
-            still = (False,) * len(self._filters)
-            return Ruling(self.state, still, accepted, self.reason, warnings)
-        fresh = now_ns - (self._last_frame_ns or 0) <= limits.stale * SECOND
-        # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
-        turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
-        fresh &= self._ahead or now_ns - self._steered_ns < turn_ns
-        tracked = self._tracked()  # without those that were lost just now
-        one_by_one = fresh and not self.together
-        moving = tracked if one_by_one else (fresh,) * len(tracked)
-        well = zip(moving, tracked, self._left, strict=True)
-        held = any(left and not (move and seen) for move, seen, left in well)
-        self.state = GuardState.HOLD if held else GuardState.RUN
-        return Ruling(self.state, moving, accepted, "", warnings)
+        if self._in_run:
+            self._check_run(self._situation(now_ns, recently_damaged), poses)
+            warnings = self._warnings.take()
+        if not self._in_run:
+            none = (False,) * len(self._robots)
+            return Ruling(self.state, none, poses, self.reason, warnings)
+        moving = self._moving(now_ns)
+        self._enter(GuardState.HOLD if self._must_hold(moving) else GuardState.RUN)
+        return Ruling(self.state, moving, poses, "", warnings)
 
-    def _behind(self) -> str:
-        return f"exposed {self._behind_ns / SECOND:.2f} s before the newest frame"
+    # ---- a frame ----
 
-    @property
-    def _active(self) -> bool:
-        return self.state in (GuardState.RUN, GuardState.HOLD)
+    def _readings(self, frame: CameraFrame) -> tuple[PoseReading, ...]:
+        """Return the robots' readings; to be called before the motion check takes the frame."""
+        times = frame.times([robot.poses.last_ns for robot in self._robots])
+        compared = self._checks.motion.times  # times of the poses that were compared last
+        readings: list[PoseReading] = []
+        for i, robot in enumerate(self._robots):
+            is_new = not frame.exposed_ns or times[i] > max(robot.poses.last_ns, compared[i])
+            readings.append(PoseReading(frame.poses[i], times[i], is_new))
+        return tuple(readings)
 
-    def _fault(self, i: int, pose: Pose, now_ns: int, in_run: bool) -> str:
-        """Return why a pose of robot i, exposed in a run or not, is not accepted, "" if it is.
+    def _count_absence(self) -> None:
+        """Count for how long each robot was not seen, up to the newest frame of a run."""
+        for robot in self._robots:
+            recent_until_ns = robot.poses.last_ns + self.rules.limits.stale * SECOND
+            robot.absence.count(self._stream.newest_ns, recent_until_ns)
 
-        Motion is compared with commands only while a run may move the robot. In a pause it is noted
-        in `moved`, since a stop may be lost and sent again.
-        """
-        track = self._filters[i]
-        before = track.pose
-        fault = self._ghosts.get(i) or track.fault(pose, now_ns, self._driven)
-        if fault or before is None:
-            return fault
+    def _lose_unseen(self) -> None:
+        """Lose each robot that was not tracked until the newest frame, even if it is in it."""
+        limit_ns = self.rules.limits.untracked_abort * SECOND
+        for i, robot in enumerate(self._robot_situations()):
+            if robot.untracked_ns >= limit_ns:
+                self.lose_robot(i, untracked_text(robot))
+
+    def _decide_pose(self, i: int, reading: PoseReading, in_run: bool) -> PoseDecision:
+        """Return what becomes of the pose of robot i; only its checks remember anything of it."""
+        robot = self._robots[i]
+        pose = reading.pose
+        before = robot.poses.last
+        if pose is None or robot.lost:
+            return PoseDecision(PoseStatus.MISSING)
+        if not reading.is_new:
+            return PoseDecision(PoseStatus.UNCHANGED)
+        fault = robot.ghost or robot.poses.fault(pose, reading.exposed_ns, self._pace.driven)
+        if fault:
+            return PoseDecision(PoseStatus.REFUSED, fault)
+        if before is None or not self._pace.driven:
+            return PoseDecision(PoseStatus.ACCEPTED)
         if not in_run:
-            if self._driven:
-                for check in self._checks.checks:
-                    for finding in check.pause(i, before, pose, now_ns):
-                        self._take(finding)
-            return ""
-        if pose == before:  # a robot may stand, or a picture is frozen: not a motion to compare
-            stays = track.refused == REPEATS or self._checks.motion.stays(i)
-            return REPEATS if stays else ""
-        fault = ""
+            return self._compare_in_pause(i, before, reading)
+        if pose != before:
+            return self._compare_in_run(i, before, pose)
+        # a robot may stand, or a picture is frozen: this is not a motion to compare
+        if robot.refused == REPEATS or self._checks.motion.stays(i):
+            return PoseDecision(PoseStatus.REFUSED, REPEATS)
+        return PoseDecision(PoseStatus.ACCEPTED)
+
+    def _compare_in_pause(self, i: int, before: Pose, reading: PoseReading) -> PoseDecision:
+        """Return that a pose is accepted, and what the checks note: a stop may be lost and sent
+        again."""
+        assert reading.pose is not None
+        findings: list[Finding] = []
         for check in self._checks.checks:
-            for finding in check.pose(i, before, pose):
-                if isinstance(finding, Refuse):
-                    self._disobedient.add(i)
-                    fault = fault or finding.text
-                else:
-                    self._take(finding)
-        return fault
+            findings.extend(check.pause(i, before, reading.pose, reading.exposed_ns))
+        return PoseDecision(PoseStatus.ACCEPTED, findings=tuple(findings))
 
-    def _take(self, finding: Finding) -> None:
-        """Let a finding of a check take effect."""
-        match finding:
-            case Moved():
-                self.moved.setdefault(finding.robot, finding.text)
-            case Lose():
-                self.lose(finding.robot, finding.text)
-            case Warn():
-                self._warn(finding.text)
-            case Abort():
-                suspect = finding.false[0] if len(finding.false) == 1 else None
-                self.abort(finding.text, suspect=suspect)
-                self._ghosts |= dict.fromkeys(finding.false, finding.text)
+    def _compare_in_run(self, i: int, before: Pose, pose: Pose) -> PoseDecision:
+        """Return what becomes of a pose by the checks; the first refusal is its reason."""
+        findings: list[Finding] = []
+        for check in self._checks.checks:
+            findings.extend(check.pose(i, before, pose))
+        for finding in findings:
+            if isinstance(finding, Refuse):
+                return PoseDecision(PoseStatus.REFUSED, finding.text, True, tuple(findings))
+        return PoseDecision(PoseStatus.ACCEPTED, findings=tuple(findings))
 
-    def _at_once(self, i: int) -> Pose | None:
-        """Return the accepted pose of robot i, brought to the newest frame's time if its own is
-        earlier."""
-        track = self._filters[i]
-        late_ns = (self._last_frame_ns or 0) - track.seen_ns
-        if track.pose is None or not self._apart or late_ns <= 0:
-            return track.pose
-        return self.drift.carried(i, track.pose, track.seen_ns, late_ns)
+    def _record_pose(self, robot: RobotTrack, reading: PoseReading, decision: PoseDecision) -> None:
+        """Let the decision on a robot's pose take effect."""
+        if decision.status is PoseStatus.UNCHANGED:
+            return
+        robot.refused = decision.refused
+        robot.disobeys = decision.disobeys
+        if decision.status is PoseStatus.REFUSED:
+            self._stream.refused += 1
+        if decision.status is PoseStatus.ACCEPTED and reading.pose is not None:
+            robot.poses.accept(reading.pose, reading.exposed_ns)
 
-    def _warn(self, text: str) -> None:
-        """Add a warning, unless it was given before."""
-        if text not in self._warned:
-            self._warned.add(text)
-            self._warnings.append(text)
+    def _accepted(self, frame: CameraFrame) -> AcceptedFrame:
+        """Return a frame with the accepted poses, which are recorded."""
+        poses: list[Pose | None] = []
+        fresh: list[bool] = []
+        times: list[int] = []
+        for robot, pose in zip(self._robots, frame.poses, strict=True):
+            in_frame = pose is not None and not robot.refused
+            poses.append(robot.poses.last)
+            fresh.append(in_frame and not robot.lost and not robot.hidden(frame.sampled_ns))
+            times.append(robot.poses.last_ns)
+        own_times = tuple(times) if frame.exposed_ns else ()
+        return AcceptedFrame(frame, tuple(poses), tuple(fresh), own_times)
 
-    def _tracked(self) -> tuple[bool, ...]:
-        limit, newest = UNTRACKED_STOP_S * SECOND, self._last_frame_ns or 0
-        # a stopped stream is reported as stopped, not as untracked robots
-        return tuple(
-            left and track.pose is not None and newest - track.seen_ns <= limit
-            for left, track in zip(self._left, self._filters, strict=True)
+    # ---- a tick ----
+
+    def _situation(self, now_ns: int, damaged: int) -> Situation:
+        return Situation(
+            rules=self.rules,
+            undirected_ns=now_ns - self._pace.directed_ns,
+            ahead=self._pace.ahead,
+            frameless_ns=now_ns - self._stream.newest_ns,
+            outdated=self._stream.outdated,
+            damaged=damaged,
+            robots=self._robot_situations(),
         )
 
-    def _check_tracking(self) -> None:
-        limits, newest = self.rules.limits, self._last_frame_ns or 0
-        for i, (name, track) in enumerate(zip(self.rules.names, self._filters, strict=True)):
-            lost_ns = newest - track.seen_ns
-            if not self._active:
-                return  # aborted for a robot before this one
-            if i in self.lost:
-                continue
-            still = self.rules.goes_on and track.refused == STILL  # lost, as one not tracked
-            if i in self._disobedient and not still and lost_ns > UNTRACKED_STOP_S * SECOND:
-                self.abort(f"{name} {track.refused}", suspect=i)
-            elif lost_ns >= limits.untracked_abort * SECOND:
-                self.lose(i, self._untracked(i, newest))
-            # unseen for three times as long, though not all at once
-            elif track.unseen_ns >= 3.0 * limits.untracked_abort * SECOND:
-                self.lose(i, f"{name} is seen too rarely: it, or frames, are missing too often")
+    def _robot_situations(self) -> tuple[RobotSituation, ...]:
+        newest_ns = self._stream.newest_ns
+        return tuple(
+            RobotSituation(
+                name=name,
+                lost=robot.lost,
+                refused=robot.refused,
+                disobeys=robot.disobeys,
+                hidden=robot.hidden(newest_ns),
+                untracked_ns=robot.untracked_ns(newest_ns),
+                unseen_ns=robot.absence.unseen_ns,
+            )
+            for name, robot in zip(self.rules.names, self._robots, strict=True)
+        )
 
-    @property
-    def _left(self) -> tuple[bool, ...]:
-        return tuple(i not in self.lost for i in range(len(self._filters)))
-
-    def _untracked(self, i: int, now_ns: int) -> str:
-        track = self._filters[i]
-        why = f": {track.refused}" if track.refused else ""
-        seconds = (now_ns - track.seen_ns) / SECOND
-        return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
-
-    def _check_places(self, poses: Sequence[Pose | None]) -> None:
-        """Check where the robots are, whose `poses` (N,) are those at the newest frame; nothing is
-        looked for any more once the run is aborted."""
-        reaction = self.rules.limits.reaction
-        robots: list[RobotPlace] = []
-        for i, (pose, track) in enumerate(zip(poses, self._filters, strict=True)):
-            stands = i in self.lost or not self._ahead
-            way = 0.0 if stands else self.rules.speeds[i] * reaction
-            robots.append(RobotPlace(pose, track.pose, i in self.lost, way))
+    def _check_run(self, situation: Situation, poses: Sequence[Pose | None]) -> None:
+        """Look for what ends the run, in the order of the table above, up to the first abort."""
+        for check in RUN_CHECKS:
+            self._record(check(situation))
+            if not self._in_run:
+                return
+        places = self._places(poses)  # without the robots that were lost just now
         for check in self._checks.checks:
-            for finding in check.tick(robots):
-                if not self._active:
-                    return
-                self._take(finding)
+            self._record(check.tick(places))
+            if not self._in_run:
+                return
+
+    def _pose_now(self, i: int) -> Pose | None:
+        """Return the accepted pose of robot i at the newest frame, None if it is hidden or lost; a
+        pose that is older is carried on by the commands."""
+        robot = self._robots[i]
+        pose = robot.poses.last
+        if pose is None or not robot.tracked(self._stream.newest_ns):
+            return None
+        late_ns = robot.untracked_ns(self._stream.newest_ns)
+        if not self._stream.own_times or late_ns <= 0:
+            return pose
+        return self.drift.carried(i, pose, robot.poses.last_ns, late_ns)
+
+    def _places(self, poses: Sequence[Pose | None]) -> tuple[RobotPlace, ...]:
+        """Return where the robots are, whose `poses` (N,) are those at the newest frame."""
+        places: list[RobotPlace] = []
+        for robot, pose, speed in zip(self._robots, poses, self.rules.speeds, strict=True):
+            stands = robot.lost or not self._pace.ahead
+            way = 0.0 if stands else speed * self.rules.limits.reaction
+            places.append(RobotPlace(pose, robot.poses.last, robot.lost, way))
+        return tuple(places)
+
+    def _moving(self, now_ns: int) -> tuple[bool, ...]:
+        """Return which robots may move in a run (N,)."""
+        newest_ns = self._stream.newest_ns
+        fresh = now_ns - newest_ns <= self.rules.limits.stale * SECOND
+        # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
+        turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
+        directed = self._pace.ahead or now_ns - self._pace.directed_ns < turn_ns
+        may = fresh and directed
+        if self.together:
+            return (may,) * len(self._robots)
+        return tuple(may and robot.tracked(newest_ns) for robot in self._robots)
+
+    def _must_hold(self, moving: Sequence[bool]) -> bool:
+        """Return whether a robot that is not lost is stopped, or is steered while it is hidden."""
+        newest_ns = self._stream.newest_ns
+        for robot, moves in zip(self._robots, moving, strict=True):
+            if not robot.lost and not (moves and robot.tracked(newest_ns)):
+                return True
+        return False
+
+    # ---- findings ----
+
+    def _record(self, findings: Iterable[Finding]) -> None:
+        """Let findings take effect, up to the first abort."""
+        for finding in findings:
+            if self.state is GuardState.ABORT:
+                return
+            self._record_one(finding)
+
+    def _record_one(self, finding: Finding) -> None:
+        match finding:
+            case Refuse():
+                pass  # part of the decision on a pose
+            case Moved():
+                robot = self._robots[finding.robot]
+                robot.strayed = robot.strayed or finding.text
+            case Lose():
+                self.lose_robot(finding.robot, finding.text)
+            case Warn():
+                self._warnings.add_once(finding.text)
+            case Abort():
+                self.abort(finding.text, suspect=finding.suspect)
+                for i in finding.false:
+                    self._robots[i].ghost = finding.text
+
+
+def motion_limits(rules: GuardRules) -> list[MotionLimits]:
+    """Return the limits of each robot's motion, in the spec's length unit."""
+    lowest_mm, highest_mm = rules.limits.height_mm
+    return [
+        MotionLimits(
+            speed=speed,
+            turning=turning,
+            jump=rules.limits.jump_mm / rules.mm,
+            jump_heading=JUMP_HEADING,
+            lowest=lowest_mm / rules.mm,
+            highest=highest_mm / rules.mm,
+            tilt=rules.limits.tilt,
+            mm=rules.mm,
+        )
+        for speed, turning in zip(rules.speeds, rules.turning, strict=True)
+    ]

@@ -101,7 +101,8 @@ class Obeys(Check):
     """A pose is refused if it moves as no command of the last 0.3 s does."""
 
     def __init__(self, motion: MotionCheck, rules: GuardRules) -> None:
-        self._motion, self._share = motion, rules.limits.wheel_error
+        self._motion = motion
+        self._wheel_error = rules.limits.wheel_error
 
     def start(self) -> None:
         """Forget what was seen before."""
@@ -109,12 +110,21 @@ class Obeys(Check):
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission."""
-        self._motion.sent(now_ns, speed, turning, self._share)
+        self._motion.sent(now_ns, speed, turning, self._wheel_error)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Check a pose in a run."""
-        if fault := self._motion.disagrees(robot, before, pose):
+        fault = self._motion.disagrees(robot, before, pose)
+        if fault:
             yield Refuse(robot, fault)
+
+
+@dataclass(frozen=True, slots=True)
+class Straying:
+    """Since when a robot has been seen to move in a pause [ns], and its last pose before."""
+
+    since_ns: int
+    before: Pose
 
 
 class StandsInPauses(Check):
@@ -123,22 +133,21 @@ class StandsInPauses(Check):
 
     def __init__(self, motion: MotionCheck) -> None:
         self._motion = motion
-        # since when each robot was seen so [ns], and its last pose before
-        self._strays: dict[int, tuple[int, Pose]] = {}
+        self._straying: dict[int, Straying] = {}
 
     def start(self) -> None:
         """Forget what was seen before."""
-        self._strays.clear()
+        self._straying.clear()
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterator[Finding]:
         """Check a pose in a pause."""
-        since_ns, last = self._strays.get(robot, (now_ns, before))
-        fault = self._motion.disagrees(robot, last, pose)
+        straying = self._straying.get(robot, Straying(now_ns, before))
+        fault = self._motion.disagrees(robot, straying.before, pose)
         if not fault:
-            self._strays.pop(robot, None)
+            self._straying.pop(robot, None)
             return
-        self._strays[robot] = since_ns, last
-        if now_ns - since_ns > UNTRACKED_STOP_S * SECOND:
+        self._straying[robot] = straying
+        if now_ns - straying.since_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault)
 
 
@@ -146,7 +155,8 @@ class DrivesSteadily(Check):
     """The run is aborted if motion over the whole trial is none that wheels can make."""
 
     def __init__(self, motion: MotionCheck, drift: DriftCheck) -> None:
-        self._motion, self._drift = motion, drift
+        self._motion = motion
+        self._drift = drift
 
     def start(self) -> None:
         """Forget what was seen before."""
@@ -160,9 +170,9 @@ class DrivesSteadily(Check):
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
         """Check the accepted poses of a frame."""
-        wrong, false = self._drift.frame(now_ns, times, poses, self._motion.seen)
-        if wrong:
-            yield Abort(wrong, false)
+        text, false = self._drift.frame(now_ns, times, poses, self._motion.seen)
+        if text:
+            yield Abort(text, false, suspect=false[0] if len(false) == 1 else None)
 
 
 class Keeps(Check):
@@ -170,7 +180,8 @@ class Keeps(Check):
     one that was lost stands at its last pose."""
 
     def __init__(self, rules: GuardRules) -> None:
-        self._rules, self._places = rules, places_of(rules)
+        self._rules = rules
+        self._places = places_of(rules)
 
     def start(self) -> None:
         """Forget what was seen before."""
@@ -184,7 +195,8 @@ class Keeps(Check):
         """Check where the robots are."""
         coming: list[Coming] = []
         for i, robot in enumerate(robots):
-            name, pose = self._rules.names[i], robot.last if robot.lost else robot.pose
+            name = self._rules.names[i]
+            pose = robot.last if robot.lost else robot.pose
             if pose is None:
                 continue
             then = driven(pose, robot.way)
@@ -207,7 +219,8 @@ class Coming:
 
 def driven(pose: Pose, way: float) -> Pose:
     """Return a pose moved along its heading by `way`."""
-    dx, dy = way * math.cos(pose.heading), way * math.sin(pose.heading)
+    dx = way * math.cos(pose.heading)
+    dy = way * math.sin(pose.heading)
     return Pose(pose.x + dx, pose.y + dy, pose.heading)
 
 
@@ -215,8 +228,12 @@ def too_close(coming: Sequence[Coming], rules: GuardRules) -> Iterator[Finding]:
     """Yield an abort for each two robots that come nearer than the least distance."""
     for i, robot in enumerate(coming):
         for other in coming[:i]:
-            gap = math.hypot(robot.then.x - other.then.x, robot.then.y - other.then.y)
-            before = math.hypot(robot.now.x - other.now.x, robot.now.y - other.now.y)
-            if min(gap, before) * rules.mm < rules.limits.separation_mm and gap <= before:
-                distance_mm = before * rules.mm
-                yield Abort(f"{other.name} and {robot.name} are too close: {distance_mm:.0f} mm")
+            now = distance(robot.now, other.now)
+            then = distance(robot.then, other.then)
+            if then <= now and then * rules.mm < rules.limits.separation_mm:
+                yield Abort(f"{other.name} and {robot.name} are too close: {now * rules.mm:.0f} mm")
+
+
+def distance(first: Pose, second: Pose) -> float:
+    """Return the distance of two poses."""
+    return math.hypot(first.x - second.x, first.y - second.y)

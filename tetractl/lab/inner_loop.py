@@ -80,8 +80,8 @@ class InnerLoop:
             if not locked:
                 self.guard.abort("the inner loop did not answer")
                 raise AbortError(self.guard.reason)
-            self.guard.go(self._clock.now())
-            self.guard.steered(self._clock.now(), isinstance(action, Steer))
+            self.guard.start_run(self._clock.now())
+            self.guard.note_direction(self._clock.now(), isinstance(action, Steer))
             self._held, self._new = action, True
             self._guarded_tick()
             if self._new or self.last is None:
@@ -100,7 +100,7 @@ class InnerLoop:
         be sent; never raises."""
         with self._locked(STOP_S) as locked:
             self._held = self.idle = self._stop = None
-            self.guard.rest()
+            self.guard.end_run()
             self._stops_left, self._next_ns = STOPS, self._clock.now()
         while locked and self._stops_left:
             with self._locked(STOP_S) as locked:
@@ -174,11 +174,11 @@ class InnerLoop:
                     self._repeat_stop(now)
             fault = plugin_fault(error)  # slow, so after the stop
             if fault and self.guard.reason == reason:
-                self.guard.reason = fault.message
+                self.guard.correct_reason(fault.message)
 
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()
-        guard.awake(now)
+        guard.check_awake(now)
         for frame in self._camera.frames():
             if not _holdable(frame, len(guard.rules.names)):
                 text = "a frame that no log can hold"
@@ -189,23 +189,21 @@ class InnerLoop:
             if any(one > frame.sampled_ns for one in frame.exposed_ns):
                 text = "a pose exposed after the time of its frame"
                 raise WrongValueError(self._camera, "a camera", text)
-            if (accepted := guard.see(frame)) is not None:
+            if (accepted := guard.check_frame(frame)) is not None:
                 self.frames.append(accepted)
         if self._emergency.is_set() and not guard.emergency:
             guard.abort("emergency stop by the operator", emergency=True)
             self._stops_left, self._next_ns = STOPS, now  # after an abort, too: they latch
         if not isinstance(self._actuator.failure, str | None):
             raise WrongValueError(self._actuator, "an actuator", "a failure that is no text")
-        ruling = guard.tick(now, self._camera.damaged, self._actuator.failure)
+        ruling = guard.decide(now, self._camera.damaged, self._actuator.failure)
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT and not self._aborted:
             self._aborted = True
             self._stops_left, self._next_ns = STOPS, now
         if self._stops_left:
             self._repeat_stop(now)
-            guard.reason = (
-                guard.culprit.why(guard.reason) or guard.reason
-            )  # slow, so after the first stop
+            guard.name_culprit()  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
             self._steer(self._held, ruling, now)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
@@ -268,7 +266,7 @@ class InnerLoop:
         self.last = sent
         self._pass_on(sent)
         self._sent.append(sent)
-        self.guard.sent(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
+        self.guard.note_transmission(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
 
 
 def _holdable(frame: CameraFrame, robots: int) -> bool:

@@ -135,16 +135,16 @@ def _unguarded(rig: Rig) -> AcceptedFrame | None:
 def inspect(rig: Rig) -> Preflight:
     """Check some camera frames, both devices and the robots' answers, without moving a robot."""
     statuses = rig.actuator.poll(1.0)
-    outdated = rig.guard.outdated
+    outdated = rig.guard.dropped
     seen = _watch(rig)
-    outdated = rig.guard.outdated - outdated
+    outdated = rig.guard.dropped - outdated
     camera, actuator = rig.camera.check(), rig.actuator.check()
     newest = rig.frames.newest
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.frame.fault:
         problems.append(newest.frame.fault)
     if not seen:
-        problems.append(rig.guard.no_frame(rig.silent_ns()))
+        problems.append(rig.guard.why_no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(seen)
     comes_hz, own_hz = rate_hz(seen), rig.setup.sight.rate_hz
     slow = comes_hz is not None and comes_hz < 0.8 * own_hz
@@ -275,4 +275,4 @@ def _check_stream(rig: Rig) -> None:
     if newest is not None and newest.frame.fault:
         raise AbortError(newest.frame.fault)
     if silent_ns > max(rig.limits.stream_lost, 0.5) * SECOND:
-        raise AbortError(rig.guard.no_frame(silent_ns))
+        raise AbortError(rig.guard.why_no_frame(silent_ns))

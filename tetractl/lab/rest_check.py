@@ -76,7 +76,8 @@ def _stream_lost(rig: Rig) -> list[str]:
     """Return a line that says that no camera frames arrive; [] if frames arrive."""
     silent_ns = rig.silent_ns()
     if rig.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
-        return [f"the cameras do not show that the robots stand: {rig.guard.no_frame(silent_ns)}"]
+        why = rig.guard.why_no_frame(silent_ns)
+        return [f"the cameras do not show that the robots stand: {why}"]
     return []
 
 

@@ -109,7 +109,7 @@ class LabPlant:
         findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         self._news.extend(Note(now, "warning", warning) for warning in findings.all_warnings)
-        rig.guard.ready()
+        rig.guard.pass_preflight()
         self._read = (
             rig.frames.count - 1
         )  # the newest frame is read again, as `observe` may return it
@@ -137,7 +137,7 @@ class LabPlant:
         if self._observed_ns is not None and isinstance(action, Steer):
             period_ns = round(self.setup.period_s * SECOND)
             first = guard.state is GuardState.READY
-            guard.late(not first and self.clock.now() - self._observed_ns > period_ns)
+            guard.note_step(not first and self.clock.now() - self._observed_ns > period_ns)
         self._observed_ns = None
         self._check_pause()
         self._raise_abort()
@@ -209,7 +209,7 @@ class LabPlant:
         self._check_pause("after the stop")
         if not_at_rest:
             self._news.append(Note(self.clock.now(), "error", not_at_rest))
-        if outdated := self.rig.guard.outdated:
+        if outdated := self.rig.guard.dropped:
             self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
         if turns := self.rig.guard.drift.turns():
             self._news.append(Note(self.clock.now(), "info", turns))
@@ -285,14 +285,14 @@ class LabPlant:
         """
         guard, loss = self.rig.guard, self.setup.loss
         for lost in watch.lost():
-            guard.lose(lost.robot, lost.text)
+            guard.lose_robot(lost.robot, lost.text)
         if loss is None or not loss.replaced:
             return
         for i, seen_ns in list(guard.lost.items()):
             if now - seen_ns < loss.after_s * SECOND:
                 continue
             if what := watch.replace(i):
-                guard.replaced(i)
+                guard.replace_robot(i)
                 self._news.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:

@@ -148,7 +148,7 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if not isinstance(lab, LabSection) or setup.wheel_radius is None:
         return (), ()
     guard = Guard(guard_rules(setup, lab.limits))
-    guard.ready()
+    guard.pass_preflight()
     # the inner loop first takes the frames that have come, and then sends
     events = [(int(t_ns), False, i) for i, t_ns in enumerate(log.received_ns)]
     events += [(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
@@ -156,19 +156,19 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
         if is_command:
             _send(guard, log.commands[i], t_ns, 2 * setup.wheel_radius)
         else:
-            guard.see(_frame(log, i))
+            guard.check_frame(_frame(log, i))
     return guard.drift.turning()
 
 
 def _send(guard: Guard, command: Command, t_ns: int, track: float) -> None:
     """Let a guard take a command to robots whose wheels are `track` apart [length unit]."""
     if command.stops:
-        guard.rest()
+        guard.end_run()
     elif guard.state is GuardState.READY:
-        guard.go(t_ns)
+        guard.start_run(t_ns)
     if command.left is not None and command.right is not None:
         speed, turning = (command.left + command.right) / 2, (command.right - command.left) / track
-        guard.sent(t_ns, speed.tolist(), turning.tolist())
+        guard.note_transmission(t_ns, speed.tolist(), turning.tolist())
 
 
 def _frame(log: TrialLog, i: int) -> CameraFrame:

@@ -47,16 +47,16 @@ class Course:
         self.at += step
         self.number += 1
         frame = CameraFrame(self.number, self.at, self.at, tuple(poses), fault=fault)
-        self.seen = self.guard.see(frame)
+        self.seen = self.guard.check_frame(frame)
         return self.tick()
 
     def tick(self, after=0, failure=None):
-        return self.guard.tick(self.at + after, self.bad, failure)
+        return self.guard.decide(self.at + after, self.bad, failure)
 
     def frames(self, count, poses=PLACES):
         for _ in range(count):
             ruling = self.frame(poses)
-            self.guard.steered(self.at)
+            self.guard.note_direction(self.at)
         return ruling
 
 
@@ -67,8 +67,8 @@ def stopped(rules, together):
 def running(rules=RULES, poses=PLACES, checks_of=robot_checks):
     course = Course(rules, checks_of)
     course.frames(3, poses)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     assert course.frames(2, poses).moving == (True, True)
     return course
 
@@ -76,10 +76,10 @@ def running(rules=RULES, poses=PLACES, checks_of=robot_checks):
 def test_other_rules_hold_for_jumps_of_poses_too():
     """Regression: a robot faster than its spec was refused as a jump while it was calibrated."""
     course = Course()
-    course.guard.limit(replace(RULES, speeds=(2000.0, 100.0)))
+    course.guard.change_rules(replace(RULES, speeds=(2000.0, 100.0)))
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     course.frame((Pose(540.0, 500.0, 0.3), PLACES[1]))  # 40 mm in 8 ms: 5 m/s
     assert course.guard.refused[0] != "its pose jumped"
 
@@ -87,9 +87,9 @@ def test_other_rules_hold_for_jumps_of_poses_too():
 def test_nothing_moves_before_go():
     course = Course()
     assert not any(course.frames(5).moving)
-    course.guard.go(course.at)  # not passed the preflight yet
+    course.guard.start_run(course.at)  # not passed the preflight yet
     assert course.frames(1).state is GuardState.PREFLIGHT
-    course.guard.ready()
+    course.guard.pass_preflight()
     assert course.frames(1).state is GuardState.READY
     assert not any(course.frames(1).moving)
 
@@ -115,10 +115,10 @@ def test_an_actuator_that_can_send_no_more_ends_the_run():
 def test_old_frames_that_come_late_are_no_new_frames():
     course = running()
     now = course.at + 200 * MS
-    course.guard.tick(now - 80 * MS)
+    course.guard.decide(now - 80 * MS)
     for i in range(5):  # a burst from a socket's buffer, exposed long ago
-        course.guard.see(CameraFrame(99 + i, course.at + (i + 1) * FRAME, now, PLACES))
-    assert course.guard.tick(now).moving == (False, False)
+        course.guard.check_frame(CameraFrame(99 + i, course.at + (i + 1) * FRAME, now, PLACES))
+    assert course.guard.decide(now).moving == (False, False)
 
 
 def test_an_untracked_robot_stops_after_50_ms_alone_and_the_run_aborts_at_300():
@@ -160,9 +160,9 @@ def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_
         course.frames(35, (None, PLACES[1]))
         course.frames(3)
         if course.guard.state is not GuardState.ABORT:
-            course.guard.rest()
+            course.guard.end_run()
             course.frames(30)
-            course.guard.go(course.at)
+            course.guard.start_run(course.at)
             fits.append(course.guard.drift._blocks)
     assert "green is seen too rarely" in course.guard.reason
     assert course.at - began < 4 * SECOND
@@ -174,7 +174,7 @@ def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_o
     """Regression: before a camera at 6 Hz robots were stopped and let go for ever."""
     course = running()
     for _ in range(60):
-        course.guard.steered(course.at)
+        course.guard.note_direction(course.at)
         course.frame(step=period_ms * MS)
     assert (course.guard.state is not GuardState.ABORT) == goes_on, course.guard.reason
 
@@ -190,7 +190,7 @@ def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_l
     assert ruling.state is GuardState.RUN
     course.frames(5)  # it is there again
     assert course.seen.fresh == (False, True)
-    guard.replaced(0)
+    guard.replace_robot(0)
     assert course.frames(5).state is GuardState.RUN
     assert course.seen.fresh == (True, True)
     course.frames(40, lost)
@@ -223,14 +223,14 @@ def test_the_pose_in_the_frame_whose_loss_ends_the_run_is_compared_with_its_comm
 
     course = Course(replace(RULES, goes_on=True), checks_of)
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     course.frames(40, (None, PLACES[1]))  # 0.32 s: green is lost
     assert list(course.guard.lost) == [0]
     writes.asked.clear()
     course.at += 300 * MS  # blue, the last robot, is not seen for as long as loses it
     back = replace(PLACES[1], x=PLACES[1].x + 1.0)
-    course.guard.see(CameraFrame(999, course.at, course.at, (PLACES[0], back)))
+    course.guard.check_frame(CameraFrame(999, course.at, course.at, (PLACES[0], back)))
     assert course.guard.reason == "blue is not tracked (0.30 s)"
     assert writes.asked == [("pose", 1)]
 
@@ -241,7 +241,7 @@ def walk(step_mm, course, frames=40):
     for _ in range(frames):
         x += step_mm
         course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
-        course.guard.steered(course.at)
+        course.guard.note_direction(course.at)
         if course.guard.state is GuardState.ABORT:
             break
         believed = course.seen.poses[0].x - PLACES[0].x
@@ -264,25 +264,25 @@ def test_a_heading_that_walks_is_not_believed_for_long():
     for _ in range(20):
         heading += 0.6
         course.frame((Pose(500.0, 500.0, heading), PLACES[1]))
-    assert course.guard.jumps >= 18
+    assert course.guard.refusals >= 18
 
 
 def test_late_steps_abort_in_a_row_only():
     course = running()
     for _ in range(20):
         for _ in range(RULES.limits.late_steps - 1):
-            course.guard.late(True)
-        course.guard.late(False)
+            course.guard.note_step(True)
+        course.guard.note_step(False)
     assert course.guard.state is GuardState.RUN
     for _ in range(RULES.limits.late_steps):
-        course.guard.late(True)
+        course.guard.note_step(True)
     assert course.guard.reason == "5 control steps in a row were late"
 
 
 def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
     """Regression: every turn at 20 Hz, which lasts 0.55 s, ended the trial."""
     course = running(replace(RULES, silence_ns=500 * MS))
-    course.guard.steered(course.at, ahead=False)
+    course.guard.note_direction(course.at, ahead=False)
     began = course.at
     while course.at - began < 990 * MS:
         assert course.frame().moving == (True, True)
@@ -290,8 +290,8 @@ def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
         ruling = course.frame()
     assert (ruling.state, ruling.moving) == (GuardState.HOLD, (False, False))
     for _ in range(5):
-        course.guard.late(True)
-    course.guard.steered(course.at)
+        course.guard.note_step(True)
+    course.guard.note_direction(course.at)
     assert course.frame().moving == (True, True)
     for _ in range(63):
         course.frame()
@@ -342,14 +342,16 @@ class Drive:
         for _ in range(round(seconds * 1e9 / FRAME)):
             stopped = guard.state is not GuardState.RUN
             told, done = (0.0, (0.0,) * 3) if stopped else (self.told, self.done)
-            guard.sent(self.course.at, (told, 0.0), (self.turning if told else 0.0, 0.0))
+            guard.note_transmission(
+                self.course.at, (told, 0.0), (self.turning if told else 0.0, 0.0)
+            )
             along, across, around = (each * FRAME / 1e9 for each in done)
             self.heading += around
             self.x += along * math.cos(self.heading) - across * math.sin(self.heading)
             self.y += along * math.sin(self.heading) + across * math.cos(self.heading)
             green = see(self._noisy(Pose(self.x, self.y, self.heading)))
             self.course.frame((green, self.blue and self._noisy(self.blue)))
-            guard.steered(self.course.at)
+            guard.note_direction(self.course.at)
         return guard
 
     def _noisy(self, pose):
@@ -457,9 +459,9 @@ def test_a_drift_is_the_same_in_every_unit():
 def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():
     drive = Drive()
     drive.go(0.6)
-    assert drive.go(0.04, lambda pose: replace(pose, y=pose.y + 25.0)).jumps == 5
+    assert drive.go(0.04, lambda pose: replace(pose, y=pose.y + 25.0)).refusals == 5
     guard = drive.go(1.0)
-    assert (guard.state, guard.jumps) == (GuardState.RUN, 5)
+    assert (guard.state, guard.refusals) == (GuardState.RUN, 5)
 
 
 def test_robots_that_stand_as_commanded_may_be_seen_so_to_the_last_bit():
@@ -478,11 +480,11 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     drive.go(0.6)
     guard = drive.go(0.3, see)
     assert guard.state is GuardState.ABORT
-    refused = guard.jumps
+    refused = guard.refusals
     drive.go(3.0, see)
-    assert guard.jumps == refused + 375
+    assert guard.refusals == refused + 375
     drive.go(1.0)  # the robot itself: no sensor knows
-    assert guard.jumps == refused + 500
+    assert guard.refusals == refused + 500
 
 
 class Finds(Check):
@@ -510,8 +512,8 @@ def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost,
 
     course = Course(replace(RULES, goes_on=True), checks_of)
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     ruling = course.frame()
     assert (ruling.state, ruling.reason, list(course.guard.lost)) == (state, reason, lost)
     assert ruling.warnings == warnings
@@ -525,12 +527,12 @@ def test_a_body_in_place_of_a_ghost_is_no_ghost():
 
     course = Course(replace(RULES, goes_on=True), checks_of)
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     course.frames(2)
     assert course.guard.refused == ("green drifts", "")
-    course.guard.lose(0, "green has divided")
-    course.guard.replaced(0)
+    course.guard.lose_robot(0, "green has divided")
+    course.guard.replace_robot(0)
     course.frame()
     assert course.seen.fresh == (True, True)
 
@@ -553,8 +555,8 @@ def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
 
     course = Course(RULES, checks_of)
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     course.bad = 21
     ruling = course.frame()
     assert ruling.reason == "21 damaged camera frames within a second"
@@ -567,8 +569,8 @@ def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
 
     course = Course(replace(RULES, goes_on=True), checks_of)
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     assert course.frame().moving == (True, False)
 
 
@@ -581,8 +583,8 @@ def test_after_an_abort_no_robot_is_lost_any_more():
 
     course = Course(replace(RULES, goes_on=True), checks_of)
     course.frames(3)
-    course.guard.ready()
-    course.guard.go(course.at)
+    course.guard.pass_preflight()
+    course.guard.start_run(course.at)
     ruling = course.frame()
     assert (ruling.reason, ruling.warnings) == ("the first", ())
     assert course.guard.lost == {}
@@ -590,10 +592,10 @@ def test_after_an_abort_no_robot_is_lost_any_more():
 
 def test_rest_lets_nothing_move_and_needs_a_new_go():
     course = running()
-    course.guard.rest()
+    course.guard.end_run()
     assert course.frames(1).state is GuardState.READY
     assert not any(course.frames(1).moving)
-    course.guard.go(course.at)
+    course.guard.start_run(course.at)
     assert all(course.frames(1).moving)
 
 
@@ -619,7 +621,9 @@ class GuardMachine(RuleBasedStateMachine):
     def see(self, a, b, age, fault):
         self.number += 1
         sampled = max(0, self.now - age)
-        found = self.guard.see(CameraFrame(self.number, sampled, self.now, (a, b), fault=fault))
+        found = self.guard.check_frame(
+            CameraFrame(self.number, sampled, self.now, (a, b), fault=fault)
+        )
         if self.exposed is not None and sampled <= self.exposed:
             assert found is None
             return
@@ -633,7 +637,7 @@ class GuardMachine(RuleBasedStateMachine):
         for _ in range(count):
             self.now += FRAME
             self.see(PLACES[0], PLACES[1], 0, "")
-            self.guard.steered(self.now)
+            self.guard.note_direction(self.now)
             self.decide(0, None)
 
     @rule(ms=st.integers(0, 700))
@@ -643,25 +647,25 @@ class GuardMachine(RuleBasedStateMachine):
     @rule(bad=st.integers(0, 30), failure=st.sampled_from([None] * 6 + ["gone"]))
     def decide(self, bad, failure):
         self.bad += bad
-        self.ruling = self.guard.tick(self.now, self.bad, failure)
+        self.ruling = self.guard.decide(self.now, self.bad, failure)
 
     @rule()
     def pass_preflight(self):
-        self.guard.ready()
+        self.guard.pass_preflight()
 
     @rule()
     def go(self):
-        self.guard.go(self.now)
+        self.guard.start_run(self.now)
         self.ruling = None
 
     @rule()
     def rest(self):
-        self.guard.rest()
+        self.guard.end_run()
         self.ruling = None
 
     @rule(missed=st.booleans())
     def step(self, missed):
-        self.guard.late(missed)
+        self.guard.note_step(missed)
 
     @invariant()
     def abort_is_for_good(self):

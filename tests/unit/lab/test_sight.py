@@ -85,25 +85,25 @@ class Mat:
         times = tuple(at for at, _ in found)
         own = times if any(self.late) else ()
         poses = tuple(pose for _, pose in found)
-        self.guard.see(CameraFrame(self.number, self.now, self.now, poses, exposed_ns=own))
+        self.guard.check_frame(CameraFrame(self.number, self.now, self.now, poses, exposed_ns=own))
         if self.guard.state is GuardState.PREFLIGHT and self.number == 10:
-            self.guard.ready()
-            self.guard.go(self.now)
+            self.guard.pass_preflight()
+            self.guard.start_run(self.now)
         if self.now > 140 * MS:
             v, w = self.rates(self.now)
-            self.guard.sent(self.now, [v, v], w)
-            self.guard.steered(self.now)
-        self.ruling = self.guard.tick(self.now)
+            self.guard.note_transmission(self.now, [v, v], w)
+            self.guard.note_direction(self.now)
+        self.ruling = self.guard.decide(self.now)
 
 
 def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
     mat = Mat(swing=0.5, speed=60.0)
     guard = mat.go(6.0)
     assert guard.state is GuardState.RUN, guard.reason
-    assert guard.jumps == 0
+    assert guard.refusals == 0
     assert mat.repeats > 100
     blind = Mat(replace(RULES, sight=Sight()), swing=0.5, speed=60.0)
-    assert blind.go(6.0).jumps > 100  # a camera that says nothing of its grid
+    assert blind.go(6.0).refusals > 100  # a camera that says nothing of its grid
 
 
 def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
@@ -125,7 +125,7 @@ def test_poses_30_ms_apart_do_not_abort_robots_that_turn_at_6_rad_s(sight):
     mat = Mat(replace(RULES, sight=sight), late=(0, 30 * MS), sight=sight)
     guard = mat.go(8.0)
     assert guard.state is GuardState.RUN, guard.reason
-    assert guard.jumps == 0
+    assert guard.refusals == 0
     assert mat.ruling.moving == (True, True)
 
 
@@ -161,22 +161,33 @@ def test_a_pose_that_is_refused_leaves_the_time_of_the_pose_before():
     """Regression: the old pose was logged with the new one's time, which went back later."""
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
-    kept, now = guard._filters[0].seen_ns, mat.now + 10 * MS
+    kept, now = mat.held[0][0], mat.now + 10 * MS
     for i, pose in enumerate((Pose(9e3, 9e3, 0.0), None)):
         own = (now + i * MS, now)
         frame = CameraFrame(10**6 + i, max(own), now + MS, (pose, mat.held[1][1]), exposed_ns=own)
-        assert guard.see(frame).exposed_ns == (kept, now)
+        assert guard.check_frame(frame).exposed_ns == (kept, now)
 
 
-def test_a_pose_that_is_refused_is_judged_once():
+def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_the_next():
+    """Frames with another robot's poses repeat it; 60 ms later the run ends for what it did."""
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
-    sideways, now = replace(mat.held[0][1], y=mat.held[0][1].y + 14.0), mat.now + 10 * MS
-    for i in range(3):
-        own = (now, now + i * MS)
-        frame = CameraFrame(10**6 + i, max(own), now + MS, (sideways, mat.held[1][1]), (), "", own)
-        assert not guard.see(frame).fresh[0]
-    assert guard.jumps == 1 and 0 in guard._disobedient
+    green, blue = (pose for _, pose in mat.held)
+    sideways, now = replace(green, y=green.y + 14.0), mat.now + 10 * MS
+
+    def show(after_ns):
+        own = (now, now + after_ns)
+        frame = CameraFrame(
+            10**6 + after_ns, max(own), now + 100 * MS, (sideways, blue), exposed_ns=own
+        )
+        return guard.check_frame(frame)
+
+    for after_ms in range(3):
+        assert not show(after_ms * MS).fresh[0]
+    assert guard.refusals == 1
+    fault = guard.refused[0]
+    show(60 * MS)
+    assert guard.decide(now + 60 * MS).reason == f"green {fault}"
 
 
 def test_the_spread_of_a_grid_is_uniform():

@@ -10,8 +10,8 @@ from tetractl_emulator.rehearsal import day, shrink
 from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
+from tetractl.lab.accepted_poses import AcceptedPoses
 from tetractl.lab.guard import Guard
-from tetractl.lab.pose_filter import PoseFilter
 
 pytestmark = pytest.mark.slow
 
@@ -81,13 +81,13 @@ def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     assert done.stdout.endswith("1 days, 0 violations\n")
     assert rows(tmp_path)[0]["reason"].startswith("no new camera frame")
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
-    tick = Guard.tick
+    decide = Guard.decide
 
     def blind(guard, now_ns, damaged=0, failure=None):
-        seen_ns = now_ns if guard._last_frame_ns is None else guard._last_frame_ns
-        return tick(guard, min(now_ns, seen_ns + SECOND // 20), damaged, failure)
+        seen_ns = now_ns if guard.newest_frame_ns is None else guard.newest_frame_ns
+        return decide(guard, min(now_ns, seen_ns + SECOND // 20), damaged, failure)
 
-    monkeypatch.setattr(Guard, "tick", blind)
+    monkeypatch.setattr(Guard, "decide", blind)
     done = tetractl(tmp_path, *rehearse, "--out", "blind")
     assert done.returncode == 1
     assert "driven blind: unseen for" in done.stderr
@@ -116,7 +116,7 @@ def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
 def test_a_guard_of_streamed_cells_that_accepts_a_jump_is_found(tmp_path, monkeypatch):
     words = streamed_cells_that_jump(monkeypatch)
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
-    monkeypatch.setattr(PoseFilter, "_jumps", lambda *_: False)
+    monkeypatch.setattr(AcceptedPoses, "_jumps", lambda *_: False)
     done = tetractl(tmp_path, *words, "--out", "blind")
     assert "untrue: " in done.stderr
 

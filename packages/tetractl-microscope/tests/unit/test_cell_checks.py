@@ -30,18 +30,18 @@ def swimming(obstacles=(), goes_on=False):
     )
     guard = Guard(rules, cell_checks)
     show(guard, 0, [Pose(500.0, 500.0, 0.0), Pose(500.0, 1500.0, 0.0)])
-    guard.ready()
-    guard.go(0)
+    guard.pass_preflight()
+    guard.start_run(0)
     return guard
 
 
 def show(guard, frame, poses):
     """Show a guard a frame of a run in which both cells are commanded straight on."""
     now = frame * FRAME_NS
-    guard.see(CameraFrame(frame, now, now, tuple(poses)))
-    guard.steered(now)
-    guard.sent(now, SPEEDS, (0.0, 0.0))
-    return guard.tick(now)
+    guard.check_frame(CameraFrame(frame, now, now, tuple(poses)))
+    guard.note_direction(now)
+    guard.note_transmission(now, SPEEDS, (0.0, 0.0))
+    return guard.decide(now)
 
 
 def straight(frame, robot, y):

@@ -62,7 +62,7 @@ def turn_field(
         if (failure := rig.actuator.failure) is not None:
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
-            raise AbortError(rig.guard.no_frame(rig.silent_ns()))
+            raise AbortError(rig.guard.why_no_frame(rig.silent_ns()))
     now = tracker.candidates()
     cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
     # a cell is recognised if it moves by at most 35 um between two pictures

@@ -4,7 +4,7 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
-from tetractl.lab.pose_filter import MotionLimits, PoseFilter
+from tetractl.lab.accepted_poses import AcceptedPoses, MotionLimits
 
 LIMITS = MotionLimits(speed=100.0, turning=2.0, jump=30.0, jump_heading=0.7)
 DT = SECOND // 2
@@ -22,18 +22,19 @@ DT = SECOND // 2
     ],
 )
 def test_a_pose_beyond_twice_the_speed_and_one_allowance_is_a_jump(pose, jumps):
-    seen = PoseFilter(LIMITS)
-    assert seen.add(Pose(0.0, 0.0, 0.0), 0, "")
-    assert seen.fault(pose, DT, driving=True) == ("its pose jumped" if jumps else "")
-    assert seen.fault(pose, DT, driving=False) == "", "robots may be carried"
+    poses = AcceptedPoses(LIMITS)
+    poses.accept(Pose(0.0, 0.0, 0.0), 0)
+    assert poses.fault(pose, DT, driving=True) == ("its pose jumped" if jumps else "")
+    assert poses.fault(pose, DT, driving=False) == "", "robots may be carried"
 
 
 def test_the_allowance_is_given_once_in_a_second():
-    seen = PoseFilter(LIMITS)
-    accepted = [0.0]
-    seen.add(Pose(0.0, 0.0, 0.0), 0, "")
+    """Each pose is 30 mm from the last, 1/50 s later; 2 x 100 mm/s x 0.8 s + 30 mm are allowed."""
+    poses = AcceptedPoses(LIMITS)
+    poses.accept(Pose(0.0, 0.0, 0.0), 0)
     for k in range(1, 41):
-        pose = Pose(accepted[-1] + 30.0, 0.0, 0.0)
-        fault = seen.fault(pose, k * SECOND // 50, driving=True)
-        accepted.append(pose.x if seen.add(pose, k * SECOND // 50, fault) else accepted[-1])
-    assert accepted[-1] <= 200.0 * 0.8 + 30.0
+        now_ns = k * SECOND // 50
+        pose = Pose(poses.last.x + 30.0, 0.0, 0.0)
+        if not poses.fault(pose, now_ns, driving=True):
+            poses.accept(pose, now_ns)
+    assert poses.last.x <= 200.0 * 0.8 + 30.0

@@ -1,0 +1,70 @@
+"""The order in which a camera's frames come, and how many are of no use. Times are ns on the run's
+clock.
+"""
+
+from dataclasses import dataclass, field
+
+from tetractl.core.clock import SECOND
+from tetractl.lab.damage_count import DamageCount
+
+
+@dataclass(frozen=True, slots=True)
+class Outdated:
+    """Frames that came since the newest one but were exposed before it, or together with it: how
+    many, and by how much the last of them was behind [ns].
+    """
+
+    count: int = 0
+    behind_ns: int = 0
+
+    @property
+    def behind(self) -> str:
+        """A text on how old the last of them was."""
+        return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
+
+
+@dataclass(slots=True)
+class CameraStream:
+    """The newest frame of a camera, and the frames that came too late."""
+
+    exposed_ns: int | None = None
+    """When the newest frame was exposed, None before the first."""
+    own_times: bool = False
+    """Whether its poses have times of their own."""
+    outdated: Outdated = Outdated()
+    """The frames that came too late since the newest."""
+    dropped: int = 0
+    """How many came too late since the last start of a run."""
+    refused: int = 0
+    """How many poses the guard has refused."""
+    damage: DamageCount = field(default_factory=DamageCount)
+
+    @property
+    def newest_ns(self) -> int:
+        """When the newest frame was exposed, 0 before the first."""
+        return self.exposed_ns or 0
+
+    def advance(self, exposed_ns: int, own_times: bool) -> bool:
+        """Take a frame; return whether it is newer than all before, and count it as dropped if it
+        is not.
+        """
+        if self.exposed_ns is not None and exposed_ns <= self.exposed_ns:
+            self.dropped += 1
+            self.outdated = Outdated(self.outdated.count + 1, self.exposed_ns - exposed_ns)
+            return False
+        self.exposed_ns = exposed_ns
+        self.own_times = own_times
+        self.outdated = Outdated()
+        return True
+
+
+def no_frame_text(silent_ns: int) -> str:
+    """Return a text that no new frame has come for so long."""
+    return f"no new camera frame for {silent_ns / SECOND:.2f} s"
+
+
+def with_outdated(text: str, outdated: Outdated) -> str:
+    """Return a text on missing frames, with those that came too late if there are any."""
+    if not outdated.count:
+        return text
+    return f"{text}: {outdated.count} outdated frames came, the last {outdated.behind}"

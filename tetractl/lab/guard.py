@@ -44,7 +44,7 @@ on the run's clock.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
@@ -56,7 +56,8 @@ from tetractl.lab.camera_stream import CameraStream, no_frame_text, with_outdate
 from tetractl.lab.culprit import Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
-from tetractl.lab.guard_records import GuardRules, GuardState, GuardStatus, Ruling
+from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
+from tetractl.lab.guard_status import GuardStatus
 from tetractl.lab.motion_check import REPEATS
 from tetractl.lab.pose_decision import PoseDecision, PoseReading, PoseStatus
 from tetractl.lab.robot_track import RobotTrack
@@ -199,13 +200,13 @@ class Guard:
     def pass_preflight(self) -> None:
         """Enter `ready`: the preflight has passed."""
         if self.state is GuardState.PREFLIGHT:
-            self._enter(GuardState.READY)
+            self._status.enter(GuardState.READY)
 
     def start_run(self, now_ns: int) -> None:
         """Enter `run`, so that robots may move; only from `ready`."""
         if self.state is not GuardState.READY:
             return
-        self._enter(GuardState.RUN)
+        self._status.enter(GuardState.RUN)
         self._pace.ticked_ns = now_ns
         self._pace.directed_ns = now_ns
         self._pace.driven = True
@@ -218,17 +219,15 @@ class Guard:
     def end_run(self) -> None:
         """Return to `ready`: the run has ended normally and the robots are stopped."""
         if self._in_run:
-            self._enter(GuardState.READY)
+            self._status.enter(GuardState.READY)
 
     def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
         """Enter `abort`, for good; later calls do not change the reason. `suspect` is the robot
         that seems to be at fault, None for no one robot. Robots that are hidden since their poses
         are refused become ghosts.
         """
-        if self.state is GuardState.ABORT:
-            self._status = replace(self._status, emergency=self.emergency or emergency)
+        if not self._status.abort(reason, emergency):
             return
-        self._status = GuardStatus(GuardState.ABORT, reason, emergency)
         self.culprit.suspect = suspect
         for robot in self._robots:
             if robot.refused and robot.hidden(self._stream.newest_ns):
@@ -236,7 +235,7 @@ class Guard:
 
     def correct_reason(self, reason: str) -> None:
         """Give a better reason of an abort."""
-        self._status = replace(self._status, reason=reason)
+        self._status.reason = reason
 
     def name_culprit(self) -> None:
         """After an abort, correct its reason once if not the suspected robot is at fault; slow, so
@@ -263,9 +262,6 @@ class Guard:
         limits = self._robots[i].poses.limits
         self._robots[i] = RobotTrack.of(limits, seen_ns=self._stream.newest_ns)
         self._checks.motion.forget(i)
-
-    def _enter(self, state: GuardState) -> None:
-        self._status = replace(self._status, state=state)
 
     # ---- what controller and actuator did ----
 
@@ -348,12 +344,15 @@ class Guard:
         if self._in_run:
             self._check_run(self._situation(now_ns, recently_damaged), poses)
             warnings = self._warnings.take()
-        if not self._in_run:
-            none = (False,) * len(self._robots)
-            return Ruling(self.state, none, poses, self.reason, warnings)
-        moving = self._moving(now_ns)
-        self._enter(GuardState.HOLD if self._must_hold(moving) else GuardState.RUN)
-        return Ruling(self.state, moving, poses, "", warnings)
+        none = (False,) * len(self._robots)
+        moving = none
+        if self._in_run:
+            moving = self._moving(now_ns)
+            self._status.enter(GuardState.HOLD if self._must_hold(moving) else GuardState.RUN)
+        state = self.state
+        if state is GuardState.ABORT:  # perhaps by the controller's thread, just now
+            moving = none
+        return Ruling(state, moving, poses, self.reason, warnings)
 
     # ---- a frame ----
 

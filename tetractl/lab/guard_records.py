@@ -1,4 +1,4 @@
-"""What the guard is given and what it returns: its states, status, rules and rulings."""
+"""What the guard is given and what it returns: its states, rules and rulings."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,17 +18,6 @@ class GuardState(StrEnum):
     RUN = "run"
     HOLD = "hold"
     ABORT = "abort"
-
-
-@dataclass(frozen=True, slots=True)
-class GuardStatus:
-    """The guard's state; after an abort its reason, and whether the operator has stopped all robots
-    for good.
-    """
-
-    state: GuardState = GuardState.PREFLIGHT
-    reason: str = ""
-    emergency: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -519,6 +519,28 @@ def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost,
     assert ruling.warnings == warnings
 
 
+class AbortsWhenRead:
+    """Limits whose `stale`, which a ruling reads last, lets the controller's thread abort then."""
+
+    def __init__(self):
+        self.guard = None
+
+    def __getattr__(self, name):
+        if name == "stale" and self.guard is not None:
+            self.guard.abort("5 control steps in a row were late")
+        return getattr(RULES.limits, name)
+
+
+def test_an_abort_by_another_thread_while_a_ruling_is_made_is_final():
+    """Regression: the ruling entered `run` or `hold` again, and the robots drove on."""
+    limits = AbortsWhenRead()
+    course = running(replace(RULES, limits=limits))
+    limits.guard = course.guard
+    ruling = course.tick()
+    assert (ruling.state, ruling.moving) == (GuardState.ABORT, (False, False))
+    assert ruling.reason == "5 control steps in a row were late"
+
+
 def test_a_body_in_place_of_a_ghost_is_no_ghost():
     """Regression: the poses of the new body were refused for what the old one had done."""
 

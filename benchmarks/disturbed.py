@@ -15,7 +15,7 @@ perfect knowledge.
 """
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -155,7 +155,7 @@ class Heard:
         for bank, pose, valid in rows:
             bank.seen(replace(seen, poses=Poses.of(pose), valid=valid))
 
-    def restart(self, robots: Iterable[int]) -> None:
+    def restart(self, robots: Sequence[int]) -> None:
         pass
 
     def ahead(self, sent: int) -> Ahead:

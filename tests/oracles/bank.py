@@ -7,13 +7,12 @@ import numpy as np
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
-    BIAS,
     GRID,
     LN_A,
-    LN_V,
-    MARKER,
+    LN_SPEED,
+    MARKER_BIAS,
     SIDE,
-    STUCK,
+    TURN_BIAS,
 )
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
@@ -24,9 +23,9 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     what those of the other robots tell of the common dead time; and each robot's dead time and its
     standard deviation (N,) [s].
     """
-    bank, prior, steps, finest = filters._bank, filters.prior, filters._steps, GRID.finest_s
-    times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
-    gaps, width = times[:, None, None] - bank.tau, np.maximum(steps, finest) / 2
+    bank, prior, steps, finest = filters.bank, filters.prior, filters.step_s, GRID.finest_s
+    times = np.arange(0, float(bank.dead_time_s.max()) + finest, finest / 2)
+    gaps, width = times[:, None, None] - bank.dead_time_s, np.maximum(steps, finest) / 2
     near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
     near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
     ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
@@ -36,38 +35,38 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     score = bank.score + np.log(told + 1e-300)
     weight = np.exp(score - score.max(axis=0))
     weight /= weight.sum(axis=0)
-    mean = (weight * bank.tau).sum(axis=0)
-    spread = (weight * (bank.tau - mean) ** 2).sum(axis=0)
+    mean = (weight * bank.dead_time_s).sum(axis=0)
+    spread = (weight * (bank.dead_time_s - mean) ** 2).sum(axis=0)
     return score, mean, np.sqrt(spread + (steps / 4) ** 2)
 
 
 def estimate(filters: FilterBank) -> Estimate:
     """Return the parameters of the robots by their likeliest hypotheses, and their standard
     deviations, which grow by what the test of the innovations finds."""
-    (score, tau, tau_std), bank, prior = share(filters), filters._bank, filters.prior
+    (score, tau, tau_std), bank, prior = share(filters), filters.bank, filters.prior
     best = np.argmax(score, axis=0), np.arange(score.shape[1])
     each = (*best, np.argmax(bank.weight[best], axis=1))
     z, cov = bank.state[each], bank.cov[each]
     weights = np.exp(bank.weight[best] - bank.weight[best].max(axis=1, keepdims=True))
-    squares = bank.white[best][:, 1, :3]
-    blocks = np.maximum(bank.white[best][:, 1, 3], ASSUMED.least_blocks)[:, None]
+    squares = bank.square_sum[best]
+    blocks = np.maximum(bank.blocks[best], ASSUMED.least_blocks)[:, None]
     more = np.sqrt(np.maximum(1, squares / blocks)).max(axis=1)
     std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more[:, None]
-    a, speed = prior.a * np.exp(z[:, LN_A]), prior.speed * np.exp(z[:, LN_V])
-    of_bias = cov[:, [BIAS, MARKER]][:, :, [BIAS, MARKER]].sum(axis=(1, 2))
+    a, speed = prior.a * np.exp(z[:, LN_A]), prior.speed * np.exp(z[:, LN_SPEED])
+    of_bias = cov[:, [TURN_BIAS, MARKER_BIAS]][:, :, [TURN_BIAS, MARKER_BIAS]].sum(axis=(1, 2))
     part = 2 / (9 * blocks)
     return Estimate(
         a=a,
         a_std=a * std[:, LN_A],
         speed=speed,
-        speed_std=speed * std[:, LN_V],
-        heading_bias=z[:, BIAS] + z[:, MARKER],
+        speed_std=speed * std[:, LN_SPEED],
+        heading_bias=z[:, TURN_BIAS] + z[:, MARKER_BIAS],
         heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more,
         side=z[:, SIDE],
         side_std=std[:, SIDE],
         saturation=np.ones(len(a)),
-        stands=weights[:, STUCK] / weights.sum(axis=1),
+        stands=weights[:, -1] / weights.sum(axis=1),
         dead_time=float(tau.mean()),
         dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
-        misfit=squares / (blocks * (1 - part + ASSUMED.sure * np.sqrt(part)) ** 3),
+        misfit=squares / (blocks * (1 - part + ASSUMED.quantile * np.sqrt(part)) ** 3),
     )

@@ -9,23 +9,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.kernels import filter_state as kernel
-from tetractl.control.kernels.filter_motion import NOTHING, UNKNOWN_TURN
+from tetractl.control.kernels.filter_motion import AT_REST, UNKNOWN_HEADING
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
-    BIAS,
-    COSINE,
     FLOW_X,
     FLOW_Y,
     HEADING,
+    HELIX_COSINE,
+    HELIX_SINE,
     LN_A,
-    LN_V,
-    LN_W,
-    MARKER,
+    LN_FREQUENCY,
+    LN_SATURATION,
+    LN_SPEED,
+    MARKER_BIAS,
     PACE,
     SIDE,
-    SINE,
-    SIZE,
+    STATES_OF_CELLS,
     SWING,
+    TURN_BIAS,
     X,
     Y,
 )
@@ -57,10 +58,14 @@ class RobotFilter:
         cov: Floats,
         follows: int = kernel.FOLLOWS,
     ) -> None:
-        (self.a, self.v), self.helix, self.lag = model.parameters[i], model.helix, model.lag
-        self.hold = model.hold
-        self.watchdog, self.sticks = model.watchdog, model.sticks
-        self.noise, self.walk = model.noise[:, i], model.walk[:, i]
+        (self.a, self.v), self.helix, self.lag = model.parameters[i], model.helix_rad_s, model.lag_s
+        self.hold = model.hold_s
+        self.watchdog, self.sticks = model.watchdog_s, model.sticks
+        self.noise = model.noise[:, i]
+        # robots on wheels are cells without a helix
+        missing = STATES_OF_CELLS - len(cov)
+        self.walk = np.pad(model.walk[:, i], (0, missing))
+        cov = np.pad(cov, (0, missing))
         self.scale = np.ones(2)
         self.slots: list[Hypothesis | None] = [Hypothesis(math.nan, 0.0, z.copy(), cov.copy())]
         self.slots += [None] * follows
@@ -91,15 +96,15 @@ class RobotFilter:
         while seconds > 0 and (not stands or one.z[PACE] > 0):
             t, z = min(seconds, longest), one.z
             seconds -= t
-            a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
-            rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[BIAS]
+            a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_SPEED])
+            rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[TURN_BIAS]
             cos_sin = math.cos(rest), math.sin(rest), math.cos(towards), math.sin(towards)
             rate, slopes = turning(*cos_sin, (a, v, z[SIDE], self.saturation(z)), t)
             if self.hold:
                 cosine = math.cos(towards - rest)
                 rate, slopes = held(rate, slopes, cosine, math.sin(towards - rest), self.hold)
             step = EXACT.lanes.differentiate(*cos_sin, (rate, v), t)
-            step = NOTHING if stands else by_turning(step, slopes)
+            step = AT_REST if stands else by_turning(step, slopes)
             (*way, turn), (*by_heading, keep), (*by_bias, _), ((*by_a, turn_a), *_) = step
             swing, pace = z[SWING], z[PACE]
             if self.lag:
@@ -113,37 +118,42 @@ class RobotFilter:
                 by_heading, by_bias = left * (1 + keep) / 2, left * (1 - keep) / 2
                 by_a = left * half
                 swing, pace = self.lagged(wish, swing, t), self.lagged(goal, pace, t)
-            jacobian, where = np.eye(SIZE), [X, Y]
-            jacobian[where, HEADING], jacobian[where, BIAS] = by_heading, by_bias
-            jacobian[where, LN_A], jacobian[where, LN_V] = by_a, way
+            jacobian, where = np.eye(STATES_OF_CELLS), [X, Y]
+            jacobian[where, HEADING], jacobian[where, TURN_BIAS] = by_heading, by_bias
+            jacobian[where, LN_A], jacobian[where, LN_SPEED] = by_a, way
             jacobian[X, FLOW_X] = jacobian[Y, FLOW_Y] = t
-            jacobian[HEADING, [HEADING, LN_A, BIAS]] = keep, turn_a, 1 - keep
+            jacobian[HEADING, [HEADING, LN_A, TURN_BIAS]] = keep, turn_a, 1 - keep
             if not stands:
                 a_by, (_, *by_turns) = [X, Y, HEADING], slopes
-                jacobian[np.ix_(a_by, [SIDE, LN_W])] = np.outer(jacobian[a_by, LN_A], by_turns)
-            angle = self.helix * math.exp(z[LN_W]) * t
+                jacobian[np.ix_(a_by, [SIDE, LN_SATURATION])] = np.outer(
+                    jacobian[a_by, LN_A], by_turns
+                )
+            angle = self.helix * math.exp(z[LN_FREQUENCY]) * t
             turned = np.array(
                 [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
             )
-            helix = turned @ z[[SINE, COSINE]]
-            jacobian[np.ix_([SINE, COSINE], [SINE, COSINE])] = turned
-            jacobian[SINE, LN_W], jacobian[COSINE, LN_W] = angle * helix[1], -angle * helix[0]
+            helix = turned @ z[[HELIX_SINE, HELIX_COSINE]]
+            jacobian[np.ix_([HELIX_SINE, HELIX_COSINE], [HELIX_SINE, HELIX_COSINE])] = turned
+            jacobian[HELIX_SINE, LN_FREQUENCY], jacobian[HELIX_COSINE, LN_FREQUENCY] = (
+                angle * helix[1],
+                -angle * helix[0],
+            )
             moved = z.copy()
             moved[[X, Y]] += np.array(way) + t * z[[FLOW_X, FLOW_Y]]
             moved[HEADING] += turn
             moved[SWING], moved[PACE] = swing, pace
-            moved[[SINE, COSINE]] = helix
+            moved[[HELIX_SINE, HELIX_COSINE]] = helix
             walk = self.walk**2 * t
             walk[[X, Y, HEADING]] *= self.scale[[0, 0, 1]]
             one.z, one.cov = moved, jacobian @ one.cov @ jacobian.T + np.diag(walk)
-            if one.cov[HEADING, HEADING] > UNKNOWN_TURN:
-                shares = np.ones(SIZE)
-                shares[HEADING] = math.sqrt(UNKNOWN_TURN / one.cov[HEADING, HEADING])
+            if one.cov[HEADING, HEADING] > UNKNOWN_HEADING:
+                shares = np.ones(STATES_OF_CELLS)
+                shares[HEADING] = math.sqrt(UNKNOWN_HEADING / one.cov[HEADING, HEADING])
                 one.cov *= np.outer(shares, shares)
 
     def saturation(self, z: Floats) -> float:
         """Return the saturation of wheels; cells do not saturate."""
-        return 1.0 if self.helix else math.exp(min(z[LN_W], 0.0))
+        return 1.0 if self.helix else math.exp(min(z[LN_SATURATION], 0.0))
 
     def lagged(self, wish: float, value: float, t: float) -> float:
         """Return a value that approaches `wish` for a time t."""
@@ -154,16 +164,18 @@ class RobotFilter:
         return t * wish + self.lag * (value - self.lagged(wish, value, t))
 
     def rows(self, z: Floats) -> tuple[Floats, Floats]:
-        """Return what a camera would measure (3,), and how it depends on the state (3, SIZE)."""
+        """Return what a camera would measure (3,), and its slopes by the state (3, n)."""
         c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
-        rate = self.helix * math.exp(z[LN_W]) / (self.v * math.exp(z[LN_V]))
-        across, h = rate * z[COSINE], np.zeros((3, SIZE))
-        h[0, X] = h[1, Y] = h[2, HEADING] = h[2, MARKER] = 1.0
-        h[0, SINE], h[1, SINE] = -s, c
-        h[0, HEADING], h[1, HEADING] = -c * z[SINE], -s * z[SINE]
-        h[2, [COSINE, LN_W, LN_V]] = np.array([rate, across, -across]) / (1 + across**2)
-        tilted = z[HEADING] + z[MARKER] + math.atan(across)
-        return np.array([z[X] - s * z[SINE], z[Y] + c * z[SINE], tilted]), h
+        rate = self.helix * math.exp(z[LN_FREQUENCY]) / (self.v * math.exp(z[LN_SPEED]))
+        across, h = rate * z[HELIX_COSINE], np.zeros((3, STATES_OF_CELLS))
+        h[0, X] = h[1, Y] = h[2, HEADING] = h[2, MARKER_BIAS] = 1.0
+        h[0, HELIX_SINE], h[1, HELIX_SINE] = -s, c
+        h[0, HEADING], h[1, HEADING] = -c * z[HELIX_SINE], -s * z[HELIX_SINE]
+        h[2, [HELIX_COSINE, LN_FREQUENCY, LN_SPEED]] = np.array([rate, across, -across]) / (
+            1 + across**2
+        )
+        tilted = z[HEADING] + z[MARKER_BIAS] + math.atan(across)
+        return np.array([z[X] - s * z[HELIX_SINE], z[Y] + c * z[HELIX_SINE], tilted]), h
 
     def measure(self, one: Hypothesis, pose: Floats) -> tuple[float, Floats]:
         """Update by x, y and heading in turn; return ln of the likelihood, and mean squares."""
@@ -176,12 +188,12 @@ class RobotFilter:
         means = np.array([squares[:2].mean(), squares[2]])
         if squares.sum() > ASSUMED.gate:
             return -(ASSUMED.gate + np.log(sure).sum()) / 2, means
-        total, before = 0.0, one.z[:SIZE].copy()
+        total, before = 0.0, one.z[:STATES_OF_CELLS].copy()
         for j in range(3):  # each number with the slopes of before the first
-            miss = off[j] - h[j] @ (one.z[:SIZE] - before)
+            miss = off[j] - h[j] @ (one.z[:STATES_OF_CELLS] - before)
             s = h[j] @ one.cov @ h[j] + var[j]
             gain = one.cov @ h[j] / s
-            one.z[:SIZE] += gain * miss
+            one.z[:STATES_OF_CELLS] += gain * miss
             one.cov = one.cov - np.outer(gain, gain) * s
             total -= (miss**2 / s + math.log(s)) / 2
         return float(total), means
@@ -236,14 +248,14 @@ class RobotFilter:
         def rate(direction: float) -> float:
             if math.isnan(direction):
                 return 0.0
-            a, at, to = self.a * math.exp(new.z[LN_A]), new.z[HEADING], direction + new.z[BIAS]
+            a, at, to = self.a * math.exp(new.z[LN_A]), new.z[HEADING], direction + new.z[TURN_BIAS]
             own = a, self.v, new.z[SIDE], self.saturation(new.z)
             cos_sin = math.cos(at), math.sin(at), math.cos(to), math.sin(to)
             return turning(*cos_sin, own, 0.0)[0] * math.sin(to - at)
 
         new.cov[HEADING, HEADING] += (step * (rate(u) - rate(before))) ** 2 / 12
         if math.isnan(before) != math.isnan(u):
-            far = step * self.v * math.exp(new.z[LN_V])
+            far = step * self.v * math.exp(new.z[LN_SPEED])
             new.cov[[X, Y], [X, Y]] += far**2 / 12
 
     def branch(self, u: float, step: float) -> None:

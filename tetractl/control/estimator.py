@@ -75,15 +75,18 @@ class StateEstimator:
             raise ControlError("every robot is lost")
         self.filter.seen(observation, earlier)
         self.filter.restart(others)
-        poses, bias, flow, self._held, known = self.filter.ahead(self.sends(observation))
+        ahead = self.filter.ahead(self.sends(observation))
+        known = ahead.estimate
+        self._held = ahead.held
         assert known.dead_time is not None
         self.dead_time_s = known.dead_time
         if self.estimate is None:
-            return replace(self.problem, poses=poses).only(self.left)
+            return replace(self.problem, poses=ahead.poses).only(self.left)
         self.estimate = known
         motion = {"a": known.a, "speed": known.speed}
         turns = {"side": known.side, "saturation": known.saturation}
-        now = replace(self.problem, poses=poses, bias=bias, flow=flow, **motion, **turns)
+        place = {"poses": ahead.poses, "bias": ahead.bias, "flow": ahead.flow}
+        now = replace(self.problem, **place, **motion, **turns)
         return now.only(self.left)
 
     def sent(self, command: Command) -> None:

@@ -1,116 +1,167 @@
 """Estimates the robots' poses and motion from the camera's frames and all directions sent.
 
-Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
-the heading theta of its course, its turning rate a and speed v, a turn bias beta, a marker bias m
-that is added to the measured heading, the flow (f_x, f_y) that carries the robot, or with which it
-slides, and, for a cell that swims on a helix of angular frequency w, its sideways swing as sine p
-and cosine q. Under a direction u
+**The model.** Each robot has a state that a Kalman filter follows from frame to frame: the position
+(x, y) and the heading theta of its course, its turning rate a and speed v, a turn bias beta, a
+marker bias m that is added to the measured heading, and the flow (f_x, f_y) that carries the robot,
+or with which it slides. Under a direction u
 
-    dx/dt = v cos theta + f_x,  dy/dt = v sin theta + f_y,  dtheta/dt = a sin(u + beta - theta),
-    dp/dt = w q,  dq/dt = -w p,
+    dx/dt = v cos theta + f_x,   dy/dt = v sin theta + f_y,   dtheta/dt = a sin(u + beta - theta).
 
-and a camera measures, each with its noise,
+A cell also swims on a helix of the angular frequency w, with a sideways swing of sine p and cosine
+q. A robot on wheels has motors that may saturate, and may lag behind its commands.
 
-    x - p sin theta,  y + p cos theta,  theta + m + atan(w q / v).
+    dp/dt = w q,   dq/dt = -w p.
+
+A camera measures, each with its noise,
+
+    x - p sin theta,   y + p cos theta,   theta + m + atan(w q / v).
 
 The state has the logarithms of a, v and w, and all parameters drift as random walks, so that old
-measurements lose their weight. Robots on wheels have no helix, but a `side` and a `saturation`, by
-which they turn with another a than (3) says (`tetractl.model.motion.turn_rate`).
+measurements lose their weight (`kernels.filter_state`; what is assumed: `body_model`). Every robot
+turns with another a to the left than to the right (`tetractl.model.motion.turn_rate`). If the lag T
+of the wheels is given, turning rate and speed approach the commanded ones with the time constant T,
+and the direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
 
-A robot may not follow the latest direction. Its hypotheses, each with a filter and a weight, are
-that it follows the latest direction, that it follows one of the two directions before, because
-later ones were lost, and that it is stuck and stands still. A pose that fits no hypothesis is an
-outlier; after some time without a fit, the filter restarts from the camera's pose.
+**Hypotheses.** A robot may not follow the latest direction. Its hypotheses, each with a state, a
+covariance and a weight, are that it follows the latest direction, that it follows one of the two
+directions before, because later ones were lost, and that it is stuck and stands still. A pose that
+fits no hypothesis is an outlier; after some time without a fit, the filter restarts from the
+camera's pose (`kernels.filter`).
 
-Each robot has a bank of filters, one for each dead time tau of a grid, from the sending of a
+**Banks.** Each robot has a bank of filters, one for each dead time of a grid, from the sending of a
 direction to the moment when it acts, weighted by its likelihood; the grid is refined around likely
 values. Most probably all robots have the same dead time, so that each robot's frames tell that of
-the others too (`_share`). For cells, the bank also has several frequencies w to start from. The
-filter uses frames about 30 ms apart, and each control step's newest frame: wheels whose lag is not
-given respond over tens of milliseconds, and at shorter intervals the start of the response would
-bias dead time and turning rate to smaller values. If the lag T is given, turning rate and speed
-approach the commanded ones with the time constant T, and the direction acts on the heading
-theta + T dtheta/dt, in which the robot would come to rest.
+the others too (`kernels.bank`). For cells, the bank also has several frequencies w to start from.
 
-If the model is right, what a frame shows beyond the prediction is independent of the frames before.
-Sums over blocks of frames test this, and standard deviations grow by what they are found to be.
-While the model does not fit robots on wheels, what it may be is laid out again: another dead time,
-and, if the heading does not fit, motors that saturate.
+**Frames.** The filter uses frames about 30 ms apart, and each control step's newest frame: wheels
+whose lag is not given respond over tens of milliseconds, and at shorter intervals the start of the
+response would bias dead time and turning rate to smaller values.
+
+**Misfit.** If the model is right, what a frame shows beyond the prediction, the innovation, is
+independent of those before. Sums over blocks of frames test this, and standard deviations grow by
+what they are found to be. While the model does not fit robots on wheels, what it may be is laid out
+again: another dead time, and, if the heading does not fit, motors that saturate.
 
 A prior without uncertainty identifies nothing: each frame's poses are taken as they are, and only
 the prediction over the dead time remains.
 """
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels import filter_state as at
+from tetractl.control.body_model import (
+    SATURATION_DRIFT,
+    SATURATION_STD,
+    body_model,
+    filter_model,
+    first_std,
+)
 from tetractl.control.kernels.filter_state import (
-    DRIFT,
-    FOUND,
+    ASSUMED,
     GRID,
-    MISFIT,
-    STANDS,
-    TURNS,
+    LN_A,
+    LN_SATURATION,
+    STATES,
     Bank,
-    FilterModel,
-    Shared,
+    NextFilters,
+    Outlook,
+    PoseFrames,
+    SentCommands,
+    SharedTimes,
+    largest_square_sum,
 )
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import INNOVATIONS, Estimate
-from tetractl.core.poses import Bools, Floats, Observation, Poses
-from tetractl.model.motion.motion import PARAMETERS, in_rows
-from tetractl.model.motion.turn_rate import TURNING
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 
-PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
-"""Frequencies of the helix to start from, over the usual one."""
-KEPT_COMMANDS = 32  # least number of commands kept after they acted: filters may restart
-SPACING_S = 0.03  # least time between two frames used [s]
-SATURATIONS = 0.8, 0.4
-"""Saturations of motors to try where the heading does not fit."""
-SATURATION_STD = 0.3  # prior standard deviation of ln of each of them
-SATURATED = -3.0  # ln of the probability of motors that saturate, at first
-REOPEN_STD_S = 0.05  # standard deviation of a dead time's change [s]
-REOPEN_S = 4.0  # least time from laying out dead times to laying them out again [s]
-
-
-class Usual(NamedTuple):
-    """The usual noise of a camera, and the random walks of a robot's states, per sqrt(s)."""
-
-    position_noise_s: float = 0.005  # deviation of a measured position, over the speed [s]
-    heading_noise: float = 0.01  # deviation of a measured heading [rad]
-    slip: float = 0.02  # of the position, over the speed [s]
-    walk: float = 0.1  # of the heading at first [rad]
-    turn_bias: float = 0.005
-    marker_bias: float = 0.002
-    flow: float = 0.05  # over its prior deviation
-    helix: float = 0.1  # of the helix's sine and cosine, over its radius
-    pitch: float = 0.01  # of ln of the helix's frequency
-    pitch_std: float = 0.15  # prior deviation of ln of each of PITCHES
-
-
-USUAL = Usual()
+COMMANDS_KEPT = 32
+"""Least number of commands kept after they acted: robots that are placed follow one of them."""
+SPACING_S = 0.03
+"""Least time between two frames used [s]; docs/decisions/filter.md has errors with others."""
+SATURATED = -3.0
+"""ln of the probability of motors that saturate, at first: 5 %."""
+HEADING_MISFIT = INNOVATIONS.index("heading")
+"""Column of a misfit that is about the heading."""
+REOPEN_STD_S = 0.05
+"""Standard deviation of a dead time's change [s]."""
+REOPEN_S = 4.0
+"""Least time from laying out dead times to laying them out again [s]."""
 
 
 class Ahead(NamedTuple):
-    """N robots at the moments when the next command acts on each: their poses, turn biases (N,),
-    flow (N, 2), and the directions `held` (N,) [rad] that they follow, NaN for a robot that stands;
-    and what is `known` of them."""
+    """N robots at the moments when the next command acts on each."""
 
     poses: Poses
     bias: Floats
+    """(N,) turn biases [rad]."""
     flow: Floats
+    """(N, 2) [length unit/s]."""
     held: Floats
-    known: Estimate
+    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
+    estimate: Estimate
+    """What is known of the robots' motion."""
+
+
+class Laid(NamedTuple):
+    """The filters that follow the robots, and room for what is computed of them."""
+
+    bank: Bank
+    shared: SharedTimes
+    step_s: Floats
+    """(N,) spacing of each robot's dead times [s]."""
+    going_on: NextFilters
+
+
+class CommandRecord:
+    """The directions and stops that were sent, without those that acted long ago."""
+
+    def __init__(self) -> None:
+        self._room = np.empty((2, 3 * COMMANDS_KEPT))
+        self.latest = SentCommands(*self._room[:, :0])
+        """The commands kept, in the order of their times."""
+        self.first_ns: int | None = None
+        """The time at which the first one was sent [ns]."""
+        self.turning = False
+        """Whether robots have turned on the spot since the last direction."""
+
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for another command."""
+        return len(self.latest.sent_s) == self._room.shape[1]
+
+    def add(self, command: Command) -> None:
+        """Add a direction or a stop."""
+        if self.first_ns is None:
+            self.first_ns = command.sent_ns
+        if not isinstance(command.action, Stop):
+            self.turning = isinstance(command.action, Turn)
+        number = len(self.latest.sent_s)
+        self._room[0, number] = command.sent_ns / SECOND
+        self._room[1, number] = np.nan if command.direction is None else command.direction
+        self.latest = SentCommands(*self._room[:, : number + 1])
+
+    def make_room(self, acted: int) -> int:
+        """Forget all but the last COMMANDS_KEPT of the `acted` commands, the first ones, or make
+        room for more if there are none to forget; return how many were forgotten."""
+        forgotten = max(0, acted - COMMANDS_KEPT)
+        number = len(self.latest.sent_s)
+        added = number if forgotten == 0 else forgotten
+        self._room = np.append(self._room[:, forgotten:], np.empty((2, added)), axis=1)
+        self.latest = SentCommands(*self._room[:, : number - forgotten])
+        return forgotten
 
 
 class FilterBank:
     """The banks of filters that identify N robots during one trial.
+
+    `sent` adds a command and `seen` adds frames, in the order in which they become known; a command
+    counts from its time on. `ahead` says where the robots will be, and changes nothing: it can be
+    asked after the first frame, any number of times. `restart` is for robots that were replaced by
+    others, after the frame in which they were seen first.
 
     With `drive_first`, robots drive a square before the first plan, and the filters start when the
     first direction acts.
@@ -118,240 +169,309 @@ class FilterBank:
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
         self.prior = prior
-        count, helix = len(prior.a), prior.helix_radius > 0
-        noise = np.empty((3, count))
-        noise[:2] = prior.position_noise or USUAL.position_noise_s * np.maximum(prior.speed, 1e-9)
-        noise[2] = prior.heading_noise or USUAL.heading_noise
-        noise = np.hypot(noise, np.array([prior.spread]).T)
-        self._std, walk = np.zeros((2, at.SIZE, count))
-        walk[:2], walk[2] = USUAL.slip * prior.speed, USUAL.walk
-        parameters, (side, saturation) = enumerate(PARAMETERS), TURNING
-        for k, std, drift in (
-            *((at.LN_A + k, getattr(prior, f"{p.name}_std"), p.drift) for k, p in parameters),
-            (at.BIAS, prior.heading_bias_std, USUAL.turn_bias),
-            (at.MARKER, prior.marker_bias_std, USUAL.marker_bias),
-            (at.FLOW_X, prior.flow_std, USUAL.flow * prior.flow_std),
-            (at.FLOW_Y, prior.flow_std, USUAL.flow * prior.flow_std),
-            (at.SINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
-            (at.COSINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
-            (at.SIDE, prior.side_std, side.drift),
-            (at.LN_W, USUAL.pitch_std * helix, USUAL.pitch if helix else saturation.drift),
-        ):
-            self._std[k], walk[k] = std, drift * (std > 0)
-        turns = 2 * math.pi * prior.helix_frequency * helix
-        self._model = FilterModel(
-            parameters=in_rows(prior),
-            noise=noise,
-            walk=walk,
-            helix=turns,
-            lag=prior.lag,
-            watchdog=prior.watchdog,
-            sticks=prior.sticks,
-            coarse=prior.coarse,
-        )
-        self._sent = np.empty((2, 3 * KEPT_COMMANDS))  # send times [s], and directions [rad]
-        self._when, self._u = self._sent[:, :0]
-        self._last: Observation | None = None  # the last frame used
-        self._all = np.ones(count, dtype=np.bool_)
-        # those of the last frame used and of the new ones
-        self._poses, self._seen = np.empty((1, count, 3)), np.empty((1, count), dtype=np.bool_)
-        # time at which the filters start [ns]; None if it depends on the first direction
-        self._from_ns: int | None = None if drive_first else 0
-        self._turning = False  # whether robots have turned on the spot since the last direction
-        self._noisy = False  # whether standing robots were measured at different poses
-        reach = GRID.reach * prior.dead_time_std
-        low, high = max(0.0, prior.dead_time - reach), prior.dead_time + reach
-        self._tau = np.arange(low, high + 1e-9, GRID.step_s)  # dead times to start from [s]
-        self._steps = np.full(count, GRID.step_s)  # spacing of each robot's dead times [s]
-        self._misfit, self._laid_out_ns = np.zeros((3, count)), 0
-        self._lay_out(self._first_bank())
+        self.body = body_model(prior)
+        self.model = filter_model(prior, self.body)
+        self.commands = CommandRecord()
+        self.last: Observation | None = None
+        """The last frame used."""
+        self.laid_out_ns = 0
+        """Time at which dead times were laid out again, for robots that the model did not fit; 0 if
+        they never were [ns]."""
+        self._drive_first = drive_first
+        self._noisy = False
+        """Whether robots were measured at different poses before the first command."""
+        self._laid = self._lay_out(self._first_bank(), np.full(len(prior.a), GRID.step_s))
 
-    def _first_bank(self) -> Bank:
-        tau, count = self._tau, len(self.prior.a)
-        pitches = np.log(PITCHES) if self._model.helix > 0 else np.zeros(1)
-        pitch = np.repeat(np.arange(len(pitches)), len(tau))
-        mean = np.zeros((len(pitch), count, at.STATE))
-        mean[..., at.LN_W] = pitches[pitch, None]
-        return Bank.start(np.tile(tau, len(pitches)), mean, self._std.T, pitch)
+    @property
+    def bank(self) -> Bank:
+        """The filters, B of each robot."""
+        return self._laid.bank
 
-    def _lay_out(self, bank: Bank) -> None:
-        """Go on with other filters, and lay out what robots tell each other of these."""
-        self._bank, prior, finest = bank, self.prior, GRID.finest_s
-        size = max(len(bank.tau), 3 * max(len(PITCHES), 1 + len(SATURATIONS))), len(prior.a)
-        self._chosen = np.empty(size, np.int64), np.empty(size), np.empty(size)
-        times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
-        gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, finest) / 2
-        near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
-        near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
-        of_time = -(((times - prior.dead_time) / (prior.dead_time_std or 1.0)) ** 2) / 2
-        dead_times = np.array([bank.tau[0], np.zeros(size[1])])
-        room = np.empty((len(times), size[1]))
-        self._shared = Shared(near, of_time, room, bank.score.copy(), dead_times)
-        self._step = float(self._steps.max())
-        self._select(changes=False)
+    @property
+    def shared(self) -> SharedTimes:
+        """What the filters say of the robots' dead times, after the last frame."""
+        return self._laid.shared
+
+    @property
+    def step_s(self) -> Floats:
+        """(N,) spacing of each robot's dead times [s]."""
+        return self._laid.step_s
+
+    def likeliest(self) -> tuple[Integers, Integers, Integers]:
+        """Return the index of each robot's likeliest hypothesis in the bank: its filter, robot and
+        slot, (N,) each."""
+        robots = np.arange(len(self.prior.a))
+        filters = self.shared.score.argmax(axis=0)
+        slots = self.bank.weight[filters, robots].argmax(axis=1)
+        return filters, robots, slots
 
     def sent(self, command: Command) -> None:
         """Add a direction or a stop with the time at which it was sent."""
         if isinstance(command.action, FieldOff):
             return
-        if not isinstance(command.action, Stop):
-            self._turning = isinstance(command.action, Turn)
-        if self._from_ns is None:
-            settled = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
-            self._from_ns = command.sent_ns + round(settled * SECOND)
-        count = len(self._when)
-        if count == self._sent.shape[1]:
-            done = max(0, int(self._bank.next.min()) - KEPT_COMMANDS)
-            self._sent = np.append(self._sent[:, done:], np.empty((2, done or count)), axis=1)
-            self._bank.next[:] -= done
-            count -= done
-        direction = command.direction
-        self._sent[:, count] = command.sent_ns / SECOND, np.nan if direction is None else direction
-        self._when, self._u = self._sent[:, : count + 1]
+        if self.commands.full:
+            self.bank.coming[:] -= self.commands.make_room(int(self.bank.coming.min()))
+        self.commands.add(command)
 
-    def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
+    def seen(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
         """Update the filters by those `earlier` frames that are at least SPACING_S apart, and by
-        the frame `observation`."""
-        certain, last, frames = self.prior.certain, self._last, list[Observation]()
-        since = None if self._turning or certain else self._from_ns
-        placed = False
-        for frame in (*earlier, observation):
-            least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
-            if last and not certain and frame.sampled_ns < last.sampled_ns + least:
-                continue
-            if last is None or since is None or frame.sampled_ns < since:
-                placed = True
-                frames.clear()  # of what came before nothing is left
-            frames.append(frame)
-            last = frame
-        if placed:
-            self._place(frames[0], self._all)
-        elif self._last:
-            frames.insert(0, self._last)
+        the `newest` frame; then lay other filters out where the present ones do not fit."""
+        misfits = self._misfits() if self._may_lay_out_again(newest) else None
+        frames = self._spaced(newest, earlier)
+        starts = [k for k, frame in enumerate(frames) if self._starts_at(frame, k)]
+        if starts:
+            frames = frames[starts[-1] :]
+            self._place(frames[0], np.ones(len(self.prior.a), dtype=np.bool_))
+        elif self.last is not None:
+            frames = [self.last, *frames]
         if len(frames) > 1:
             self._follow(frames)
-        self._last = last
-        self._select()
-        due = observation.sampled_ns >= self._laid_out_ns + REOPEN_S * SECOND
-        unfit = (self._misfit > 1).any() and not self._model.helix  # cells turn by themselves
-        if due and unfit:
-            self._reopen(observation)
+        self.last = frames[-1]
+        if not self.prior.certain:
+            self._select()
+        if misfits is not None and misfits.any():
+            self._lay_out_again(newest, misfits[:, HEADING_MISFIT])
 
-    def restart(self, robots: Iterable[int]) -> None:
+    def restart(self, robots: Sequence[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
-        if replaced := sorted({*robots}):
-            assert self._last is not None, "a robot can be replaced only after a frame"
-            fresh, (count, all_robots) = self._first_bank(), self._bank.tau.shape
-            rows = np.arange(max(count, len(fresh.tau)))[:, None].repeat(all_robots, axis=1)
-            self._bank = self._bank.part(np.minimum(rows, count - 1))
-            self._bank.score[count:] = -np.inf
-            first = fresh.part(np.minimum(rows, len(fresh.tau) - 1))
-            first.score[len(fresh.tau) :] = -np.inf
-            for column, new in zip(self._bank, first, strict=True):
-                column[:, replaced] = new[:, replaced]
-            self._steps[replaced] = GRID.step_s
-            self._place(self._last, np.isin(np.arange(all_robots), replaced))
-            self._lay_out(self._bank)
+        if not robots:
+            return
+        replaced = np.zeros(len(self.prior.a), dtype=np.bool_)
+        replaced[robots] = True
+        assert self.last is not None, "a robot can be replaced only after a frame"
+        first = self._first_bank()
+        size = max(len(self.bank.score), len(first.score))
+        bank = self.bank.padded(size)
+        for column, new in zip(bank, first.padded(size), strict=True):
+            column[:, replaced] = new[:, replaced]
+        step_s = np.where(replaced, GRID.step_s, self.step_s)
+        self._laid = self._lay_out(bank, step_s)
+        self._place(self.last, replaced)
 
-    def _reopen(self, frame: Observation) -> None:
-        """Lay out the first dead times again, each in the state of the robot's likeliest filter,
-        and, for robots whose heading does not fit, SATURATIONS of their motors.
+    def ahead(self, sent_ns: int) -> Ahead:
+        """Return the robots as each will be when a command sent at `sent_ns` [ns] acts on it."""
+        from tetractl.control.kernels.bank import forecast
 
-        The dead time may have changed, and the others are gone by then. The likeliest one stays so
-        until frames tell otherwise; how well the model fits is tested again.
+        assert self.last is not None, "poses are predicted from those of a frame"
+        outlook = Outlook.empty(len(self.prior.a))
+        dead_time_s, dead_time_std_s = forecast(
+            self.bank,
+            self.model,
+            self.shared,
+            self.commands.latest,
+            self.last.seconds,
+            sent_ns / SECOND,
+            outlook,
+        )
+        estimate = Estimate(
+            a=outlook.a,
+            a_std=outlook.a_std,
+            speed=outlook.speed,
+            speed_std=outlook.speed_std,
+            heading_bias=outlook.heading_bias,
+            heading_bias_std=outlook.heading_bias_std,
+            dead_time=dead_time_s,
+            dead_time_std=dead_time_std_s,
+            misfit=outlook.misfit,
+            side=outlook.side,
+            side_std=outlook.side_std,
+            saturation=outlook.saturation,
+            stands=outlook.stands,
+        )
+        return Ahead(
+            poses=Poses(outlook.x, outlook.y, outlook.heading),
+            bias=outlook.turn_bias,
+            flow=outlook.flow,
+            held=outlook.held_direction,
+            estimate=estimate,
+        )
+
+    def _misfits(self) -> Bools:
+        """Return for each robot which of INNOVATIONS the model does not fit, (N, 3)."""
+        robots = np.arange(len(self.prior.a))
+        filters = self.shared.score.argmax(axis=0)
+        blocks = np.maximum(self.bank.blocks[filters, robots], ASSUMED.least_blocks)
+        limits = np.array([largest_square_sum(number) for number in blocks.tolist()])
+        return self.bank.square_sum[filters, robots] > limits[:, None]
+
+    def _spaced(self, newest: Observation, earlier: Sequence[Observation]) -> list[Observation]:
+        """Return the frames that are far enough from those used before, in the order of time.
+
+        The newest one needs no distance if others come with it. A prior without uncertainty uses
+        all frames.
         """
-        old, robots = self._bank, np.arange(len(self.prior.a))
-        best = self._shared.score.argmax(axis=0)
-        chosen = best, robots, old.weight[best, robots].argmax(axis=1)
-        tried, times = [None, *np.log(SATURATIONS)], len(self._tau)
-        group = np.repeat(np.arange(len(tried)), times)
-        mean = np.repeat(old.state[chosen][None], len(group), axis=0)
-        bank = Bank.start(np.tile(self._tau, len(tried)), mean, self._std.T, group)
-        bank.cov[:, :, 0], bank.scale[:] = old.cov[chosen], old.scale[best, robots]
-        bank.score[:] = -(((bank.tau - old.tau[best, robots]) / REOPEN_STD_S) ** 2) / 2
-        turns = self._misfit[INNOVATIONS.index("heading")] > 1
-        for k, of in enumerate(tried[1:], 1):
-            rows = group == k
-            cov = bank.cov[rows]
-            # the filter without a limit has explained the turns by a small a, and is sure of it
-            for state, std in ((at.LN_A, self._std[at.LN_A]), (at.LN_W, SATURATION_STD)):
-                cov[..., state, :] = 0.0
-                cov[..., state] = 0.0
-                cov[:, :, 0, state, state] = std**2
-            bank.cov[rows] = cov
-            bank.state[rows, :, :, at.LN_W] = of
-            bank.score[rows] += np.where(turns, SATURATED, -np.inf)
-        self._model.walk[at.LN_W] = TURNING[1].drift
-        self._bank, self._steps[:], self._misfit = bank, GRID.step_s, 0 * self._misfit
-        self._laid_out_ns = frame.sampled_ns
-        self._place(frame, self._all)
-        self._lay_out(bank)
+        if self.prior.certain:
+            return [*earlier, newest]
+        used = list[Observation]()
+        last = self.last
+        for frame in (*earlier, newest):
+            apart_ns = 1 if earlier and frame is newest else round(SPACING_S * SECOND)
+            if last is None or frame.sampled_ns >= last.sampled_ns + apart_ns:
+                used.append(frame)
+                last = frame
+        return used
 
-    def _place(self, frame: Observation, robots: Bools) -> None:
-        """Set the poses of some `robots` (N,) to those of a frame, and let them follow the last
-        command that acts at or before the frame's exposure.
-        """
+    def _starts_at(self, frame: Observation, k: int) -> bool:
+        """Return whether the filters take the poses of frame k of those used as they are: it is the
+        first one of the trial, or robots are not followed yet, or turn on the spot."""
+        if (self.last is None and k == 0) or self.prior.certain or self.commands.turning:
+            return True
+        if not self._drive_first:
+            return False
+        if self.commands.first_ns is None:
+            return True
+        settled_s = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
+        return frame.sampled_ns < self.commands.first_ns + round(settled_s * SECOND)
+
+    def _place(self, frame: Observation, placed: Bools) -> None:
+        """Set the poses of the robots `placed` (N,) to those of a frame, and let them follow the
+        last command that acts at or before the frame's exposure."""
         from tetractl.control.kernels.filter import place  # late: checking a spec needs no compiler
 
-        given = self._when, self._u, frame.seconds, frame.poses.array(), robots
-        place(self._bank, self._model, *given)
+        poses = frame.poses.array()
+        place(self.bank, self.model, self.commands.latest, frame.seconds, poses, placed)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the first to the last of some frames."""
         from tetractl.control.kernels.filter import follow
 
-        if len(frames) > len(self._poses):
-            self._poses = np.empty((len(frames), *self._poses.shape[1:]))
-            self._seen = np.empty(self._poses.shape[:2], dtype=np.bool_)
-        poses, seen = self._poses[: len(frames)], self._seen[: len(frames)]
-        for pose, valid, frame in zip(poses, seen, frames, strict=True):
-            pose[:, 0], pose[:, 1], pose[:, 2] = frame.poses.x, frame.poses.y, frame.poses.heading
-            valid[:] = frame.valid
-        if not len(self._when):
-            moved = (poses[1:] != poses[:-1]).any(axis=(1, 2))
-            self._noisy |= bool((moved & seen[1:].any(axis=1)).any())
-        time = np.array([frame.seconds for frame in frames])
-        given = self._when, self._u, time, poses, seen, self._noisy
-        follow(self._bank, self._model, self._step, *given)
+        measured = PoseFrames(
+            time_s=np.array([frame.seconds for frame in frames]),
+            poses=np.array([frame.poses.array() for frame in frames]),
+            valid=np.array([frame.valid for frame in frames]),
+        )
+        if not len(self.commands.latest.sent_s) and not self._noisy:
+            moved = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
+            seen = measured.valid[1:].any(axis=1)
+            self._noisy = bool((moved & seen).any())
+        step_s = float(self.step_s.max())
+        follow(self.bank, self.model, self.commands.latest, measured, self._noisy, step_s)
 
-    def _select(self, changes: bool = True) -> None:
-        """Compute how likely filters are; if the bank `changes`, drop filters that are unlikely,
-        and refine each robot's grid around likely dead times."""
-        from tetractl.control.kernels.bank import select
+    def _select(self) -> None:
+        """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
+        from tetractl.control.kernels.bank import select, share
 
-        if self.prior.certain:
+        bank, shared, step_s, going_on = self._laid
+        share(bank, shared, step_s)
+        commanded = len(self.commands.latest.sent_s) > 0
+        if not select(bank, shared, step_s, self.body.tried, commanded, going_on):
             return
-        begun, (which, tau, own) = len(self._when) > 0, self._chosen
-        if select(self._bank, self._shared, self._steps, begun, changes, which, tau, own):
-            there, robots = which >= 0, np.arange(which.shape[1])
-            last = there.sum(axis=0) - 1
-            rows = np.minimum(np.arange(last.max() + 1)[:, None], last)  # the last fills the rest
-            bank = self._bank.part(which[rows, robots])
-            bank.tau[:] = tau[rows, robots]
-            bank.score[:] = np.where(there[: len(rows)], own[rows, robots], -np.inf)
-            self._lay_out(bank)
+        goes_on = going_on.rows >= 0
+        number = goes_on.sum(axis=0)
+        rows = np.minimum(np.arange(number.max())[:, None], number - 1)  # the last fills the rest
+        robots = np.arange(rows.shape[1])
+        chosen = bank.part(going_on.rows[rows, robots])
+        chosen.dead_time_s[:] = going_on.dead_time_s[rows, robots]
+        chosen.score[:] = going_on.score[rows, robots]
+        chosen.score[~goes_on[: len(rows)]] = -np.inf
+        self._laid = self._lay_out(chosen, step_s)
 
-    def ahead(self, sent: int) -> Ahead:
-        """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
-        from tetractl.control.kernels.bank import forecast
+    def _first_bank(self) -> Bank:
+        """Return filters for the dead times of the prior, in the first groups."""
+        dead_times_s = self._first_dead_times()
+        values = self.body.first_tried
+        group = np.repeat(np.arange(len(values)), len(dead_times_s))
+        mean = np.zeros((len(group), len(self.prior.a), STATES))
+        mean[..., self.body.tried] = np.array(values)[group, None]
+        std = first_std(self.prior, self.body)
+        return Bank.start(np.tile(dead_times_s, len(values)), mean, std, group)
 
-        assert self._last is not None
-        found = np.empty((FOUND, len(self.prior.a)))
-        given = self._when, self._u, self._last.seconds, sent / SECOND
-        dead_time, std = forecast(self._bank, self._model, self._shared, *given, found)
-        x, y, heading, *motion, turn, held = found[: DRIFT.start]
-        self._misfit = found[MISFIT]
-        side, side_std, saturation = found[TURNS]
-        more = {"dead_time": dead_time, "dead_time_std": std, "misfit": found[MISFIT].T}
-        more |= {"side": side, "side_std": side_std, "saturation": saturation}
-        more |= {"stands": found[STANDS]}
-        known = Estimate(*motion, **more)
-        return Ahead(Poses(x, y, heading), turn, found[DRIFT].T, held, known)
+    def _first_dead_times(self) -> Floats:
+        """Return the dead times to start from [s]: a grid around that of the prior."""
+        reach_s = GRID.reach * self.prior.dead_time_std
+        least_s = max(0.0, self.prior.dead_time - reach_s)
+        return np.arange(least_s, self.prior.dead_time + reach_s + 1e-9, GRID.step_s)
+
+    def _may_lay_out_again(self, newest: Observation) -> bool:
+        """Return whether other filters are laid out if the present ones do not fit."""
+        due_ns = self.laid_out_ns + REOPEN_S * SECOND
+        return bool(self.body.later_tried) and newest.sampled_ns >= due_ns
+
+    def _lay_out_again(self, frame: Observation, heading_misfits: Bools) -> None:
+        """Lay out the first dead times again, each in the state of the robot's likeliest filter,
+        and, for robots whose heading does not fit, SATURATIONS of their motors.
+
+        The dead time may have changed, and the others are gone by then. The likeliest one stays so
+        until frames show otherwise; how well the model fits is tested again.
+        """
+        filters, robots, slots = self.likeliest()
+        old = self.bank
+        dead_times_s = self._first_dead_times()
+        groups = 1 + len(self.body.later_tried)  # the first one tries no saturation
+        group = np.repeat(np.arange(groups), len(dead_times_s))
+        mean = np.repeat(old.state[filters, robots, slots][None], len(group), axis=0)
+        std = first_std(self.prior, self.body)
+        bank = Bank.start(np.tile(dead_times_s, groups), mean, std, group)
+        bank.cov[:, :, 0] = old.cov[filters, robots, slots]
+        bank.noise_scale[:] = old.noise_scale[filters, robots]
+        later_s = bank.dead_time_s - old.dead_time_s[filters, robots]
+        bank.score[:] = -((later_s / REOPEN_STD_S) ** 2) / 2
+        for k, ln_saturation in enumerate(self.body.later_tried, 1):
+            rows = group == k
+            # the filter without a limit has explained the turns by a small a, and is sure of it
+            self._forget(bank, rows, LN_A, std[:, LN_A])
+            self._forget(bank, rows, LN_SATURATION, SATURATION_STD)
+            bank.state[rows, :, :, LN_SATURATION] = ln_saturation
+            bank.score[rows] += np.where(heading_misfits, SATURATED, -np.inf)
+        self.model.walk[LN_SATURATION] = SATURATION_DRIFT
+        self.laid_out_ns = frame.sampled_ns
+        self._laid = self._lay_out(bank, np.full(len(robots), GRID.step_s))
+        self._place(frame, np.ones(len(robots), dtype=np.bool_))
+
+    @staticmethod
+    def _forget(bank: Bank, rows: Bools, state: int, std: Floats | float) -> None:
+        """Let the filters `rows` (B,) know of a state no more than its deviation, (N,) or that of
+        all."""
+        cov = bank.cov[rows]
+        cov[..., state, :] = 0.0
+        cov[..., state] = 0.0
+        cov[:, :, 0, state, state] = std**2
+        bank.cov[rows] = cov
+
+    def _lay_out(self, bank: Bank, step_s: Floats) -> Laid:
+        """Return filters with what they say of the robots' dead times, which are `step_s` (N,)
+        apart [s].
+
+        A robot's dead time is that of a filter up to half of the step; that of another robot is
+        the same with the probability 1 - GRID.own, else it differs by GRID.own_s.
+        """
+        from tetractl.control.kernels.bank import share
+
+        filters, robots = bank.score.shape
+        half_step_s = GRID.finest_s / 2
+        times_s = np.arange(0, float(bank.dead_time_s.max()) + GRID.finest_s, half_step_s)
+        gaps_s = times_s[:, None, None] - bank.dead_time_s
+        width_s = np.maximum(step_s, GRID.finest_s) / 2
+        near = (1 - GRID.own) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
+        near += GRID.own * np.exp(-((gaps_s / GRID.own_s) ** 2) / 2) / GRID.own_s
+        deviations = (times_s - self.prior.dead_time) / (self.prior.dead_time_std or 1.0)
+        shared = SharedTimes(
+            near=near,
+            prior=-(deviations**2) / 2,
+            scratch=np.empty((len(times_s), robots)),
+            score=bank.score.copy(),
+            mean_s=bank.dead_time_s[0].copy(),
+            std_s=np.zeros(robots),
+        )
+        size = max(filters, 3 * self.body.groups_max)
+        going_on = NextFilters(
+            rows=np.empty((size, robots), np.int64),
+            dead_time_s=np.empty((size, robots)),
+            score=np.empty((size, robots)),
+        )
+        if not self.prior.certain:
+            share(bank, shared, step_s)
+        return Laid(bank, shared, step_s, going_on)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:
     """Compile the functions of a filter bank, or load them from the cache."""
-    bank, valid = FilterBank(prior), np.ones(len(prior.a), dtype=np.bool_)
-    for k, now in enumerate((0, round(SPACING_S * SECOND))):
-        bank.seen(Observation(k, now, now, starts, valid))
-        bank.ahead(now)
+    filters = FilterBank(prior)
+    valid = np.ones(len(prior.a), dtype=np.bool_)
+    first = Observation(0, 0, 0, starts, valid)
+    second_ns = round(SPACING_S * SECOND)
+    second = Observation(1, second_ns, second_ns, starts, valid)
+    filters.seen(first)
+    filters.ahead(0)
+    filters.seen(second)
+    filters.ahead(second_ns)

@@ -15,16 +15,17 @@ from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels import filter as kernel
 from tetractl.control.kernels.filter_state import (
-    BIAS,
     FLOW_X,
     FLOW_Y,
     FOLLOWS,
     HEADING,
-    LN_W,
+    LN_SATURATION,
     LOG_FOLLOWS,
-    MARKER,
-    STUCK,
+    MARKER_BIAS,
+    TURN_BIAS,
     Bank,
+    PoseFrames,
+    SentCommands,
     X,
     Y,
 )
@@ -128,9 +129,7 @@ def know(
 
 def likely(filters):
     """The state of each robot's likeliest hypothesis (N, STATE) at the last frame."""
-    bank, robots = filters._bank, np.arange(len(filters.prior.a))
-    best = np.argmax(filters._shared.score, axis=0), robots
-    return bank.state[(*best, np.argmax(bank.weight[best], axis=1))]
+    return filters.bank.state[filters.likeliest()]
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.14, 0.26])
@@ -143,7 +142,7 @@ def test_the_dead_time_is_found_from_nothing(dead_time, rate):
 def test_each_robot_may_have_a_dead_time_of_its_own():
     late_s = [0.0, 0.06, 0.12]
     found, plant, estimator = know([*NOISY, "plant.dead_time=0.1"], 8, 20, late=Late(late_s))
-    assert estimator.filter._shared.dead_times[0] == pytest.approx(np.add(0.1, late_s), abs=0.006)
+    assert estimator.filter.shared.mean_s == pytest.approx(np.add(0.1, late_s), abs=0.006)
     assert found.dead_time_std > 0.04
     assert found.a == pytest.approx(plant.a, rel=0.03)
 
@@ -154,7 +153,7 @@ def test_a_dead_time_that_changes_is_found_again():
     found, _, estimator = know(settings, 24, 20, late=Late([0.15] * 3, since_s=12.0))
     assert found.dead_time == pytest.approx(0.26, abs=0.004)
     assert found.misfit.max() < 1
-    assert estimator.filter._laid_out_ns > 12 * SECOND
+    assert estimator.filter.laid_out_ns > 12 * SECOND
 
 
 def test_the_side_to_which_a_robot_turns_faster_is_found():
@@ -185,7 +184,7 @@ def test_the_turning_rates_of_motors_that_saturate_are_found():
 
 def test_dead_times_are_not_laid_out_again_while_the_model_fits():
     _, _, estimator = know(["plant.dead_time=0.11", "plant.a_error=0.2", *NOISY], 20, 20)
-    assert estimator.filter._laid_out_ns == 0
+    assert estimator.filter.laid_out_ns == 0
 
 
 def test_a_motion_that_the_model_leaves_out_is_noticed():
@@ -244,7 +243,7 @@ def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     sides = plant.disturbances[0].offsets
     assert found.heading_bias == pytest.approx(sides, abs=0.03)
     state = likely(estimator.filter)
-    assert state[:, BIAS] == pytest.approx([0.0] * 3, abs=0.03)
+    assert state[:, TURN_BIAS] == pytest.approx([0.0] * 3, abs=0.03)
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.03)
 
 
@@ -303,7 +302,7 @@ def test_a_cell_that_rests_is_said_to_stand_within_three_to_five_pictures():
     said, rate = {}, 30  # by the number of pictures since the rest began
 
     def compare(k, problem, estimator, plant):
-        since = round((estimator.filter._last.sampled_ns / SECOND - 4) * rate)
+        since = round((estimator.filter.last.sampled_ns / SECOND - 4) * rate)
         said.setdefault(since, []).append(estimator.estimate.stands > 0.5)
 
     for seed in range(3):
@@ -348,9 +347,9 @@ def test_a_cell_that_backs_off_and_turns_is_followed():
 def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
     *_, estimator = know(rate=20, seconds=2)
     filters = estimator.filter
-    now = filters._last.sampled_ns
-    filters._bank.weight[...] = -np.inf
-    filters._bank.weight[..., STUCK] = 0.0
+    now = filters.last.sampled_ns
+    filters.bank.weight[...] = -np.inf
+    filters.bank.weight[..., -1] = 0.0
     filters.sent(Command(Steer(1.0), now + 1, (True,) * 3))
     assert np.isnan(filters.ahead(now + 1).held).all()  # as it would act
 
@@ -433,18 +432,20 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
     )
     sticks = Sticks(6, 1, 60, 1)
     bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1, sticks=sticks))
-    model, made = bank._model, bank._bank
-    model = model._replace(hold=0.03 if lag else 0.0)
+    model, made = bank.model, bank.bank
+    model = model._replace(hold_s=0.03 if lag else 0.0)
     if not helix:  # wheels that saturate
-        made.state[..., LN_W], made.cov[..., LN_W, LN_W] = math.log(0.6), 0.3**2
+        made.state[..., LN_SATURATION] = math.log(0.6)
+        made.cov[..., LN_SATURATION, LN_SATURATION] = 0.3**2
         made = made._make(np.concatenate([column, column]) for column in made)
     made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
     if follows > FOLLOWS:
         mean, std = made.state[:, :, 0], np.sqrt(made.cov[0, :, 0].diagonal(axis1=1, axis2=2))
-        made = Bank.start(made.tau[:, 0], mean, std, made.pitch[:, 0], follows)
-    made.tau[:] = 0.1
+        made = Bank.start(made.dead_time_s[:, 0], mean, std, made.group[:, 0], follows)
+    made.dead_time_s[:] = 0.1
     start = np.array([10.0, 20.0, 3.1])
-    kernel.place(made, model, np.empty(0), np.empty(0), np.zeros(1), start[None], np.array([True]))
+    none = SentCommands(np.empty(0), np.empty(0))
+    kernel.place(made, model, none, np.zeros(1), start[None], np.array([True]))
     slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0], follows)
     command = slow.branch if follows > FOLLOWS else slow.switch
     when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
@@ -456,8 +457,9 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
         pose[2] = math.remainder(pose[2], math.tau)
         seen = np.array([[False], [k % 7 > 0]])
         made.score[:] = 0.0
-        frames = np.array([[now], [until]]), np.stack([0 * pose, pose])[:, None], seen
-        kernel.follow(made, model, 0.02, when, u, *frames, False)
+        times_s = np.array([[now], [until]])
+        frames = PoseFrames(times_s, np.stack([0 * pose, pose])[:, None], seen)
+        kernel.follow(made, model, SentCommands(when, u), frames, False, 0.02)
         at = now
         while acts and acts[0] <= until:
             for one in filter(None, slow.slots):
@@ -476,8 +478,10 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
             if one is not None:
                 assert weight == pytest.approx(one.ln_weight, abs=1e-6)
                 assert made.state[0, 0, s] == pytest.approx(one.z, rel=1e-6, abs=1e-6)
-                assert made.cov[0, 0, s] == pytest.approx(one.cov, rel=1e-5, abs=1e-7)
-    assert made.scale[0, 0] == pytest.approx(slow.scale, rel=1e-6)
+                states = made.cov.shape[-1]
+                cov = one.cov[:states, :states]
+                assert made.cov[0, 0, s] == pytest.approx(cov, rel=1e-5, abs=1e-7)
+    assert made.noise_scale[0, 0] == pytest.approx(slow.scale, rel=1e-6)
     assert np.isfinite(score)
 
 
@@ -487,10 +491,12 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
 
     def compare(k, problem, estimator, plant):
         filters, found = estimator.filter, estimator.estimate
-        sizes.add(filters._bank.tau.shape)
+        sizes.add(filters.bank.dead_time_s.shape)
         score, *dead_times = oracle.share(filters)
-        assert filters._shared.score == pytest.approx(score, rel=1e-9)
-        assert filters._shared.dead_times == pytest.approx(np.array(dead_times), rel=1e-9)
+        assert filters.shared.score == pytest.approx(score, rel=1e-9)
+        assert np.array([filters.shared.mean_s, filters.shared.std_s]) == pytest.approx(
+            np.array(dead_times), rel=1e-9
+        )
         for name, value in asdict(oracle.estimate(filters)).items():
             assert getattr(found, name) == pytest.approx(value, rel=1e-9, abs=1e-12), name
 
@@ -503,8 +509,8 @@ def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
     unfit = []
 
     def compare(k, problem, estimator, plant):
-        bank, best = estimator.filter._bank, np.argmax(estimator.filter._shared.score, axis=0)
-        unfit.append(bank.unfit[best, np.arange(len(best))].max() if k > 15 else 0.0)
+        bank, best = estimator.filter.bank, np.argmax(estimator.filter.shared.score, axis=0)
+        unfit.append(bank.unfit_s[best, np.arange(len(best))].max() if k > 15 else 0.0)
 
     settings = [*NOISY, "plant.dead_time=0.12", "plant.lost_commands=0.15"]
     know(settings, seconds=30, until=compare, seed=4)
@@ -514,17 +520,17 @@ def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
 def test_a_covariance_of_many_orders_stays_a_covariance():
     *_, estimator = know(rate=20, seconds=2)
     filters = estimator.filter
-    filters._bank.cov[...] *= 1e16
+    filters.bank.cov[...] *= 1e16
     for _ in range(3):
-        last = filters._last
+        last = filters.last
         filters.seen(replace(last, sampled_ns=last.sampled_ns + SECOND // 25))
-        used = filters._bank.weight > -np.inf
-        cov = filters._bank.cov[used]
+        used = filters.bank.weight > -np.inf
+        cov = filters.bank.cov[used]
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
-        heading, marker = HEADING, MARKER
+        heading, marker = HEADING, MARKER_BIAS
         both = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
         assert both.min() >= 0
-        assert np.isfinite(filters._bank.score).all()
+        assert np.isfinite(filters.bank.score).all()
 
 
 def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
@@ -535,8 +541,8 @@ def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
         bank = deepcopy(estimator.filter)
         bank.restart([0])
         if k > 10:
-            stand.append(bool(np.isnan(bank._bank.u[:, 0, 0]).any()))
-            assert np.isnan(bank._bank.u[:, 0, STUCK]).all()  # one that is stuck follows none
+            stand.append(bool(np.isnan(bank.bank.direction[:, 0, 0]).any()))
+            assert np.isnan(bank.bank.direction[:, 0, -1]).all()  # one that is stuck follows none
 
     know(["plant.dead_time=0.1"], seconds=4, rate=20, until=replaced)
     assert not any(stand)
@@ -564,8 +570,8 @@ def test_a_grid_is_noise_and_its_poses_may_repeat():
     found = section.prior.of(section.problem(setup), 0.0, setup)
     bank = FilterBank(found)
     usual = FilterBank(found._replace(spread=(0.0, 0.0, 0.0), coarse=False))
-    more = bank._model.noise**2 - usual._model.noise**2
+    more = bank.model.noise**2 - usual.model.noise**2
     assert more[0] == pytest.approx(step_mm**2 / 12)
     assert more[2] == pytest.approx(step_rad**2 / 12)
-    assert bank._model.coarse
-    assert not usual._model.coarse
+    assert bank.model.coarse
+    assert not usual.model.coarse

@@ -1,227 +1,416 @@
-"""What a bank of filters (`tetractl.control.kernels.filter`) says as a whole: what its likeliest
-hypotheses tell of robots, and which filters go on. The readable twin is `tests/oracles/bank.py`.
+"""What the filters (`tetractl.control.kernels.filter`) of all robots say together.
+
+`share` computes how likely each filter is, and so each robot's dead time; `select` finds which
+filters go on, and with which dead times; `forecast` predicts the robots by their likeliest filters.
+Numbers and shapes are those of `filter_state`; the readable twin is `tests/oracles/bank.py`.
+
+Let l(b, i) be the likelihood of filter b of robot i by the robot's own frames, exp(score), and
+n(t, b, i) the density of a common dead time t, given that filter's. The frames of robot i tell of t
+
+    L_i(t) = sum_b n(t, b, i) l(b, i),
+
+and filter b of robot i is as likely as its own frames say, times what the other robots tell of t:
+
+    P(b, i) ~ l(b, i) sum_t n(t, b, i) prior(t) prod_(k != i) L_k(t).
 """
 
 import math
 
 import numpy as np
 
-from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter import likeliest
 from tetractl.control.kernels.filter_motion import advance, parameters_of, rolled
-from tetractl.control.kernels.filter_state import ASSUMED, GRID, MISFIT, SLOTS, STUCK
+from tetractl.control.kernels.filter_state import (
+    ASSUMED,
+    FLOW_X,
+    FLOW_Y,
+    GRID,
+    HEADING,
+    LN_A,
+    LN_SPEED,
+    MARKER_BIAS,
+    PACE,
+    SIDE,
+    SWING,
+    TURN_BIAS,
+    X,
+    Y,
+    largest_square_sum,
+)
 from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
+from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+
+LEAST = 1e-300
+"""Added to densities whose logarithm is taken: they may be 0."""
+
+_largest_square_sum = inlined(largest_square_sum)
 
 
 @compiled(**ENTRY_FAST)
-def forecast(bank, model, shared, when, u, begin, sent, found):
-    """Fill found (FOUND, N) with what each robot's likeliest hypothesis tells; return the mean of
-    the dead times and its standard deviation [s].
-
-    Poses are those at which a command sent at `sent` [s] acts on each robot, and those in which
-    lagging wheels come to rest if they then stop; they are predicted from each robot's `begin` (N,)
-    [s] through commands u (C,) [rad], sent at times when (C,) [s]. Standard deviations grow by what
-    the test of the innovations finds.
-    """
-    count, z = len(model.parameters), np.empty(bank.state.shape[3])
-    mean = doubt = 0.0
-    for i in range(count):
-        best = likeliest(shared.score[:, i], bank.tau.shape[0])
-        slot, every = likeliest(bank.weight[best, i], SLOTS), 0.0
-        for s in range(SLOTS):
-            every += math.exp(bank.weight[best, i, s] - bank.weight[best, i, slot])
-        stuck = math.exp(bank.weight[best, i, STUCK] - bank.weight[best, i, slot])
-        found[at.STANDS, i] = stuck / every
-        for k in range(z.size):
-            z[k] = bank.state[best, i, slot, k]
-        cov, white, more = bank.cov[best, i, slot], bank.white[best, i, 1], 1.0
-        blocks = max(white[3], ASSUMED.least_blocks)
-        part = 2 / (9 * blocks)
-        limit = blocks * (1 - part + ASSUMED.sure * math.sqrt(part)) ** 3
-        for k in range(3):
-            more = max(more, white[k] / blocks)
-            found[MISFIT.start + k, i] = white[k] / limit
-        more = math.sqrt(more)
-        tau, deviation = shared.dead_times[0, i], more * shared.dead_times[1, i]
-        mean, doubt = mean + tau, doubt + deviation * deviation
-        a, speed, side, saturation = parameters_of(model, i, z)
-        found[3, i], found[4, i] = a, more * a * math.sqrt(max(cov[at.LN_A, at.LN_A], 0.0))
-        found[5, i], found[6, i] = speed, more * speed * math.sqrt(max(cov[at.LN_V, at.LN_V], 0.0))
-        var = cov[at.BIAS, at.BIAS] + cov[at.MARKER, at.MARKER] + 2 * cov[at.BIAS, at.MARKER]
-        found[7, i], found[8, i] = z[at.BIAS] + z[at.MARKER], more * math.sqrt(max(var, 0.0))
-        found[9, i] = z[at.BIAS]
-        found[10, i] = _ahead(bank, model, best, i, slot, when, u, tau, begin[i], sent, z)
-        found[11, i], found[12, i] = z[at.FLOW_X], z[at.FLOW_Y]
-        found[16, i], found[18, i] = side, saturation
-        found[17, i] = more * math.sqrt(max(cov[at.SIDE, at.SIDE], 0.0))
-        for k in range(3):
-            found[k, i] = z[k]
-    mean /= count
-    for i in range(count):
-        doubt += (shared.dead_times[0, i] - mean) ** 2
-    return mean, math.sqrt(doubt / count)
-
-
-@compiled(**INLINE_FAST)
-def _ahead(bank, model, b, i, s, when, u, tau, begin, sent, z):
-    """Predict the state z of a hypothesis of robot i to the moment when a command acts, tau [s]
-    after it is sent; return the direction followed then [rad], NaN for a robot that stands."""
-    now, stops = bank.u[b, i, s], bank.until[b, i, s]
-    t, until = begin, max(sent + tau, begin)
-    held = now if stops > until else math.nan
-    for c in range(when.size + 1):
-        acts = when[c] + tau if c < when.size else until
-        end = min(max(acts, t), until)
-        drives = min(max(stops, t), end) - t
-        for way, seconds in ((now, drives), (math.nan, end - t - drives)):
-            if seconds > 0:
-                advance(model, i, z, None, way, None, seconds, None)
-        t = end
-        if c < when.size and acts > begin and s != STUCK:
-            now, stops = u[c], acts + model.watchdog
-            if acts <= until + 1e-9:
-                held = now if stops > until else math.nan
-    a, speed, _, _ = parameters_of(model, i, z)
-    turn, way = model.lag * a * z[at.SWING], model.lag * speed * z[at.PACE]
-    east, north = rolled(z[at.HEADING], turn, way)
-    z[at.X], z[at.Y], z[at.HEADING] = z[at.X] + east, z[at.Y] + north, z[at.HEADING] + turn
-    return held
-
-
-@compiled(**INLINE_FAST)
-def _share(bank, shared, steps):
-    """Compute ln of each filter's probability, by its own frames and by what those of the other
-    robots tell of the common dead time, and each robot's dead time.
-
-    A filter's frames tell of a time by `near`; those of the others by their sums over filters.
-    """
-    near, room, score = shared.near, shared.room, shared.score
-    own = np.empty(score.shape[0])
-    for i in range(steps.size):
-        for b in range(own.size):
-            own[b] = math.exp(bank.score[b, i])
-        for t in range(room.shape[0]):
+def share(bank, shared, step_s):
+    """Compute ln of the probability of each filter, `shared.score`, and the mean and standard
+    deviation of each robot's dead time. The dead times of a robot are `step_s` (N,) apart [s]."""
+    filters, robots = shared.score.shape
+    times = shared.scratch.shape[0]
+    ln_of_others = shared.scratch
+    density = np.empty(filters)
+    for i in range(robots):
+        for b in range(filters):
+            density[b] = math.exp(bank.score[b, i])
+        for t in range(times):
             total = 0.0
-            for b in range(own.size):
-                total += near[t, b, i] * own[b]
-            room[t, i] = math.log(total + 1e-300)
-    for t in range(room.shape[0]):
-        every = shared.prior[t]
-        for i in range(steps.size):
-            every += room[t, i]
-        for i in range(steps.size):
-            room[t, i] = every - room[t, i]
-    for i in range(steps.size):
-        most, total, mean, spread = -math.inf, 0.0, 0.0, 0.0
-        for t in range(room.shape[0]):
-            most = max(most, room[t, i])
-        for b in range(own.size):
-            own[b] = 0.0
-        for t in range(room.shape[0]):
-            others = math.exp(room[t, i] - most)
-            for b in range(own.size):
-                own[b] += near[t, b, i] * others
-        most = -math.inf
-        for b in range(own.size):
-            score[b, i] = bank.score[b, i] + math.log(own[b] + 1e-300)
-            most = max(most, score[b, i])
-        for b in range(own.size):
-            own[b] = math.exp(score[b, i] - most)
-            total += own[b]
-            mean += own[b] * bank.tau[b, i]
-        mean /= total
-        for b in range(own.size):
-            spread += own[b] / total * (bank.tau[b, i] - mean) ** 2
-        shared.dead_times[0, i] = mean
-        shared.dead_times[1, i] = math.sqrt(spread + (steps[i] / 4) ** 2)
+            for b in range(filters):
+                total += shared.near[t, b, i] * density[b]
+            ln_of_others[t, i] = math.log(total + LEAST)
+    for t in range(times):
+        ln_of_all = shared.prior[t]
+        for i in range(robots):
+            ln_of_all += ln_of_others[t, i]
+        for i in range(robots):
+            ln_of_others[t, i] = ln_of_all - ln_of_others[t, i]
+    for i in range(robots):
+        _multiply(bank, shared, i, density)
+        _average(bank, shared, i, step_s[i], density)
+
+
+@compiled(**INLINE_FAST)
+def _multiply(bank, shared, i, density):
+    """Add what the other robots tell of the time to robot i's scores; `density` (B,) is scratch."""
+    filters = shared.score.shape[0]
+    times = shared.scratch.shape[0]
+    ln_of_others = shared.scratch
+    most = -math.inf
+    for t in range(times):
+        most = max(most, ln_of_others[t, i])
+    for b in range(filters):
+        density[b] = 0.0
+    for t in range(times):
+        others = math.exp(ln_of_others[t, i] - most)
+        for b in range(filters):
+            density[b] += shared.near[t, b, i] * others
+    for b in range(filters):
+        shared.score[b, i] = bank.score[b, i] + math.log(density[b] + LEAST)
+
+
+@compiled(**INLINE_FAST)
+def _average(bank, shared, i, step_s, density):
+    """Compute mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
+
+    The dead time lies between those of the grid: its deviation is at least a quarter of their step.
+    """
+    filters = shared.score.shape[0]
+    most = -math.inf
+    for b in range(filters):
+        most = max(most, shared.score[b, i])
+    total = 0.0
+    mean_s = 0.0
+    for b in range(filters):
+        density[b] = math.exp(shared.score[b, i] - most)
+        total += density[b]
+        mean_s += density[b] * bank.dead_time_s[b, i]
+    mean_s /= total
+    variance = 0.0
+    for b in range(filters):
+        variance += density[b] / total * (bank.dead_time_s[b, i] - mean_s) ** 2
+    shared.mean_s[i] = mean_s
+    shared.std_s[i] = math.sqrt(variance + (step_s / 4) ** 2)
 
 
 @compiled(**ENTRY_FAST)
-def select(bank, shared, steps, begun, changes, which, tau, own):
-    """Compute the probabilities of filters, and select each robot's if the bank may have `changes`:
-    its grid of dead times is refined around likely ones.
+def select(bank, shared, step_s, tried, commanded, going_on):
+    """Find the filters that go on, after `share`; return whether they are others than those of the
+    bank.
 
-    steps (N,) [s] are the spacings of the grids, halved in place. Filters far less likely than the
-    best are dropped, and of two frequencies of the helix that have become the same the less likely.
-    A grid changes only if commands were sent (`begun`). which (C, N) are filled with the filters
-    that go on, -1 after the last one, tau and own (C, N) with their dead times [s] and own ln
-    likelihoods. Returns whether anything has changed.
+    Of each robot's filters in each group those go on that are not far less likely than the best,
+    with those between them and next to the likeliest; of two groups whose state `tried` has become
+    the same, the less likely ends. Once robots were `commanded`, a grid of three dead times is
+    halved, step_s (N,) [s], and one whose best is at its end moves. The rows of `going_on` are
+    filled.
     """
-    _share(bank, shared, steps)
-    if not changes:
-        return False
-    changed, score, kept = False, shared.score, np.empty(which.shape[0], np.int64)
-    for i in range(steps.size):
-        for b in range(which.shape[0]):
-            which[b, i] = -1
-        count, best = 0, 0
-        while count < score.shape[0] and bank.score[count, i] > -math.inf:
-            best = count if score[count, i] > score[best, i] else best
-            count += 1
-        least, n, ends = score[best, i] - GRID.unlikely, 0, 0
-        while ends < count:  # filters of one frequency follow each other, in the order of times
-            begins = top = ends
-            first = last = -1
-            while ends < count and bank.pitch[ends, i] == bank.pitch[begins, i]:
-                top = ends if score[ends, i] > score[top, i] else top
-                if score[ends, i] >= least:
-                    first, last = ends if first < 0 else first, ends
-                ends += 1
-            same = abs(_reached(bank, top, i) - _reached(bank, best, i)) < GRID.same_pitch
-            if first >= 0 and (bank.pitch[top, i] == bank.pitch[best, i] or not same):
-                for b in range(max(begins, min(first, top - 1)), min(ends, max(last, top + 1) + 1)):
-                    kept[n], n = b, n + 1
-        middle, below, above, m = bank.tau[best, i], False, False, n  # m dead times
-        for r in range(n):
-            b = kept[r]
-            which[r, i], tau[r, i], own[r, i] = b, bank.tau[b, i], bank.score[b, i]
-            below, above = below or tau[r, i] < middle, above or tau[r, i] > middle
-            for q in range(r):
-                if tau[q, i] == tau[r, i]:
-                    m -= 1
-                    break
-        changed |= n < count
-        if m > 3 or not begun:
+    robots = step_s.size
+    chosen = np.empty(going_on.rows.shape[0], np.int64)
+    changed = False
+    for i in range(robots):
+        count = _count(bank, i)
+        best = likeliest(shared.score[:, i], count)
+        number = _choose(bank, shared, i, count, best, tried, chosen)
+        _take(bank, i, chosen[:number], going_on)
+        if number < count:
+            changed = True
+        dead_times = _number_of_dead_times(bank, i, chosen[:number])
+        if dead_times > 3 or not commanded:
             continue
-        if steps[i] > GRID.finest_s and m == 3:
-            steps[i] /= 2
-        elif above and (below or middle == 0):
+        if step_s[i] > GRID.finest_s and dead_times == 3:
+            step_s[i] /= 2
+        elif _is_inside(bank, i, chosen[:number], best):
             continue
-        changed, group, n = True, kept[:n], 0
-        for p in range(bank.pitch[count - 1, i] + 1):
-            for k in range(-1, 2):  # frequencies that the poses do not distinguish stay
-                time = max(middle + steps[i] * k, 0.0)
-                near, ln = _between(bank, group, p, i, time)
-                if near >= 0 and (k != 0 or middle > 0):
-                    which[n, i], tau[n, i], own[n, i] = near, time, ln
-                    n += 1
-        for b in range(n, which.shape[0]):
-            which[b, i] = -1
+        _lay_around(bank, i, chosen[:number], best, step_s[i], going_on)
+        changed = True
     return changed
 
 
 @compiled(**INLINE_FAST)
-def _reached(bank, b, i):
-    """Return ln of the frequency of the helix that a filter of robot i has reached."""
-    return bank.state[b, i, likeliest(bank.weight[b, i], SLOTS), at.LN_W]
+def _count(bank, i):
+    """Return the number of robot i's filters: those after them in the bank are none."""
+    count = 0
+    while count < bank.score.shape[0] and bank.score[count, i] > -math.inf:
+        count += 1
+    return count
 
 
 @compiled(**INLINE_FAST)
-def _between(bank, group, p, i, time):
-    """Return which of a group of filters with helix p has its dead time nearest to `time` [s], -1
-    for none, and the ln likelihood of `time`, between those of two filters."""
-    near, before, ln, above = -1, -1, 0.0, False
-    for b in group:
-        if bank.pitch[b, i] == p and not above:
-            high, own = bank.tau[b, i], bank.score[b, i]
-            if near < 0 or abs(high - time) < abs(bank.tau[near, i] - time):
-                near = b
-            above = time < high
-            if above and before >= 0:
-                low, rise = bank.tau[before, i], own - bank.score[before, i]
-                ln = bank.score[before, i] + (time - low) / (high - low) * rise
-            else:
-                ln = own
-            before = b
-    return near, ln
+def _choose(bank, shared, i, count, best, tried, chosen):
+    """Fill `chosen` with those of robot i's first `count` filters that go on; return their number.
+
+    The filters of one group follow each other, in the order of their dead times.
+    """
+    score = shared.score
+    least = score[best, i] - GRID.unlikely
+    number = 0
+    end = 0
+    while end < count:
+        begin = end
+        top = begin  # the likeliest filter of the group
+        first = -1  # the first and the last likely one
+        last = -1
+        while end < count and bank.group[end, i] == bank.group[begin, i]:
+            if score[end, i] > score[top, i]:
+                top = end
+            if score[end, i] >= least:
+                if first < 0:
+                    first = end
+                last = end
+            end += 1
+        same_group = bank.group[top, i] == bank.group[best, i]
+        gap = _reached(bank, top, i, tried) - _reached(bank, best, i, tried)
+        own = same_group or not abs(gap) < GRID.same_tried
+        if first >= 0 and own:
+            from_filter = max(begin, min(first, top - 1))
+            to_filter = min(end - 1, max(last, top + 1))
+            for b in range(from_filter, to_filter + 1):
+                chosen[number] = b
+                number += 1
+    return number
+
+
+@compiled(**INLINE_FAST)
+def _reached(bank, b, i, tried):
+    """Return the value that the state `tried` of a filter's likeliest hypothesis has reached."""
+    slot = likeliest(bank.weight[b, i], bank.weight.shape[2])
+    return bank.state[b, i, slot, tried]
+
+
+@compiled(**INLINE_FAST)
+def _take(bank, i, chosen, going_on):
+    """Let the filters `chosen` go on as they are."""
+    for row in range(chosen.size):
+        b = chosen[row]
+        going_on.rows[row, i] = b
+        going_on.dead_time_s[row, i] = bank.dead_time_s[b, i]
+        going_on.score[row, i] = bank.score[b, i]
+    for row in range(chosen.size, going_on.rows.shape[0]):
+        going_on.rows[row, i] = -1
+
+
+@compiled(**INLINE_FAST)
+def _number_of_dead_times(bank, i, chosen):
+    """Return how many different dead times the filters `chosen` have."""
+    number = chosen.size
+    for row in range(chosen.size):
+        for before in range(row):
+            if bank.dead_time_s[chosen[before], i] == bank.dead_time_s[chosen[row], i]:
+                number -= 1
+                break
+    return number
+
+
+@compiled(**INLINE_FAST)
+def _is_inside(bank, i, chosen, best):
+    """Return whether the best dead time is between others, or is 0 and there is a longer one."""
+    best_s = bank.dead_time_s[best, i]
+    shorter = best_s == 0
+    longer = False
+    for b in chosen:
+        if bank.dead_time_s[b, i] < best_s:
+            shorter = True
+        if bank.dead_time_s[b, i] > best_s:
+            longer = True
+    return shorter and longer
+
+
+@compiled(**INLINE_FAST)
+def _lay_around(bank, i, chosen, best, step_s, going_on):
+    """Let three dead times around the best one go on, or two from 0 on, in each group.
+
+    Each takes the filter whose dead time is nearest. The groups stay that poses do not distinguish.
+    """
+    best_s = bank.dead_time_s[best, i]
+    last_group = 0
+    for b in chosen:
+        last_group = max(last_group, bank.group[b, i])
+    row = 0
+    for group in range(last_group + 1):
+        for k in range(-1, 2):
+            time_s = max(best_s + step_s * k, 0.0)
+            nearest, score = _between(bank, i, chosen, group, time_s)
+            twice = k == 0 and best_s == 0  # 0 has been laid already
+            if nearest >= 0 and not twice:
+                going_on.rows[row, i] = nearest
+                going_on.dead_time_s[row, i] = time_s
+                going_on.score[row, i] = score
+                row += 1
+    for after in range(row, going_on.rows.shape[0]):
+        going_on.rows[after, i] = -1
+
+
+@compiled(**INLINE_FAST)
+def _between(bank, i, chosen, group, time_s):
+    """Return which of the filters `chosen` of a group has its dead time nearest to `time_s`, -1 if
+    there is none, and the score of that time: interpolated, and beyond the ends that of the end."""
+    nearest = -1
+    before = -1
+    score = 0.0
+    for b in chosen:
+        if bank.group[b, i] != group:
+            continue
+        later_s = bank.dead_time_s[b, i]
+        if nearest < 0 or abs(later_s - time_s) < abs(bank.dead_time_s[nearest, i] - time_s):
+            nearest = b
+        score = bank.score[b, i]
+        if time_s < later_s:
+            if before >= 0:
+                earlier_s = bank.dead_time_s[before, i]
+                rise = bank.score[b, i] - bank.score[before, i]
+                share_of_rise = (time_s - earlier_s) / (later_s - earlier_s)
+                score = bank.score[before, i] + share_of_rise * rise
+            break
+        before = b
+    return nearest, score
+
+
+@compiled(**ENTRY_FAST)
+def forecast(bank, model, shared, commands, frame_s, sent_s, outlook):
+    """Fill `outlook` with what each robot's likeliest hypothesis says; return the mean of the dead
+    times and its standard deviation [s].
+
+    Poses are predicted from those at the times frame_s (N,) of the last frame [s], through all
+    commands, to the moment when a command that is sent at `sent_s` acts on each robot; of lagging
+    wheels, they are those in which they then come to rest if they stop. Standard deviations grow
+    with the misfit.
+    """
+    robots = len(model.parameters)
+    z = np.empty(bank.state.shape[3])
+    mean_s = 0.0
+    variance = 0.0
+    for i in range(robots):
+        b = likeliest(shared.score[:, i], bank.score.shape[0])
+        slot = likeliest(bank.weight[b, i], bank.weight.shape[2])
+        for k in range(z.size):
+            z[k] = bank.state[b, i, slot, k]
+        growth = _misfit(bank, b, i, outlook)
+        _describe(bank, model, b, i, slot, z, growth, outlook)
+        dead_time_s = shared.mean_s[i]
+        std_s = growth * shared.std_s[i]
+        mean_s += dead_time_s
+        variance += std_s * std_s
+        begin_s = frame_s[i]
+        acts_s = max(sent_s + dead_time_s, begin_s)
+        outlook.held_direction[i] = _predict(
+            bank, model, commands, b, i, slot, z, dead_time_s, begin_s, acts_s
+        )
+        _come_to_rest(model, i, z)
+        outlook.x[i] = z[X]
+        outlook.y[i] = z[Y]
+        outlook.heading[i] = z[HEADING]
+    mean_s /= robots
+    for i in range(robots):
+        variance += (shared.mean_s[i] - mean_s) ** 2
+    return mean_s, math.sqrt(variance / robots)
+
+
+@compiled(**INLINE_FAST)
+def _misfit(bank, b, i, outlook):
+    """Fill how far the sums of the innovations are from what the model allows; return the factor by
+    which standard deviations grow: the root of the largest mean square, and not below 1."""
+    blocks = max(bank.blocks[b, i], ASSUMED.least_blocks)
+    limit = _largest_square_sum(blocks)
+    growth2 = 1.0
+    for k in range(3):
+        growth2 = max(growth2, bank.square_sum[b, i, k] / blocks)
+        outlook.misfit[i, k] = bank.square_sum[b, i, k] / limit
+    return math.sqrt(growth2)
+
+
+@compiled(**INLINE_FAST)
+def _describe(bank, model, b, i, slot, z, growth, outlook):
+    """Fill what a hypothesis says of robot i's motion. The state has logarithms of a and v: their
+    deviations are relative."""
+    cov = bank.cov[b, i, slot]
+    a, speed, side, saturation = parameters_of(model, i, z)
+    outlook.a[i] = a
+    outlook.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
+    outlook.speed[i] = speed
+    outlook.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
+    outlook.turn_bias[i] = z[TURN_BIAS]
+    outlook.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
+    variance = cov[TURN_BIAS, TURN_BIAS] + cov[MARKER_BIAS, MARKER_BIAS]
+    variance += 2 * cov[TURN_BIAS, MARKER_BIAS]
+    outlook.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
+    outlook.flow[i, 0] = z[FLOW_X]
+    outlook.flow[i, 1] = z[FLOW_Y]
+    outlook.side[i] = side
+    outlook.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
+    outlook.saturation[i] = saturation
+    outlook.stands[i] = _probability_of_stuck(bank.weight[b, i], slot)
+
+
+@compiled(**INLINE_FAST)
+def _probability_of_stuck(weight, slot):
+    """Return the probability of the last hypothesis; `slot` has the largest weight."""
+    total = 0.0
+    for s in range(weight.size):
+        total += math.exp(weight[s] - weight[slot])
+    return math.exp(weight[weight.size - 1] - weight[slot]) / total
+
+
+@compiled(**INLINE_FAST)
+def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
+    """Predict the state z of a hypothesis between two times [s] through all commands; return the
+    direction followed at the end [rad], NaN for a robot that stands.
+
+    A stuck robot hears no command. One that acts within 1 ns of the end is followed then.
+    """
+    stuck = slot == bank.weight.shape[2] - 1
+    number = commands.sent_s.size
+    direction = bank.direction[b, i, slot]
+    stops_s = bank.until_s[b, i, slot]
+    at_end = direction if stops_s > end_s else math.nan
+    t = begin_s
+    for c in range(number + 1):  # to each command, and from the last one to the end
+        acts_s = commands.sent_s[c] + dead_time_s if c < number else end_s
+        leg_end_s = min(max(acts_s, t), end_s)
+        drives_s = min(max(stops_s, t), leg_end_s) - t
+        driving = (direction, drives_s)
+        standing = (math.nan, leg_end_s - t - drives_s)
+        for u, seconds in (driving, standing):
+            if seconds > 0:
+                advance(model, i, z, None, u, None, seconds, None)
+        t = leg_end_s
+        if c < number and acts_s > begin_s and not stuck:
+            direction = commands.directions[c]
+            stops_s = acts_s + model.watchdog_s
+            if acts_s <= end_s + 1e-9:
+                at_end = direction if stops_s > end_s else math.nan
+    return at_end
+
+
+@compiled(**INLINE_FAST)
+def _come_to_rest(model, i, z):
+    """Let lagging wheels come to rest: their swing and pace decay with the time constant."""
+    a, speed, _, _ = parameters_of(model, i, z)
+    turn = model.lag_s * a * z[SWING]
+    way = model.lag_s * speed * z[PACE]
+    dx, dy = rolled(z[HEADING], turn, way)
+    z[X] += dx
+    z[Y] += dy
+    z[HEADING] += turn

@@ -1,24 +1,42 @@
-"""How a filter of `tetractl.control.filter` predicts the state of one hypothesis, and how sure it
-is of it."""
+"""How a filter of `tetractl.control.filter` predicts the state of one hypothesis: z and P.
+
+A robot that follows a direction u moves for a short time t [s] by
+
+    z <- f(z, u, t),    P <- F P F' + Q t,    F = df/dz = 1 + S,
+
+where S has rows only for the states that move: x, y and the heading, and the helix of a cell. The
+motion's own step f and its slopes are those of the planner (`tetractl.model.motion.exact`), with
+the turning rate of `tetractl.model.motion.turn_rate`.
+
+Wheels that lag by T have a swing r, their turning rate over a, and a pace g, their speed over v.
+They would come to rest in the heading theta + T a r. That heading follows (3), and in a short time
+turns by `rest_turn`. The wheels follow its mean rate: r approaches w = rest_turn / (a t) and g
+approaches 1, or 0 for a robot that stops, with the time constant T:
+
+    r' = w + (r - w) exp(-t/T),    turn = rest_turn + a T (r - w) (1 - exp(-t/T)),
+    g' = 1 + (g - 1) exp(-t/T),    way = v (t + T (g - 1) (1 - exp(-t/T))),
+
+with g' = g exp(-t/T) and way = v T g (1 - exp(-t/T)) for a robot that stops. The path is the arc of
+this turn and way, whose chord points to the heading in its middle.
+"""
 
 import math
 
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
-    BIAS,
-    COSINE,
     FLOW_X,
     FLOW_Y,
     HEADING,
+    HELIX_COSINE,
+    HELIX_SINE,
     LN_A,
-    LN_V,
-    LN_W,
-    MOVED,
+    LN_FREQUENCY,
+    LN_SATURATION,
+    LN_SPEED,
     PACE,
     SIDE,
-    SINE,
-    SIZE,
     SWING,
+    TURN_BIAS,
     X,
     Y,
 )
@@ -28,155 +46,237 @@ from tetractl.model.motion import exact, rolling
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl.model.motion.turn_rate import TURNING, by_turning, held, times, turning
 
-differentiate, rolled = inlined(exact.differentiate), inlined(rolling.rolled)
-rate, kept = inlined(turning), inlined(held)
-complete, scaled = inlined(by_turning), inlined(times)
+differentiate = inlined(exact.differentiate)
+rolled = inlined(rolling.rolled)
+turn_rate = inlined(turning)
+held_turn_rate = inlined(held)
+with_turning = inlined(by_turning)
+scaled = inlined(times)
 
-NONE = (0.0, 0.0, 0.0)
-NOTHING = NONE, (0.0, 0.0, 1.0), NONE, (NONE,) * len(PARAMETERS + TURNING)
-"""The step of a robot at rest."""
-UNKNOWN_TURN = math.pi**2 / 3
+NO_CHANGE = (0.0, 0.0, 0.0)
+AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(PARAMETERS + TURNING)
+"""`Derivatives` of a robot at rest: it does not move, and keeps its heading."""
+UNKNOWN_HEADING = math.pi**2 / 3
 """Variance of a heading that may be any [rad2]. Linearised, that of a robot that drives against its
 direction grows without bound, until rounding makes the covariance none."""
 
 
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
-    """Return PARAMETERS and TURNING of robot i in a state."""
-    known, saturation = model.parameters[i], 1.0 if model.helix > 0 else math.exp(min(z[LN_W], 0.0))
-    return known[0] * math.exp(z[LN_A]), known[1] * math.exp(z[LN_V]), z[SIDE], saturation
+    """Return a [rad/s], v [length unit/s], side and saturation of robot i in the state z."""
+    a = model.parameters[i, 0] * math.exp(z[LN_A])
+    speed = model.parameters[i, 1] * math.exp(z[LN_SPEED])
+    return a, speed, z[SIDE], math.exp(min(z[LN_SATURATION], 0.0))
 
 
 @compiled(**INLINE_FAST)
-def advance(model, i, z, cov, u, scale, seconds, more):
-    """Predict state and covariance of one hypothesis of robot i; without a covariance, None, the
-    compiler leaves out what it needs. `more` (MOVED, SIZE) is room for products.
+def advance(model, i, z, cov, u, noise_scale, seconds, products):
+    """Predict the state z and the covariance of robot i under the direction u [rad], NaN for none.
 
-    Lagging wheels follow the turning rate that the host sends, computed for the heading in which
-    the robot would come to rest (`tetractl.model.motion.rolling.wish`): that heading follows (3),
-    and the wheels its mean rate over a short step.
+    Without a covariance, None, the compiler leaves out what it needs. `products` (3, n) is scratch.
     """
-    left, lag, drives = seconds, model.lag, not math.isnan(u)
+    drives = not math.isnan(u)
+    if not drives and (model.lag_s == 0 or z[PACE] < ASSUMED.still):
+        z[SWING] = 0.0
+        z[PACE] = 0.0
+    parameters = parameters_of(model, i, z)
+    helix_rad_s = 0.0
+    if model.helix_rad_s > 0:
+        helix_rad_s = model.helix_rad_s * math.exp(z[LN_FREQUENCY])
+    cos_u = 1.0
+    sin_u = 0.0
+    if drives:
+        cos_u = math.cos(u + z[TURN_BIAS])
+        sin_u = math.sin(u + z[TURN_BIAS])
     longest = max(ASSUMED.substep_s, seconds / ASSUMED.substeps)
-    goal = 1.0 if drives else 0.0
-    if not drives and (lag == 0 or z[PACE] < ASSUMED.still):
-        z[SWING] = z[PACE] = 0.0
-    own = parameters_of(model, i, z)
-    helix = model.helix * math.exp(z[LN_W]) if model.helix > 0 else 0.0
-    cu, su = (math.cos(u + z[BIAS]), math.sin(u + z[BIAS])) if drives else (1.0, 0.0)
-    while left > 0 and (drives or z[PACE] > 0):
-        t = min(left, longest)
-        left -= t
-        ends = z[HEADING] + lag * own[0] * z[SWING]
-        c, s = math.cos(ends), math.sin(ends)
-        a, slopes = rate(c, s, cu, su, own, t)
-        if model.hold > 0:
-            a, slopes = kept(a, slopes, cu * c + su * s, su * c - cu * s, model.hold)
-        found = complete(differentiate(c, s, cu, su, (a, own[1]), t), slopes)
-        if lag > 0:
-            rest, slopes = (found, slopes) if drives else (NOTHING, NONE)
-            found = _lagging(z, rest, goal, own, lag, t, slopes)
-        dx, dy, turn = found[0]
-        z[X] += dx + t * z[FLOW_X]
-        z[Y] += dy + t * z[FLOW_Y]
-        z[HEADING] += turn
+    remaining = seconds
+    while remaining > 0 and (drives or z[PACE] > 0):
+        t = min(remaining, longest)
+        remaining -= t
+        derivatives = _step(model, z, drives, cos_u, sin_u, parameters, t)
+        _move(z, derivatives, t)
         if cov is not None:
-            _spread(cov, more, t, found)
-        if helix > 0:
-            angle = t * helix
-            c, s = math.cos(angle), math.sin(angle)
-            z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
+            _spread(cov, products, derivatives, t)
+        if helix_rad_s > 0:
+            angle = t * helix_rad_s
+            _turn_helix(z, angle)
             if cov is not None:
-                _swing(cov, more, c - 1, s, angle * z[SINE], angle * z[COSINE])
+                _spread_helix(z, cov, products, angle)
         if cov is not None:
-            for k in range(SIZE):
-                factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
-                cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
-            if cov[HEADING, HEADING] > UNKNOWN_TURN:
-                _bound(cov)
+            _add_walk(model, i, cov, noise_scale, t)
+            if cov[HEADING, HEADING] > UNKNOWN_HEADING:
+                _bound_heading(cov)
 
 
 @compiled(**INLINE_FAST)
-def _bound(cov):
-    """Lower the variance of the heading to that of one of which nothing is known, and what depends
-    on it with it."""
-    share = math.sqrt(UNKNOWN_TURN / cov[HEADING, HEADING])
-    for k in range(SIZE):
-        cov[HEADING, k] *= share
-        cov[k, HEADING] *= share
+def _step(model, z, drives, cos_u, sin_u, parameters, t):
+    """Return the `Derivatives` of a short step; swing and pace of lagging wheels change."""
+    lag = model.lag_s
+    rest_heading = z[HEADING] + lag * parameters[0] * z[SWING]
+    c = math.cos(rest_heading)
+    s = math.sin(rest_heading)
+    a, slopes = turn_rate(c, s, cos_u, sin_u, parameters, t)
+    if model.hold_s > 0:
+        cos_phi = cos_u * c + sin_u * s
+        sin_phi = sin_u * c - cos_u * s
+        a, slopes = held_turn_rate(a, slopes, cos_phi, sin_phi, model.hold_s)
+    own_step = differentiate(c, s, cos_u, sin_u, (a, parameters[1]), t)
+    derivatives = with_turning(own_step, slopes)
+    if lag > 0:
+        goal = 1.0 if drives else 0.0
+        rest = derivatives if drives else AT_REST
+        rest_slopes = slopes if drives else NO_CHANGE
+        derivatives = _lagging(z, rest, rest_slopes, goal, parameters, lag, t)
+    return derivatives
 
 
 @compiled(**INLINE_FAST)
-def _lagging(z, rest, goal, own, lag, t, slopes):
-    """Return a short step of lagging wheels and its derivatives, given that of the heading in which
-    they come to `rest`; swing and pace approach its mean turning rate over a, and the `goal`."""
-    (a, v, _, _), (_, _, around), keep = own, rest[0], rest[1][2]
-    wish, early = around / (a * t), math.exp(-0.5 * t / lag)
-    late = early * early
-    half = 0.5 * around + a * lag * (1 - early) * (z[SWING] - wish)
-    turn = around + a * lag * (1 - late) * (z[SWING] - wish)
-    way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
-    dx, dy = rolled(z[HEADING] + half - 0.5 * turn, turn, way)
-    z[SWING] = wish + late * (z[SWING] - wish)
-    z[PACE] = goal + late * (z[PACE] - goal)
-    stays, goes = 0.5 * (1 + keep), 0.5 * (1 - keep)
-    by_heading, by_u = (-dy * stays, dx * stays, keep), (-dy * goes, dx * goes, 1 - keep)
-    by_a = -dy * half, dx * half, turn
-    by_parameters = by_a, (dx, dy, 0.0), scaled(by_a, slopes[1]), scaled(by_a, slopes[2])
-    return (dx, dy, turn), by_heading, by_u, by_parameters
+def _lagging(z, rest, rest_slopes, goal, parameters, lag, t):
+    """Return the `Derivatives` of a short step of lagging wheels, given those of the heading in
+    which they come to rest; swing and pace change.
+
+    A change of that heading, of which a share `keep` stays, turns the chord by the half of both.
+    """
+    a = parameters[0]
+    speed = parameters[1]
+    rest_turn = rest[0][2]
+    keep = rest[1][2]
+    wish = rest_turn / (a * t)
+    decay_half = math.exp(-0.5 * t / lag)
+    decay = decay_half * decay_half
+    turn_half = 0.5 * rest_turn + a * lag * (1 - decay_half) * (z[SWING] - wish)
+    turn = rest_turn + a * lag * (1 - decay) * (z[SWING] - wish)
+    way = speed * (t * goal + lag * (1 - decay) * (z[PACE] - goal))
+    dx, dy = rolled(z[HEADING] + turn_half - 0.5 * turn, turn, way)
+    z[SWING] = wish + decay * (z[SWING] - wish)
+    z[PACE] = goal + decay * (z[PACE] - goal)
+    by_chord_x = -dy  # the displacement turned by a quarter
+    by_chord_y = dx
+    stays = 0.5 * (1 + keep)
+    goes = 0.5 * (1 - keep)
+    by_heading = (by_chord_x * stays, by_chord_y * stays, keep)
+    by_u = (by_chord_x * goes, by_chord_y * goes, 1 - keep)
+    by_a = (by_chord_x * turn_half, by_chord_y * turn_half, turn)
+    by_speed = (dx, dy, 0.0)
+    by_side = scaled(by_a, rest_slopes[1])
+    by_saturation = scaled(by_a, rest_slopes[2])
+    return (dx, dy, turn), by_heading, by_u, (by_a, by_speed, by_side, by_saturation)
 
 
 @compiled(**INLINE_FAST)
-def _spread(cov, more, t, found):
-    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading, those of
-    the `Derivatives` found. With M = S P this is P + M + M' + M S'."""
-    for k in range(SIZE):
-        more[X, k], more[Y, k], more[HEADING, k] = _change(cov[:, k], t, found)
+def _move(z, derivatives, t):
+    """Move x, y and the heading by a step, and by the flow."""
+    dx, dy, turn = derivatives[0]
+    z[X] += dx + t * z[FLOW_X]
+    z[Y] += dy + t * z[FLOW_Y]
+    z[HEADING] += turn
+
+
+@compiled(**INLINE_FAST)
+def _spread(cov, products, derivatives, t):
+    """Replace P by (1 + S) P (1 + S)', where S has rows for x, y and heading.
+
+    With M = S P this is P + M S' + M + M'. `products` (3, n) takes the rows of M.
+    """
+    for k in range(cov.shape[0]):
+        dx, dy, turn = _change(cov[:, k], derivatives, t)
+        products[X, k] = dx
+        products[Y, k] = dy
+        products[HEADING, k] = turn
     for j in range(HEADING + 1):
-        x, y, heading = _change(more[j], t, found)
-        cov[X, j] += x
-        cov[Y, j] += y
-        cov[HEADING, j] += heading
-    _add(cov, more, X, HEADING + 1)
+        dx, dy, turn = _change(products[j], derivatives, t)
+        cov[X, j] += dx
+        cov[Y, j] += dy
+        cov[HEADING, j] += turn
+    _add_with_transposed(cov, products, X, HEADING + 1)
 
 
 @compiled(**INLINE_FAST)
-def _change(by, t, found):
-    """Return the changes of x, y and heading for small changes (SIZE,) of the state."""
-    _, (x_h, y_h, _), (x_u, y_u, turn_u), by_parameters = found
-    h, u = by[HEADING], by[BIAS]
-    x, y, heading = x_h * h + x_u * u, y_h * h + y_u * u, turn_u * (u - h)
+def _change(dz, derivatives, t):
+    """Return the changes S dz of x, y and heading for a small change dz (n,) of the state."""
+    _, (x_heading, y_heading, _), (x_u, y_u, turn_u), by_parameters = derivatives
+    heading = dz[HEADING]
+    u = dz[TURN_BIAS]
+    dx = x_heading * heading + x_u * u
+    dy = y_heading * heading + y_u * u
+    turn = turn_u * (u - heading)
     for p in range(len(by_parameters)):
         x_p, y_p, turn_p = by_parameters[p]
-        x += x_p * by[LN_A + p]
-        y += y_p * by[LN_A + p]
-        heading += turn_p * by[LN_A + p]
-    return x + t * by[FLOW_X], y + t * by[FLOW_Y], heading
+        dx += x_p * dz[LN_A + p]
+        dy += y_p * dz[LN_A + p]
+        turn += turn_p * dz[LN_A + p]
+    return dx + t * dz[FLOW_X], dy + t * dz[FLOW_Y], turn
 
 
 @compiled(**INLINE_FAST)
-def _swing(cov, more, c, s, sine, cosine):
-    """The same for the changes of the helix's sine and cosine."""
-    for k in range(SIZE):
-        p, q, w = cov[SINE, k], cov[COSINE, k], cov[LN_W, k]
-        more[SINE, k], more[COSINE, k] = c * p + s * q + cosine * w, c * q - s * p - sine * w
-    for j in range(SINE, MOVED):
-        p, q, w = more[j, SINE], more[j, COSINE], more[j, LN_W]
-        cov[SINE, j] += c * p + s * q + cosine * w
-        cov[COSINE, j] += c * q - s * p - sine * w
-    _add(cov, more, SINE, MOVED)
+def _turn_helix(z, angle):
+    """Turn the helix: p' = p cos + q sin, q' = q cos - p sin."""
+    c = math.cos(angle)
+    s = math.sin(angle)
+    sine = z[HELIX_SINE]
+    cosine = z[HELIX_COSINE]
+    z[HELIX_SINE] = c * sine + s * cosine
+    z[HELIX_COSINE] = c * cosine - s * sine
 
 
 @compiled(**INLINE_FAST)
-def _add(cov, more, first, end):
-    """Add M + M' to P for the rows `first` to `end` of M (MOVED, SIZE), the others of which are 0;
-    P stays symmetric."""
+def _spread_helix(z, cov, products, angle):
+    """Replace P by (1 + S) P (1 + S)', where S has rows for the helix's sine and cosine.
+
+    They change by the angle w t, whose slope by ln w is the angle.
+    """
+    cos_less_1 = math.cos(angle) - 1
+    s = math.sin(angle)
+    sine_w = angle * z[HELIX_COSINE]
+    cosine_w = -angle * z[HELIX_SINE]
+    for k in range(cov.shape[0]):
+        p = cov[HELIX_SINE, k]
+        q = cov[HELIX_COSINE, k]
+        ln_w = cov[LN_FREQUENCY, k]
+        products[0, k] = cos_less_1 * p + s * q + sine_w * ln_w
+        products[1, k] = cos_less_1 * q - s * p + cosine_w * ln_w
+    for j in range(2):
+        p = products[j, HELIX_SINE]
+        q = products[j, HELIX_COSINE]
+        ln_w = products[j, LN_FREQUENCY]
+        cov[HELIX_SINE, HELIX_SINE + j] += cos_less_1 * p + s * q + sine_w * ln_w
+        cov[HELIX_COSINE, HELIX_SINE + j] += cos_less_1 * q - s * p + cosine_w * ln_w
+    _add_with_transposed(cov, products, HELIX_SINE, HELIX_COSINE + 1)
+
+
+@compiled(**INLINE_FAST)
+def _add_with_transposed(cov, products, first, end):
+    """Add M + M' to P, where M has rows only for the states `first` to `end`, `products`; P stays
+    symmetric to the last bit."""
+    states = cov.shape[0]
     for j in range(first, end):
-        for k in range(SIZE):
-            cov[j, k] += more[j, k]
+        for k in range(states):
+            cov[j, k] += products[j - first, k]
         for k in range(first, end):
-            cov[k, j] += more[j, k]
+            cov[k, j] += products[j - first, k]
     for j in range(first, end):
-        for k in range(SIZE):
+        for k in range(states):
             if k < first or k > j:
                 cov[k, j] = cov[j, k]
+
+
+@compiled(**INLINE_FAST)
+def _add_walk(model, i, cov, noise_scale, t):
+    """Add the random walks Q t to the variances; those of the pose are scaled as its noise is."""
+    for k in range(cov.shape[0]):
+        scale = 1.0
+        if k <= Y:
+            scale = noise_scale[0]
+        elif k == HEADING:
+            scale = noise_scale[1]
+        cov[k, k] += scale * model.walk[k, i] * model.walk[k, i] * t
+
+
+@compiled(**INLINE_FAST)
+def _bound_heading(cov):
+    """Lower the variance of the heading to that of one of which nothing is known, and what depends
+    on it with it."""
+    share = math.sqrt(UNKNOWN_HEADING / cov[HEADING, HEADING])
+    for k in range(cov.shape[0]):
+        cov[HEADING, k] *= share
+        cov[k, HEADING] *= share

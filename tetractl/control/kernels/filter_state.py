@@ -1,151 +1,358 @@
-"""The state of `tetractl.control.filter`, and what its filters assume; without the compiler.
+"""What the filters of `tetractl.control.filter` know of robots, and what they assume; without the
+compiler.
 
-The state of a robot is, in the order of the indices below: x, y, heading of its course, helix as
-sine and cosine; ln of a and of the speed over the spec's, `side`, LN_W, turn bias, marker bias, and
-flow along x and y. LN_W is ln of a rate: of a cell, of its helix's frequency over the usual one;
-of wheels, of the `saturation` of their motors, which do not saturate from 0 on. The first MOVED
-change with time, the others only by their random walk. Swing and pace have no variance.
+A robot has the states below, one slot each. All have a variance except SWING and PACE. Robots on
+wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's slots 0.
+Cells have all states, but their LN_SATURATION stays 0.
+
+The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N; those of
+hypotheses also one for each slot s of S: a robot that drives may follow one of some commands, the
+slots before the last, or it is stuck, the last slot.
 """
 
+import math
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.prior import Sticks
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 
-X, Y, HEADING, SINE, COSINE, LN_A, LN_V, SIDE, LN_W, BIAS, MARKER, FLOW_X, FLOW_Y = range(13)
-MOVED, SIZE = LN_A, FLOW_Y + 1  # number of state variables that move, and of all with a covariance
-SWING, PACE = range(SIZE, SIZE + 2)  # turning rate / a and speed / v of lagging wheels
-STATE = PACE + 1  # number of state variables
-FOUND, DRIFT, MISFIT, TURNS, STANDS = 20, slice(11, 13), slice(13, 16), slice(16, 19), 19
-"""The numbers found of a robot: its pose, a, speed, turn bias, heading bias, the deviations of all
-but the turn bias, the direction followed, flow and the misfit of the model; `side`, its deviation,
-`saturation`, and the probability that it stands."""
-FOLLOWS = STUCK = 3
-"""Number of latest commands that a robot may follow; then comes the slot of the hypothesis that a
-robot stands although it was sent a direction."""
-SLOTS = STUCK + 1
+# Slots of the state.
+X = 0
+"""Position along x [length unit]."""
+Y = 1
+"""Position along y [length unit]."""
+HEADING = 2
+"""Heading theta of the course [rad]; not wrapped."""
+LN_A = 3
+"""ln of the turning rate a over the prior's. This state and the three that follow are in the order
+of PARAMETERS and TURNING."""
+LN_SPEED = 4
+"""ln of the speed v over the prior's."""
+SIDE = 5
+"""k of a robot that turns by a exp(k) to the left, and by a exp(-k) to the right."""
+LN_SATURATION = 6
+"""ln of the motors' `saturation` (`tetractl.model.motion.turn_rate`); from 0 on, there is none."""
+TURN_BIAS = 7
+"""Bias beta of the direction that a robot turns to [rad]."""
+MARKER_BIAS = 8
+"""Bias m of a measured heading [rad]."""
+FLOW_X = 9
+"""Flow along x [length unit/s]."""
+FLOW_Y = 10
+"""Flow along y [length unit/s]."""
+HELIX_SINE = 11
+"""Swing p of a cell to the left of its course [length unit]."""
+HELIX_COSINE = 12
+"""The same a quarter of a period later, q [length unit]."""
+LN_FREQUENCY = 13
+"""ln of the helix's angular frequency w over the usual one."""
+SWING = 14
+"""Turning rate of lagging wheels over a."""
+PACE = 15
+"""Speed of lagging wheels over v, from 0 to 1."""
+
+STATES_OF_WHEELS = FLOW_Y + 1
+"""Number of states of a robot on wheels that have a variance."""
+STATES_OF_CELLS = LN_FREQUENCY + 1
+"""Number of states of a cell that have a variance."""
+STATES = PACE + 1
+"""Number of slots of a state."""
+
+FOLLOWS = 3
+"""Number of latest commands that a robot may follow."""
 LOG_FOLLOWS = 6
-"""The same number for logs, where commands may follow each other sooner than the frames tell
+"""The same number for logs, where commands may follow each other sooner than the frames show
 whether a robot heard the one before: it may have heard any of them, and the likeliest are kept."""
 
 
 class Assumed(NamedTuple):
-    """What the filter assumes of radio, robots and camera."""
+    """What the filter assumes of radio, robots and camera. Without another source, a value was
+    chosen once, and docs/decisions/filter.md has the errors measured with it."""
 
-    still: float = 1e-3  # pace below which a stopped robot counts as standing
-    substep_s: float = 0.025  # longest step between two additions of random walks
-    substeps: int = 4000  # most of them: beyond 100 s without a command they are longer
-    lost: float = 0.05  # probability that a command does not arrive
-    alike: float = 0.1  # squared difference of two hypotheses' headings, over the variance
-    gate: float = 30.0  # squared deviation above which a measurement is an outlier
-    least_weight: float = -25.0  # least ln of a hypothesis's weight
-    lost_track_s: float = 0.3  # time without a fit after which the camera's pose is used
-    scale_memory: float = 400.0  # number of frames over which the noise is averaged
-    scale_least: float = 1e-3  # least ratio of observed to expected variances
-    scale_most: float = 10.0  # greatest such ratio
-    mean_capped: float = 0.8  # mean of the square of a standard normal number, capped at 4
-    forget_s: float = 10.0  # time constant with which scores of dead times decay
-    block: int = 8  # number of frames of a block of innovations
-    most_square: float = 25.0  # largest square of a block's sum
-    least_blocks: int = 10  # number of blocks for which those that are missing count as empty
-    # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
-    sure: float = 3.09
+    still: float = 1e-3
+    """Pace below which a robot that was stopped counts as standing."""
+    substep_s: float = 0.025
+    """Longest step between two additions of random walks [s]."""
+    substeps: int = 4000
+    """Greatest number of such steps: beyond 100 s without a command they are longer."""
+    lost: float = 0.05
+    """Probability that a command does not arrive."""
+    alike: float = 0.1
+    """Squared difference of the headings of two hypotheses that are one, over the variance."""
+    gate: float = 30.0
+    """Squared deviation above which a pose is an outlier: chi-square of 3 numbers exceeds it once
+    in 700,000 poses."""
+    least_weight: float = -25.0
+    """Least ln of the weight of a hypothesis that has one."""
+    lost_track_s: float = 0.3
+    """Time without a fit after which the camera's pose is used [s]."""
+    scale_memory: float = 400.0
+    """Number of frames over which the noise is averaged."""
+    scale_least: float = 1e-3
+    """Least ratio of observed to expected variances."""
+    scale_most: float = 10.0
+    """Greatest ratio of observed to expected variances."""
+    capped_square: float = 4.0
+    """Greatest square of a deviation that the average of the noise takes."""
+    mean_capped: float = 0.8
+    """Mean of such a square of a standard normal number, rounded."""
+    forget_s: float = 10.0
+    """Time constant with which the scores of dead times decay [s]."""
+    block: int = 8
+    """Number of frames of a block of innovations."""
+    most_square: float = 25.0
+    """Largest mean square of a block, five standard deviations."""
+    least_blocks: int = 10
+    """Number of blocks for which those that are missing count as empty."""
+    quantile: float = 3.09
+    """Standard normal quantile of 0.999, the level of the test of innovations."""
 
 
 class BankGrid(NamedTuple):
-    """How a robot's filters are spread over dead times and frequencies of the helix."""
+    """How a robot's filters are spread over dead times, and over the groups of a `BodyModel`."""
 
-    step_s: float = 0.02  # initial spacing of the dead times
-    finest_s: float = 0.005  # a grid with this spacing or less is not refined further
-    reach: float = 3.0  # half width at first, in standard deviations of the prior
-    unlikely: float = 25.0  # a filter is dropped if its ln likelihood is less than the best by this
-    own: float = 0.1  # probability that a robot's dead time differs from the others'
-    own_s: float = 0.06  # standard deviation of such a difference
-    same_pitch: float = 0.05  # distance of ln frequencies below which they are the same
+    step_s: float = 0.02
+    """Spacing of the dead times at first [s]."""
+    finest_s: float = 0.005
+    """Spacing of dead times that is not refined further [s]: a sixth of the time between frames."""
+    reach: float = 3.0
+    """Half width of the grid at first, in standard deviations of the prior."""
+    unlikely: float = 25.0
+    """A filter is dropped if the ln of its probability is less than the likeliest's by this."""
+    own: float = 0.1
+    """Probability that a robot's dead time differs from that of the others."""
+    own_s: float = 0.06
+    """Standard deviation of such a difference [s]."""
+    same_tried: float = 0.05
+    """Difference of the states of two groups below which they have become one: 5 %."""
 
 
-ASSUMED, GRID = Assumed(), BankGrid()
+ASSUMED = Assumed()
+GRID = BankGrid()
 
 
-class Shared(NamedTuple):
-    """What a bank of B filters of N robots tells of their dead times, at T times of a grid."""
+class SentCommands(NamedTuple):
+    """C commands to all robots, in the order of their times."""
 
-    near: Floats  # (T, B, N) how likely a time is for the others, given a filter's dead time
-    prior: Floats  # (T,) ln of the prior of each time
-    room: Floats  # (T, N) scratch
-    score: Floats  # (B, N) ln of each filter's probability, up to a constant
-    dead_times: Floats  # (2, N) each robot's dead time and its standard deviation [s]
+    sent_s: Floats
+    """(C,) times of sending [s]."""
+    directions: Floats
+    """(C,) directions [rad], NaN for a stop."""
+
+
+class PoseFrames(NamedTuple):
+    """F frames of N robots; the first is the one from which the filters start."""
+
+    time_s: Floats
+    """(F, N) times of the poses [s]."""
+    poses: Floats
+    """(F, N, 3) x, y [length unit] and heading [rad]."""
+    valid: Bools
+    """(F, N) which poses may be used."""
 
 
 class FilterModel(NamedTuple):
-    """The prior on N robots; `noise` and `walk` are standard deviations."""
+    """What is assumed of N robots; `noise` and `walk` are standard deviations."""
 
-    parameters: Floats  # (N, K) PARAMETERS of the motion
-    noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
-    walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
-    helix: float  # its angular frequency [rad/s], 0 if there is none
-    lag: float  # time constant with which turning rate and speed follow a direction [s]
-    watchdog: float  # time without a command after which a robot stops, or inf [s]
+    parameters: Floats
+    """(N, 2) PARAMETERS of the motion: a [rad/s] and v [length unit/s]."""
+    noise: Floats
+    """(3, N) of measured x, y [length unit] and heading [rad]."""
+    walk: Floats
+    """(n, N) of the random walk of each state with a variance, n = STATES_OF_... [1/sqrt(s)]."""
+    helix_rad_s: float
+    """Usual angular frequency of a cell's helix [rad/s]; 0 for robots on wheels."""
+    lag_s: float
+    """Time constant with which turning rate and speed of wheels follow a direction [s]."""
+    watchdog_s: float
+    """Time without a command after which a robot stops [s]; infinity if none does."""
     sticks: Sticks = Sticks()
-    hold: float = 0.0  # time for which wheels keep a turning rate that they were sent [s]
-    coarse: bool = False  # whether poses of robots that drive may be equal
+    """How robots do not do what they are sent."""
+    hold_s: float = 0.0
+    """Time for which wheels keep a turning rate that they were sent [s]."""
+    coarse: bool = False
+    """Whether poses of robots that drive may be equal."""
 
 
 class Bank(NamedTuple):
-    """B filters of each of N robots, each with its own dead time and SLOTS or more hypotheses."""
+    """B filters of each of N robots, each with its own dead time and S hypotheses."""
 
-    state: Floats  # (B, N, SLOTS, STATE)
-    cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
-    u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
-    until: Floats  # (B, N, SLOTS) time at which its watchdog stops a robot that follows u [s]
-    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
-    scale: Floats  # (B, N, 2) ratio of observed to expected variances of positions and headings
-    unfit: Floats  # (B, N) time since a hypothesis fitted [s]
-    # (B, N, 2, 4) innovations along and across the course and of the heading, over their
-    # deviations, and 1: sums over the present block; then sums of the former blocks' mean squares
-    white: Floats
-    tau: Floats  # (B, N) dead time [s]
-    score: Floats  # (B, N) ln of the likelihood, up to a constant; -inf for no filter
-    next: NDArray[np.int64]  # (B, N) index of the command that acts next
-    pitch: NDArray[np.int64]  # (B, N) which frequency of the helix the filter started from
+    state: Floats
+    """(B, N, S, STATES)"""
+    cov: Floats
+    """(B, N, S, n, n) covariance P, n = STATES_OF_WHEELS or STATES_OF_CELLS."""
+    direction: Floats
+    """(B, N, S) direction u followed [rad], NaN for a robot that stands."""
+    until_s: Floats
+    """(B, N, S) time at which its watchdog stops a robot that follows a direction [s]."""
+    weight: Floats
+    """(B, N, S) ln of the hypothesis's probability, -inf if there is none."""
+    noise_scale: Floats
+    """(B, N, 2) ratio of observed to expected variances of positions, and of headings."""
+    unfit_s: Floats
+    """(B, N) time since a hypothesis fitted [s]."""
+    block_sum: Floats
+    """(B, N, 3) sum of the present block's innovations along and across the course and of the
+    heading, over their deviations."""
+    block_frames: Floats
+    """(B, N) number of frames in the present block."""
+    square_sum: Floats
+    """(B, N, 3) sum of the mean squares of the blocks before."""
+    blocks: Floats
+    """(B, N) number of the blocks before."""
+    dead_time_s: Floats
+    """(B, N) dead time tau [s]."""
+    score: Floats
+    """(B, N) ln of the likelihood of the filter's frames, up to a constant; -inf for no filter."""
+    coming: NDArray[np.int64]
+    """(B, N) index of the command that acts next."""
+    group: NDArray[np.int64]
+    """(B, N) which value of `BodyModel.tried` the filter started from."""
 
     @classmethod
     def start(
         cls,
-        tau: Floats,
+        dead_time_s: Floats,
         mean: Floats,
         std: Floats,
-        pitch: NDArray[np.int64],
+        group: NDArray[np.int64],
         follows: int = FOLLOWS,
     ) -> Self:
-        """Return filters with dead times tau (B,) of robots that stand, with one hypothesis each:
-        means and standard deviations of the states, (B, N, STATE) and (N, SIZE), and `pitch` (B,).
-        There is room for `follows` hypotheses of robots that drive, and one of a stuck robot.
+        """Return filters of robots that stand, with one hypothesis each: dead times (B,), means
+        (B, N, STATES) and standard deviations (N, n) of the states, and groups (B,).
+
+        There are slots for `follows` hypotheses of robots that drive, and one of a stuck robot.
         """
-        count, total, slots = len(std), len(tau), follows + 1
-        weight = np.full((total, count, slots), -np.inf)
+        robots, states = std.shape
+        per_filter = (len(dead_time_s), robots)
+        per_slot = (*per_filter, follows + 1)
+        weight = np.full(per_slot, -np.inf)
         weight[..., 0] = 0.0
-        cov = np.zeros((total, count, slots, SIZE, SIZE))
-        cov[..., range(SIZE), range(SIZE)] = std[:, None] ** 2
+        cov = np.zeros((*per_slot, states, states))
+        cov[..., range(states), range(states)] = std[:, None] ** 2
         return cls(
-            np.repeat(mean[:, :, None], slots, axis=2),
-            cov,
-            np.full(weight.shape, np.nan),
-            np.full(weight.shape, np.inf),
-            weight,
-            np.ones((total, count, 2)),
-            np.zeros((total, count)),
-            np.zeros((total, count, 2, 4)),
-            np.repeat(tau[:, None], count, axis=1),
-            np.zeros((total, count)),
-            np.zeros((total, count), dtype=np.int64),
-            np.repeat(pitch[:, None], count, axis=1),
+            state=np.repeat(mean[:, :, None], follows + 1, axis=2),
+            cov=cov,
+            direction=np.full(per_slot, np.nan),
+            until_s=np.full(per_slot, np.inf),
+            weight=weight,
+            noise_scale=np.ones((*per_filter, 2)),
+            unfit_s=np.zeros(per_filter),
+            block_sum=np.zeros((*per_filter, 3)),
+            block_frames=np.zeros(per_filter),
+            square_sum=np.zeros((*per_filter, 3)),
+            blocks=np.zeros(per_filter),
+            dead_time_s=np.repeat(dead_time_s[:, None], robots, axis=1),
+            score=np.zeros(per_filter),
+            coming=np.zeros(per_filter, dtype=np.int64),
+            group=np.repeat(group[:, None], robots, axis=1),
         )
 
-    def part(self, which: NDArray[np.int64]) -> Self:
-        """Return each robot's filters `which` (B, N)."""
-        robots = np.arange(which.shape[1])
-        return self._make(column[which, robots] for column in self)
+    def part(self, rows: NDArray[np.int64]) -> Self:
+        """Return the filters `rows` (R, N) of each robot."""
+        robots = np.arange(rows.shape[1])
+        return self._make(column[rows, robots] for column in self)
+
+    def padded(self, count: int) -> Self:
+        """Return the filters with room for `count` of each robot; those added are no filters."""
+        size, robots = self.dead_time_s.shape
+        rows = np.minimum(np.arange(count), size - 1)
+        padded = self.part(rows[:, None].repeat(robots, axis=1))
+        padded.score[size:] = -np.inf
+        return padded
+
+
+class FilterScratch(NamedTuple):
+    """Room for the numbers of one prediction and one update of a hypothesis."""
+
+    products: Floats
+    """(3, n) rows of a product with the covariance"""
+    p_h: Floats
+    """(n,) P H' of one measured number"""
+    expected: Floats
+    """(3,) expected pose"""
+    off: Floats
+    """(3,) measured less expected pose"""
+    variance: Floats
+    """(3,) variances of the measured numbers"""
+    slopes: Floats
+    """(3, 5) slopes of the measured numbers"""
+    innovation: Floats
+    """(3,) of one hypothesis"""
+    likeliest_innovation: Floats
+    """(3,) of the likeliest hypothesis"""
+
+
+class SharedTimes(NamedTuple):
+    """What the filters of N robots say of their dead times, at T times of a grid."""
+
+    near: Floats
+    """(T, B, N) density of a time of the others, given a filter's dead time [1/s]."""
+    prior: Floats
+    """(T,) ln of the prior density of each time, up to a constant."""
+    scratch: Floats
+    """(T, N)"""
+    score: Floats
+    """(B, N) ln of each filter's probability, up to a constant."""
+    mean_s: Floats
+    """(N,) each robot's dead time [s]."""
+    std_s: Floats
+    """(N,) its standard deviation [s]."""
+
+
+class NextFilters(NamedTuple):
+    """Room for the C filters of each of N robots that go on (`kernels.bank.select`)."""
+
+    rows: NDArray[np.int64]
+    """(C, N) filters of the bank, -1 after the last one."""
+    dead_time_s: Floats
+    """(C, N) the dead time that each takes [s]."""
+    score: Floats
+    """(C, N) the score that each takes."""
+
+
+class Outlook(NamedTuple):
+    """What the likeliest hypothesis of each of N robots says, (N,) each (`kernels.bank.forecast`).
+
+    x, y, heading and `held_direction` are those of the moment when the next command acts. Standard
+    deviations are named `..._std`.
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    turn_bias: Floats
+    held_direction: Floats
+    """Direction that the robot follows [rad], NaN if it stands."""
+    a: Floats
+    a_std: Floats
+    speed: Floats
+    speed_std: Floats
+    heading_bias: Floats
+    """Turn bias and marker bias together [rad]."""
+    heading_bias_std: Floats
+    side: Floats
+    side_std: Floats
+    saturation: Floats
+    stands: Floats
+    """Probability that the robot is stuck."""
+    flow: Floats
+    """(N, 2)"""
+    misfit: Floats
+    """(N, 3) sums of squares over those that the level of the test allows, as `Estimate.misfit`."""
+
+    @classmethod
+    def empty(cls, robots: int) -> Self:
+        """Return room for the numbers of some robots."""
+        rows = np.empty((len(cls._fields) - 2, robots))
+        return cls(*rows, flow=np.empty((robots, 2)), misfit=np.empty((robots, 3)))
+
+
+def largest_square_sum(blocks: float) -> float:
+    """Return the sum of a number of squares of standard normal numbers that chance exceeds once in
+    a thousand times: chi-square by Wilson and Hilferty (1931)."""
+    part = 2 / (9 * blocks)
+    return blocks * (1 - part + ASSUMED.quantile * math.sqrt(part)) ** 3

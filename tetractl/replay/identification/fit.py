@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tetractl.control.filter import USUAL
+from tetractl.control.body_model import USUAL
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.passes import (
     UNKNOWN_S,

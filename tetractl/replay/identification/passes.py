@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.kernels.filter_state import (
-    BIAS,
     LN_A,
-    LN_V,
+    LN_SPEED,
     LOG_FOLLOWS,
-    SIZE,
-    STATE,
+    STATES,
+    STATES_OF_WHEELS,
+    TURN_BIAS,
     Bank,
     FilterModel,
+    PoseFrames,
+    SentCommands,
 )
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, wrap
@@ -35,7 +37,7 @@ UNSEEN_S = 0.3  # time without a pose after which a row restarts from the camera
 POINTS = np.arange(-2.0, 3.0)  # dead times of a parabola, in standard deviations
 UNKNOWN_S = 0.3  # standard deviation from which a dead time counts as unknown [s]
 GROWTH = 0.2, 5.0  # range of the new standard deviation of the dead time over the one before
-STATES = [LN_A, LN_V, BIAS]  # the filter's states of a `Belief`
+IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]  # the filter's states of a `Belief`
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,9 +173,11 @@ def run(
     residuals = []
     for track in tracks:
         bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
-        bank.u[...], bank.next[:] = track.u[0], 1  # the first direction also acts before its time
-        bank.until[...] = bank.tau[..., None] + track.when[0] + track.watchdog
-        model = first._replace(watchdog=track.watchdog, lag=track.lag, hold=track.hold)
+        commands = SentCommands(track.when, track.u)
+        bank.direction[...] = track.u[0]  # the first direction also acts before its time
+        bank.coming[:] = 1
+        bank.until_s[...] = bank.dead_time_s[..., None] + track.when[0] + track.watchdog
+        model = first._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold_s=track.hold)
         of_all = track.poses, track.used, track.placed
         poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
         missed = np.zeros((len(track.u), len(rows)))
@@ -182,23 +186,24 @@ def run(
         for now, pose, use, fresh in zip(track.time[:, rows], poses, used, placed, strict=True):
             time = np.stack([np.maximum(last, now - 2 * UNSEEN_S), now])
             frames[1], seen[1], last = pose, use, now
-            given = track.when, track.u, time, frames, seen, False
-            likelihood += kernel.follow(bank, model, apart_s, *given)
-            bank.scale[...] = 1.0
+            both = PoseFrames(time, frames, seen)
+            likelihood += kernel.follow(bank, model, commands, both, False, apart_s)
+            bank.noise_scale[...] = 1.0
             if fresh.any():
-                kernel.place(bank, model, np.empty(0), track.u, time[1], pose, fresh)
+                none = SentCommands(np.empty(0), np.empty(0))
+                kernel.place(bank, model, none, time[1], pose, fresh)
             if watched:
-                weight, latest = bank.weight[middle], bank.next[middle] - 1
+                weight, latest = bank.weight[middle], bank.coming[middle] - 1
                 z = bank.state[middle, each, weight.argmax(axis=1)]
                 residuals.append(np.where(use[:, None], _residual(pose, z), np.nan))
-                others = np.exp(weight) * (bank.u[middle] != track.u[latest][:, None])
+                others = np.exp(weight) * (bank.direction[middle] != track.u[latest][:, None])
                 missed[latest, each] = others[:, :-1].sum(axis=1)
         lost += missed.sum(axis=0)
         best = bank.weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
         bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
-    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., STATES]
-    mean, std = bank.state[:, :, 0, STATES], np.sqrt(np.maximum(variance, 0.0))
+    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
+    mean, std = bank.state[:, :, 0, IDENTIFIED], np.sqrt(np.maximum(variance, 0.0))
     return Passed(likelihood, mean, std, np.array(residuals), lost)
 
 
@@ -227,10 +232,12 @@ def marginal(
 def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
     """Return the filter's model and its bank at the start."""
     count = len(belief.mean)
-    noise, walk = np.repeat(belief.noise, (2, 1), axis=1).T, np.zeros((SIZE, count))
+    noise, walk = np.repeat(belief.noise, (2, 1), axis=1).T, np.zeros((STATES_OF_WHEELS, count))
     walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
-    mean, std = np.zeros((len(tau), count, STATE)), np.zeros((count, SIZE))
-    mean[..., STATES], std[:, STATES] = belief.mean, belief.std
+    mean = np.zeros((len(tau), count, STATES))
+    std = np.zeros((count, STATES_OF_WHEELS))
+    mean[..., IDENTIFIED] = belief.mean
+    std[:, IDENTIFIED] = belief.std
     bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64), LOG_FOLLOWS)
     noise, ones = np.ascontiguousarray(noise), np.ones((count, len(PARAMETERS)))
     return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf), bank

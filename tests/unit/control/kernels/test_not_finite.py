@@ -15,10 +15,12 @@ from tetractl.control.kernels.filter_state import (
     HEADING,
     LN_A,
     LOG_FOLLOWS,
-    SIZE,
-    STATE,
+    STATES,
+    STATES_OF_WHEELS,
     Bank,
     FilterModel,
+    PoseFrames,
+    SentCommands,
 )
 from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.control.kernels.rollout import lay_out
@@ -44,23 +46,24 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
     model = FilterModel(
         parameters=np.ones((1, len(PARAMETERS))),
         noise=np.full((3, 1), 0.2),
-        walk=np.zeros((SIZE, 1)),
-        helix=0.0,
-        lag=0.0,
-        watchdog=math.inf,
+        walk=np.zeros((STATES_OF_WHEELS, 1)),
+        helix_rad_s=0.0,
+        lag_s=0.0,
+        watchdog_s=math.inf,
     )
     model.walk[HEADING] = 0.06
-    mean, std = np.zeros((1, 1, STATE)), np.zeros((1, SIZE))
+    mean, std = np.zeros((1, 1, STATES)), np.zeros((1, STATES_OF_WHEELS))
     mean[..., LN_A] = math.log(330.0)
     std[:, [HEADING, LN_A]] = 0.8, 0.6
     bank = Bank.start(np.zeros(1), mean, std, np.zeros(1, dtype=np.int64), LOG_FOLLOWS)
-    bank.u[...], bank.next[...] = math.pi, 1
+    bank.direction[...] = math.pi
+    bank.coming[...] = 1
     times = 0.04 * np.arange(6.0)[:, None]
     poses = np.zeros((6, 1, 3))
     poses[:, 0, 0] = times[:, 0]
     seen = np.arange(6)[:, None] > 3
-    sent = np.array([0.0]), np.array([math.pi])
-    found = follow(bank, model, 0.0, *sent, times, poses, seen, False)
+    commands = SentCommands(np.array([0.0]), np.array([math.pi]))
+    found = follow(bank, model, commands, PoseFrames(times, poses, seen), False, 0.0)
     assert np.isfinite(found).all()
     cov = bank.cov[0, 0, int(bank.weight[0, 0].argmax())]
     assert np.linalg.eigvalsh(cov).min() > -1e-9 * np.trace(cov)
@@ -69,20 +72,21 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
 @pytest.mark.parametrize("odd", ODD)
 @pytest.mark.parametrize("place", PLACES)
 def test_the_filter_ends(odd, place):
-    noise, walk = np.ones((3, 1)), np.ones((SIZE, 1))
+    noise, walk = np.ones((3, 1)), np.ones((STATES_OF_WHEELS, 1))
     model = FilterModel(np.ones((1, len(PARAMETERS))), noise, walk, 0.0, 0.0, math.inf)
-    start = np.zeros((1, 1, STATE)), np.ones((1, SIZE)), np.zeros(1, dtype=np.int64)
+    start = np.zeros((1, 1, STATES)), np.ones((1, STATES_OF_WHEELS)), np.zeros(1, dtype=np.int64)
     bank = Bank.start(np.array([0.1]), *start)
-    bank.u[...] = 0.0
+    bank.direction[...] = 0.0
     time = np.array([[0.0], [0.1], [0.2]])
     poses = np.zeros((3, 1, 3))
     when = np.array([0.0, 0.05])
     u = np.array([0.0, 1.0])
-    numbers = {"tau": bank.tau, "when": when, "time": time, "pose": poses, "direction": u}
-    numbers |= {"state": bank.state, "until": bank.until, "parameters": model.parameters}
+    numbers = {"tau": bank.dead_time_s, "when": when, "time": time, "pose": poses, "direction": u}
+    numbers |= {"state": bank.state, "until": bank.until_s, "parameters": model.parameters}
     numbers[place][-1:] = odd
     seen = np.ones((3, 1), dtype=np.bool_)
-    assert ends(lambda: follow(bank, model, 0.0, when, u, time, poses, seen, False))
+    commands, frames = SentCommands(when, u), PoseFrames(time, poses, seen)
+    assert ends(lambda: follow(bank, model, commands, frames, False, 0.0))
 
 
 @pytest.mark.parametrize("odd", ODD)

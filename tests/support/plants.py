@@ -14,7 +14,8 @@ from tetractl.core.commands import Steer
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Plant
 from tetractl.experiment.experiment import Experiment
-from tetractl.plant.simulation import SimPlant, SimSection
+from tetractl.plant.sim_section import SimSection
+from tetractl.plant.simulation import SimPlant
 
 PERIOD = SECOND // 5
 DIRECTIONS = np.random.default_rng(5).uniform(-np.pi, np.pi, 12).tolist()

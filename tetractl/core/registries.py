@@ -50,7 +50,7 @@ SHAPES = Registry(
 PLANTS = Registry(
     "tetractl.plants",
     {
-        "sim": "tetractl.plant.simulation:SimSection",
+        "sim": "tetractl.plant.sim_section:SimSection",
         "lab": "tetractl.plant.lab_plant:LabPlantSection",
     },
     "tetractl.experiment.plant:PlantSection",

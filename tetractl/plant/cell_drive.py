@@ -23,7 +23,7 @@ from tetractl.model.motion.swimming import (
 )
 from tetractl.model.swimmers import Swimmers, to_the_left, walls_of
 from tetractl.plant.random_streams import RandomStream, generator
-from tetractl.plant.sim_settings import CultureSection
+from tetractl.plant.sim_section import CultureSection
 
 
 class CellDrive:

@@ -13,7 +13,7 @@ from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overrid
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.plant.direct import aim
-from tetractl.plant.sim_settings import SimSettings
+from tetractl.plant.sim_section import SimSection
 from tetractl.plant.transit import Transit
 from tetractl.plant.wheel_host import SimHost
 
@@ -41,7 +41,7 @@ class CommandSender:
 
     def __init__(
         self,
-        settings: SimSettings,
+        settings: SimSection,
         setup: Setup,
         host: SimHost | None,
         transit: Transit,

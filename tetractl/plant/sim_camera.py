@@ -10,7 +10,7 @@ from tetractl.core.commands import Sample
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Times
 from tetractl.experiment.disturbance import Disturbance, overriding
-from tetractl.plant.sim_settings import MeasurementNoise
+from tetractl.plant.sim_section import MeasurementNoise
 
 
 class SimCamera:

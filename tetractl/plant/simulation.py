@@ -15,18 +15,17 @@ while a command is planned and while the robots come to rest.
         Watchdogs        stop robots that hear nothing
         MotionDisturbances, HeadingWalk, TruePath
 
-`SimSettings` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
+`SimSection` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
 spec and seed alone.
 """
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND, Clock, VirtualClock
+from tetractl.core.clock import NEVER, SECOND, Clock
 from tetractl.core.commands import (
     Action,
     Command,
@@ -38,7 +37,6 @@ from tetractl.core.commands import (
 )
 from tetractl.core.errors import AbortError, WrongValueError
 from tetractl.core.poses import Floats, Observation, Poses
-from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import Disturbance
@@ -49,7 +47,7 @@ from tetractl.plant.direct import DirectDrive
 from tetractl.plant.drive import Drive
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_camera import SimCamera
-from tetractl.plant.sim_settings import SimSettings
+from tetractl.plant.sim_section import SimSection
 from tetractl.plant.timetable import Timetable
 from tetractl.plant.transit import Transit, Watchdogs
 from tetractl.plant.true_motion import HeadingWalk, MotionDisturbances, TrueMotion, TruePath
@@ -57,23 +55,6 @@ from tetractl.plant.wheel_drive import WheelDrive
 
 NO_FRAME_S = 60
 """A trial is given up if no frame arrives for so long after the stop [s]."""
-
-
-class SimSection(SimSettings):
-    """A simulated plant in virtual time. All disturbances are off by default, and depend only on
-    the trial's seed."""
-
-    type: Literal["sim"] = "sim"
-
-    def clock(self) -> Clock:
-        """Return a new virtual clock."""
-        return VirtualClock()
-
-    def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
-    ) -> "SimPlant":
-        """Return the simulation of one trial."""
-        return SimPlant(self, setup, clock, seed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +68,7 @@ class TrueRobots:
 
 
 def draw_robots(
-    settings: SimSettings,
+    settings: SimSection,
     setup: Setup,
     disturbances: Sequence[Disturbance],
     random: np.random.Generator,
@@ -105,7 +86,7 @@ def draw_robots(
 
 
 def build_drive(
-    settings: SimSettings, setup: Setup, robots: TrueRobots, seed: np.random.SeedSequence
+    settings: SimSection, setup: Setup, robots: TrueRobots, seed: np.random.SeedSequence
 ) -> Drive:
     """Return what moves the robots: wheels or cells if the spec has them, else its motion."""
     a, speed, starts = robots.a, robots.speed, robots.starts
@@ -125,7 +106,7 @@ class SimPlant:
     """
 
     def __init__(
-        self, settings: SimSettings, setup: Setup, clock: Clock, seed: np.random.SeedSequence
+        self, settings: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
     ) -> None:
         count = len(setup.names)
         disturbances = [

@@ -11,7 +11,7 @@ from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.rolling import MOVING
 from tetractl.model.wheels import NOTHING, WheeledRobots
 from tetractl.plant.random_streams import RandomStream, generator
-from tetractl.plant.sim_settings import SimSettings
+from tetractl.plant.sim_section import SimSection
 from tetractl.plant.wheel_host import SimHost
 
 REST = 1e-10
@@ -30,7 +30,7 @@ class WheelDrive(WheeledRobots):
 
     def __init__(
         self,
-        section: SimSettings,
+        section: SimSection,
         setup: Setup,
         a: Floats,
         speed: Floats,

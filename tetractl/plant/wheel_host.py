@@ -11,7 +11,7 @@ from tetractl.core.setup import Setup
 from tetractl.model.motion.rolling import note
 from tetractl.model.wheels import COUNT_MAX, SentRates
 from tetractl.plant.direct import aim
-from tetractl.plant.sim_settings import WheelDriveSection
+from tetractl.plant.sim_section import WheelDriveSection
 
 
 @dataclass(frozen=True, slots=True)

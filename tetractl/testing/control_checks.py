@@ -19,7 +19,7 @@ from tetractl.core.protocols import LabSupervision, Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection, Host, OptimizerSection
 from tetractl.model.obstacles import Obstacles
-from tetractl.plant.simulation import SimSection
+from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import CheckedController
 from tetractl.testing.finding import SEED, Finding, Findings, near, random_watched, same, true
 

@@ -8,7 +8,7 @@ from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml
 from tetractl.experiment.plants import calibrated, lab_of, on_plant
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.plant.simulation import SimSection
+from tetractl.plant.sim_section import SimSection
 
 EXPERIMENTS = ROOT / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi_lab.yaml"

@@ -14,7 +14,7 @@ from tetractl.model.motion import swimming
 from tetractl.model.swimmers import Swimmers
 from tetractl.plant import swim_kernel as kernel
 from tetractl.plant.cell_drive import CellDrive
-from tetractl.plant.sim_settings import CultureSection
+from tetractl.plant.sim_section import CultureSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 

@@ -23,7 +23,7 @@ from tetractl.core.trial import EPOCH_NS, TrialRecords
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
-from tetractl.plant.simulation import SimSection
+from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial

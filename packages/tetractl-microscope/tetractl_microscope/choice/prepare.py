@@ -13,7 +13,7 @@ from tetractl.experiment.prepared import PreparedTrial
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import RigSection
 from tetractl.plant.random_streams import RandomStream, generator
-from tetractl.plant.simulation import SimSection
+from tetractl.plant.sim_section import SimSection
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import chosen_from, settled
 from tetractl_microscope.choice.dish_abilities import SettlesRobots, tracker_of

@@ -1,13 +1,17 @@
 """What a spec can say of a simulated plant: the fields of `plant: {type: sim}` and their checks.
 
-`simulation.py` has the plant itself. Every disturbance is off by default.
+`simulation.py` has the plant itself, which a command that only reads specs does not import.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pkgutil import resolve_name
 from typing import Annotated, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from tetractl.core.clock import Clock, VirtualClock
+from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive, inconsistent
@@ -80,8 +84,9 @@ class CultureSection(Model):
     """Whether the arena's edges are walls, along which cells slide."""
 
 
-class SimSettings(PlantSection):
-    """The fields of a simulated plant; `SimSection` adds what is built from them."""
+class SimSection(PlantSection):
+    """A simulated plant in virtual time. All disturbances are off by default, and depend only on
+    the trial's seed."""
 
     simulated: ClassVar[bool] = True
     switches_field: ClassVar[bool] = True
@@ -121,6 +126,17 @@ class SimSettings(PlantSection):
         default=(), max_length=100
     )
     """Further disturbances, each applied to the result of the one before."""
+
+    def clock(self) -> Clock:
+        """Return a new virtual clock."""
+        return VirtualClock()
+
+    def build(
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
+    ) -> Plant:
+        """Return the simulation of one trial."""
+        make: Callable[..., Plant] = resolve_name("tetractl.plant.simulation:SimPlant")
+        return make(self, setup, clock, seed)
 
     @model_validator(mode="after")
     def _truth_is_as_fine_as_the_camera(self) -> Self:

@@ -9,7 +9,7 @@ from support.recorder import Recorder
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
+from tetractl.core.commands import Command, PlantInfo, Sample, Steer, Stop, Turn, Verdict
 from tetractl.core.plan import Outcome, Plan, Search
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS
@@ -57,7 +57,8 @@ class FakePlant:
 
     def send(self, action):
         self.happenings.note("send")
-        self.steered.append((self.clock.now(), action.direction))
+        if isinstance(action, Steer):
+            self.steered.append((self.clock.now(), action.direction))
         return Command(action, self.clock.now(), (True,) * 3)
 
     def samples(self):
@@ -85,11 +86,13 @@ class FakePlant:
 
 
 class FakeController:
-    """Plans as many steps as it is given, then says how the trial ended."""
+    """Plans as many steps as it is given, then says how the trial ended. `instead` maps the number
+    of a step to what it sends in place of a direction."""
 
     def __init__(self, happenings, steps=3, outcome=Outcome.SEQUENCE_COMPLETED):
         self.happenings, self.left, self.outcome = happenings, steps, outcome
         self.seen: list[Observation] = []
+        self.instead: dict[int, Turn | Stop] = {}
 
     def plan(self, observation, last_command=None, earlier=()):
         self.happenings.note("plan")
@@ -99,7 +102,8 @@ class FakeController:
         self.left -= 1
         signals = np.array([self.left / 10, 0.5])
         search = Search(2, signals, 1.0, np.array([1.0]), 5, "iterations")
-        return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7)
+        instead = self.instead.get(len(self.seen) - 1)
+        return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7, instead=instead)
 
 
 class FakeObserver(Recorder):
@@ -108,11 +112,8 @@ class FakeObserver(Recorder):
     def __init__(self, happenings, name="log"):
         super().__init__()
         self.happenings, self.name, self.stops = happenings, name, []
-        for event in ("start", "samples", "step", "command", "stop"):
+        for event in ("start", "samples", "step", "command", "note", "stop"):
             setattr(self, f"on_{event}", partial(self._call, event))
-
-    def on_note(self, note):
-        raise AssertionError("a fake plant has no news")
 
     def _call(self, event, *what):
         getattr(super(), f"on_{event}")(*what)

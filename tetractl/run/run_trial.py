@@ -168,6 +168,8 @@ class Trial:
             command = self._send(decision.action)
             if decision.pauses:
                 self._tell_pause(command, again=standing and k > 0)
+            else:
+                self._turning = False
             if begins:
                 self._say(command, begins)
             self._solve_ns.append(solve_ns)

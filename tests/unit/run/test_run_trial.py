@@ -7,6 +7,7 @@ import pytest
 from support.fakes import bench
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Turn
 from tetractl.core.errors import AbortError, ControlError, LogError, TetractlError
 from tetractl.core.plan import Outcome
 
@@ -214,6 +215,16 @@ def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
     result = made.run()
     assert_ended_well(made, Outcome.INTERRUPTED)
     assert result.reason == "stopped at once by a second interruption"
+
+
+def test_each_turn_on_the_spot_after_driving_is_reported():
+    """Regression: after turn, drive, turn only the first turn was in the log."""
+    made = bench(6)
+    made.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
+    made.run()
+    turns = [note for note in made.observers[0].notes if "turn on the spot" in note.text]
+    sent = {step.k: step.command.sent_ns for step in made.observers[0].steps}
+    assert [note.t_ns for note in turns] == [sent[1], sent[4]]
 
 
 def test_interruptions_while_the_robots_stop_tear_nothing():

@@ -322,8 +322,9 @@ class Trial:
             try:
                 stop = self.plant.stop()
                 verdict = self.plant.settle()
-                samples, news = samples + self.plant.samples(), self.plant.news()
+                samples = samples + self.plant.samples()
                 self._tour.add(samples, stop.sent_ns)
+                news = self.plant.news()
             finally:
                 self.plant.close()
         except (Exception, SystemExit) as error:  # the log ends as one that says so

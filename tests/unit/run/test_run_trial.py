@@ -175,6 +175,23 @@ def test_a_plant_that_cannot_settle_is_closed_and_its_log_ends():
     assert names[-1] == "log.stop"
 
 
+def test_a_plant_that_fails_at_the_end_has_its_last_frames_in_the_log():
+    """Regression: once it could not say what it had sent, the frames since the last step, of the
+    robots' coming to rest, were in no log."""
+    made = bench(2)
+
+    def fail_after_the_stop():
+        if "settle" in made.happenings.names:
+            raise AbortError("the radio is gone")
+        return []
+
+    made.plant.news = fail_after_the_stop
+    result = made.run()
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "the radio is gone")
+    frames = [sample.observation.frame for sample in made.observers[0].samples]
+    assert frames == list(range(4 + 10 + 1))  # ten a second: 0.4 s of steps, 1 s to settle
+
+
 @pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step"])
 def test_a_first_interruption_finishes_the_step(where):
     made = bench(5)

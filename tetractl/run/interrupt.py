@@ -32,8 +32,8 @@ class Interrupt:
     def __init__(self, notice: Callable[[int], object] = lambda count: None) -> None:
         self.count = 0
         self.notice = notice  # called with `count` at each request, in the signal's handler
-        self.broke = False  # whether KeyboardInterrupt was raised in breakable code
         self._breakable = False
+        self._broke = False  # whether KeyboardInterrupt was raised in the breakable block
 
     @property
     def requested(self) -> bool:
@@ -66,19 +66,29 @@ class Interrupt:
 
     @contextmanager
     def breakable(self) -> Iterator[None]:
-        """Let the second request raise KeyboardInterrupt inside the block."""
+        """Let the second request raise KeyboardInterrupt inside the block.
+
+        Another exception that the block then raises is taken for it: numba may turn a
+        KeyboardInterrupt during an import or compilation into one.
+        """
         self._breakable = True
+        self._broke = False
         try:
             if self.count > 1:
                 self._break()
             yield
+        except Exception as error:
+            if self._broke:
+                raise KeyboardInterrupt from error
+            raise
         finally:
             self._breakable = False
 
     def _break(self) -> None:
         """Raise KeyboardInterrupt, once, if the running code is breakable."""
         if self._breakable:
-            self._breakable, self.broke = False, True
+            self._breakable = False
+            self._broke = True
             raise KeyboardInterrupt
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:

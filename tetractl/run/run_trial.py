@@ -130,15 +130,10 @@ class Trial:
             reason = AT_ONCE if self.interrupt.count > 1 else "interrupted before the first step"
             outcome = Outcome.INTERRUPTED
         except BaseException as error:
-            known = isinstance(error, TetractlError)
-            outcome, reason = self._failed(error.message if known else text_of(error))
-            bug = error if outcome is Outcome.ABORTED else None
+            outcome = Outcome.ABORTED
+            reason = error.message if isinstance(error, TetractlError) else text_of(error)
+            bug = error
         return self._end(outcome, reason, bug, opened_ns)
-
-    def _failed(self, why: str) -> tuple[Outcome, str]:
-        """Return outcome and reason after an error: interrupted or aborted. numba may turn a
-        KeyboardInterrupt during an import or compilation into another exception."""
-        return (Outcome.INTERRUPTED, AT_ONCE) if self.interrupt.broke else (Outcome.ABORTED, why)
 
     def _answer(self, question: Question) -> Timed:
         """Return the controller's decision."""
@@ -330,8 +325,8 @@ class Trial:
         except (Exception, SystemExit) as error:  # the log ends as one that says so
             bug = error if bug is None else bug
             if outcome is not Outcome.ABORTED:
-                known = isinstance(error, TetractlError)
-                outcome, reason = self._failed(error.message if known else text_of(error))
+                outcome = Outcome.ABORTED
+                reason = error.message if isinstance(error, TetractlError) else text_of(error)
         if bug is not None and (fault := plugin_fault(bug, self.start.packages)):
             reason, bug = fault.message, None
             news = [*news, *(Note(stop.sent_ns, "debug", call) for call in fault.calls)]

@@ -252,6 +252,23 @@ def test_interruptions_while_the_robots_stop_tear_nothing():
     assert_ended_well(made, Outcome.SEQUENCE_COMPLETED)
 
 
+@pytest.mark.parametrize("where", ["log.step", "stop"])
+def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raised(where):
+    """Regression: one in the loop was taken for what a library makes of an interruption."""
+    made = bench(5)
+
+    def catch():
+        with suppress(KeyboardInterrupt):
+            twice(made)
+
+    made.happenings.actions["plan", 2] = catch
+    made.happenings.faults[where, 2 if where == "log.step" else 1] = BugError("off by one")
+    with pytest.raises(BugError):
+        made.run()
+    ended = made.observers[0].stops[0][1]
+    assert (ended.outcome, ended.reason) == (Outcome.ABORTED, "BugError: off by one")
+
+
 @pytest.fixture
 def watch(monkeypatch):
     """A stop watch: each plan takes as long as the test says, in ns."""

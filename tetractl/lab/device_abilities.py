@@ -1,6 +1,6 @@
-"""What cameras and actuators may be able to do beyond `Camera` and `Actuator`, as protocols.
+"""What cameras may be able to do beyond `Camera`, as protocols.
 
-A device has an ability if it has the protocol's members; nothing needs to be declared.
+A camera has an ability if it has the protocol's members; nothing needs to be declared.
 """
 
 from collections.abc import Iterable

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from tetractl.results.open_batch import Batch
     from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
+    from tetractl.run.open_trial import OpenTrial
     from tetractl.run.task import Task
 
 Strings = NDArray[np.str_]
@@ -124,6 +125,30 @@ def run_trial(
         task.run_trial(spec, place, trial, observers, interrupt)
         found = read_trial(path)
     return replace(found, path=f"{spec.name}, trial {trial}") if folder is None else found
+
+
+def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTrial":
+    """Return a simulated trial that a script steps: it asks for a direction at each control step.
+
+    It is the trial of the controller `sequence` with the directions sent: `step` sends one,
+    `observation` is the newest camera frame, `result` is there once the trial has ended, and `save`
+    writes a log like any other. `seed` replaces the spec's. Raises SpecError for what `sequence`
+    refuses, such as a hold, and UsageError for a lab.
+    """
+    from tetractl.run.open_trial import OpenTrial
+
+    opened = stepped(spec)
+    return OpenTrial(opened, trial, opened.experiment.trials.seed if seed is None else seed)
+
+
+def stepped(spec: Spec) -> LoadedSpec:
+    """Return a spec for trials that a script steps, checked and compiled; errors are those of
+    `open_trial`."""
+    from tetractl.run.open_trial import stepped_spec
+
+    found = stepped_spec(_spec(spec))
+    _check(found, logging.getLogger("tetractl").info)
+    return found
 
 
 def run_batch(

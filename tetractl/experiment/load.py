@@ -16,8 +16,8 @@ from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.consistency import Entries, errors_of
-from tetractl.experiment.controller import as_given, without_retired
-from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.experiment.controller import ControllerSection, as_given, without_retired
+from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot, Trials
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.policy_weights import put_layers, read_weights
@@ -126,6 +126,23 @@ def without_lines() -> Iterator[None]:
     except InvalidSpecError as error:
         problems = [replace(problem, line=None, column=None) for problem in error.problems]
         raise InvalidSpecError(problems, error.hint) from None
+
+
+def with_controller(spec: LoadedSpec, controller: ControllerSection) -> LoadedSpec:
+    """Return a spec with another controller, unchecked; its text has every field."""
+    experiment = spec.experiment.model_copy(update={"controller": controller})
+    return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
+
+
+def with_seed(spec: LoadedSpec, seed: int) -> LoadedSpec:
+    """Return a spec whose random numbers have another seed; its text has every field. Raises
+    SpecError for a wrong seed."""
+    try:
+        trials = Trials(count=spec.experiment.trials.count, seed=seed)
+    except ValidationError as error:
+        raise SpecError(f"seed: {error.errors()[0]['msg']}") from None
+    experiment = spec.experiment.model_copy(update={"trials": trials})
+    return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
 
 
 def as_text(contents: Mapping[str, Any], name: str) -> str:

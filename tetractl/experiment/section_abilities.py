@@ -65,6 +65,14 @@ class Searches(Protocol):
 
 
 @runtime_checkable
+class AcceptsSum(Protocol):
+    """A controller that ends a trial when it predicts a sum of distances to the targets of at most
+    `accept_error` [length unit]."""
+
+    accept_error: float
+
+
+@runtime_checkable
 class Estimating(Protocol):
     """A controller that, if `estimate`, identifies robots and dead time while it drives."""
 

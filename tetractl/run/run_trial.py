@@ -48,8 +48,13 @@ class Question:
     earlier: Sequence[Observation]
 
 
-Course = Generator[Question, Timed, Result]
-"""A trial that asks for each decision, is sent it, and returns the result."""
+Course = Generator[Question, Timed | BaseException, Result]
+"""A trial that asks for each decision, is sent it, or what was raised instead, and returns the
+result."""
+
+
+class _Dropped(BaseException):
+    """The course is closed: the result is not wanted."""
 
 
 @dataclass(slots=True)
@@ -95,12 +100,7 @@ class Trial:
         try:
             question = next(course)
             while True:
-                try:
-                    answer = self._answer(question)
-                except BaseException as error:  # the trial ends by it, robots first
-                    question = course.throw(error)
-                else:
-                    question = course.send(answer)
+                question = course.send(self._answer(question))
         except StopIteration as end:
             result: Result = end.value
             return result
@@ -108,8 +108,8 @@ class Trial:
     def course(self) -> Course:
         """Run the trial, and ask for each decision.
 
-        An exception that is thrown in ends the trial like one of the controller; so does `close`,
-        and then there is no result.
+        An exception that is sent ends the trial, like one of the controller. `close` stops the
+        robots, and no observer is called any more.
         """
         bug: BaseException | None = None
         try:
@@ -126,6 +126,10 @@ class Trial:
                 observer.on_start(start)
             self._virtual = info.virtual
             outcome, reason = yield from self._steps()
+        except _Dropped:
+            self.plant.stop()
+            self.plant.close()
+            raise GeneratorExit from None
         except KeyboardInterrupt:
             reason = AT_ONCE if self.interrupt.count > 1 else "interrupted before the first step"
             outcome = Outcome.INTERRUPTED
@@ -135,18 +139,31 @@ class Trial:
             bug = error
         return self._end(outcome, reason, bug, opened_ns)
 
-    def _answer(self, question: Question) -> Timed:
-        """Return the controller's decision."""
-        if question.last is None and not self._virtual:
-            return self._first(question.observation)
-        return self._plan(question.observation, question.last, question.earlier)
+    def _answer(self, question: Question) -> Timed | BaseException:
+        """Return the controller's decision, or what it raised."""
+        try:
+            if question.last is None and not self._virtual:
+                return self._first(question.observation)
+            return self._plan(question.observation, question.last, question.earlier)
+        except BaseException as error:  # the trial ends by it, robots first
+            return error
 
-    def _steps(self) -> Generator[Question, Timed, tuple[Outcome, str]]:
+    def _ask(self, question: Question) -> Generator[Question, Timed | BaseException, Timed]:
+        """Return the answer to a question; raise what was raised instead."""
+        try:
+            answer = yield question
+        except GeneratorExit:
+            raise _Dropped from None
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def _steps(self) -> Generator[Question, Timed | BaseException, tuple[Outcome, str]]:
         """Run the control loop of Algorithm 2; return the outcome and its reason."""
         period_s = self.start.setup.period_s
         period = round(period_s * SECOND)
         observation = self.plant.observe()
-        decision, solve_ns = yield Question(observation, None, ())
+        decision, solve_ns = yield from self._ask(Question(observation, None, ()))
         if self._virtual and isinstance(self.first_plan, Square):  # planning took no time
             self._drive_square(self.first_plan, observation)
         began, standing = self.clock.now(), True
@@ -188,7 +205,8 @@ class Trial:
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
             last, observation = observation, self.plant.observe()
             between = self._frames_between(last, observation)
-            decision, solve_ns = yield Question(observation, command, between)
+            question = Question(observation, command, between)
+            decision, solve_ns = yield from self._ask(question)
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _frames_between(self, last: Observation, now: Observation) -> list[Observation]:

@@ -1,0 +1,141 @@
+"""A trial that a script steps is the trial of `sequence` with the directions sent."""
+
+import gc
+import math
+
+import numpy as np
+import pytest
+import yaml
+from support.paths import ROOT
+
+import tetractl
+from tetractl.core.errors import SpecError, UsageError
+from tetractl.core.plan import Outcome
+from tetractl.experiment.plants import on_plant
+from tetractl.log.read.reader import content_digest
+from tetractl.run.open_trial import OpenTrial
+from tetractl.run.task import run_trial
+
+SPEC = {
+    "name": "stepped",
+    "arena": {"left": 0, "bottom": 0, "width": 1000, "height": 1000},
+    "robots": [
+        {"name": "a", "start": [200, 500], "target": [500, 500], "a": 3, "speed": 100},
+        {"name": "b", "start": [200, 300], "target": [500, 300], "a": 2, "speed": 100},
+    ],
+    "controller": {"type": "mpc", "time_limit": 20, "accept_error": 30},
+    "plant": {"type": "sim", "measurement_noise": {"position": 1, "heading": 0.02}},
+    "trials": {"count": 3, "seed": 5},
+}
+
+
+def drive(trial: OpenTrial, steps: int, direction: float = 0.1) -> None:
+    """Step a trial, at most so often, until it has a result."""
+    for _ in range(steps):
+        if trial.result is None:
+            trial.step(direction)
+
+
+def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
+    random = np.random.default_rng(1)
+    trial = tetractl.open_trial(SPEC, trial=2)
+    for _ in range(12):
+        trial.step(random.uniform(-1, 1))
+    trial.stop()
+    log = trial.save(tmp_path / "stepped")
+    assert log.name == "trial-002.mcap"
+    (tmp_path / "run").mkdir()
+    run_trial(trial.spec, tmp_path / "run", 2)
+    assert content_digest(log) == content_digest(tmp_path / "run" / "trial-002.mcap")
+    assert not tetractl.verify(log).problems
+    saved = tetractl.read_log(log)
+    sent = [step.plan.direction for step in saved.steps]
+    assert sent == list(trial.directions)
+
+
+def test_its_spec_is_text_that_gives_the_same_trial(tmp_path):
+    trial = tetractl.open_trial(SPEC, seed=77)
+    drive(trial, 5)
+    result = trial.stop()
+    again = tetractl.run_trial(tetractl.parse_spec(trial.spec.text))
+    assert again.start.seed == 77
+    assert again.result.robot_errors == result.robot_errors
+
+
+def test_it_ends_when_each_robot_has_its_part_of_the_accepted_sum():
+    trial = tetractl.open_trial(SPEC)  # 30 mm for two robots: 15 mm each
+    drive(trial, 100, direction=0.0)  # straight on: both targets are 300 mm ahead
+    assert trial.result is not None
+    assert trial.result.outcome is Outcome.ARRIVED
+    assert max(trial.result.robot_errors) < 15 + 5  # 5 mm are driven in a control period
+
+
+def test_it_ends_at_the_limit_of_time():
+    trial = tetractl.open_trial(SPEC | {"controller": {"type": "mpc", "time_limit": 1.0}})
+    drive(trial, 100, direction=1.5)
+    assert trial.result is not None
+    assert trial.result.outcome is Outcome.TIME_LIMIT
+    assert len(trial.directions) == 20  # of 0.05 s
+
+
+def test_a_robot_outside_the_arena_has_failed():
+    trial = tetractl.open_trial(SPEC)
+    assert not trial.failed
+    drive(trial, 100, direction=3.0)  # 5 s at 100 mm/s, and the left edge is at 200 mm
+    assert trial.failed
+
+
+def test_its_first_observation_is_at_the_starts():
+    trial = tetractl.open_trial(SPEC | {"plant": {"type": "sim"}})
+    np.testing.assert_allclose(trial.observation.poses.xy, [[200, 500], [200, 300]])
+    with pytest.raises(ValueError, match="read-only"):
+        trial.observation.poses.x[0] = 0.0
+
+
+def test_a_wrong_direction_is_not_sent():
+    trial = tetractl.open_trial(SPEC)
+    with pytest.raises(UsageError, match="finite number of radians"):
+        trial.step(math.nan)
+    assert trial.directions == ()
+
+
+def test_an_ended_trial_is_neither_stepped_nor_stopped(tmp_path):
+    trial = tetractl.open_trial(SPEC)
+    with pytest.raises(UsageError, match="at least one direction"):
+        trial.stop()
+    drive(trial, 1)
+    with pytest.raises(UsageError, match="has not ended"):
+        trial.save(tmp_path)
+    trial.stop()
+    with pytest.raises(UsageError, match="the trial has ended: sequence completed"):
+        trial.step(0.0)
+    with pytest.raises(UsageError, match="the trial has ended"):
+        trial.stop()
+    trial.save(tmp_path)
+    with pytest.raises(UsageError, match="exists already"):
+        trial.save(tmp_path)
+
+
+def test_a_dropped_trial_says_nothing(capsys):
+    trial = tetractl.open_trial(SPEC)
+    drive(trial, 2)
+    del trial
+    gc.collect()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_what_a_sequence_cannot_do_is_refused():
+    with pytest.raises(SpecError, match="sequence supports neither way-points nor a hold"):
+        tetractl.open_trial(SPEC | {"hold": {"radius": 20, "time": 5}})
+
+
+def test_a_lab_is_refused():
+    lab = tetractl.load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml")
+    with pytest.raises(UsageError, match="plant is the lab"):
+        tetractl.open_trial(on_plant(lab, "lab"))
+
+
+def test_a_spec_is_taken_as_a_file_too(tmp_path):
+    path = tmp_path / "spec.yaml"
+    path.write_text(yaml.safe_dump(SPEC))
+    assert tetractl.open_trial(path).setup.names == ("a", "b")

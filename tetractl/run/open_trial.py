@@ -1,0 +1,259 @@
+"""A trial that a script steps: it asks for a direction in place of a controller.
+
+The trial is that of the controller `sequence` with the directions sent so far: the same plant, the
+same random draws, the same end. So what a script does is logged, verified and compared as any
+trial: `save` runs the same directions by `sequence`, and checks that the result is the same.
+"""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.control.sequence import SequenceController, SequenceSection
+from tetractl.core.commands import Command, Note, PlantInfo, Sample
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.plan import Outcome, Plan
+from tetractl.core.poses import Observation
+from tetractl.core.protocols import LabSupervision
+from tetractl.core.setup import Setup
+from tetractl.core.trial import EPOCH_NS, Result, Start, Step
+from tetractl.experiment.controller import ControllerSection
+from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
+from tetractl.experiment.section_abilities import AcceptsSum
+from tetractl.model.path_check import PathCheck
+from tetractl.run import task
+from tetractl.run.folder_lock import make_folder
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Decision, Trial
+
+SIMULATED = PlantInfo("", True, 0.0, {})
+"""What is known of the plant before it is open."""
+FIRST = 0.0
+"""A direction of the section of `sequence`, which needs one; the script's take its place [rad]."""
+
+
+def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
+    """Return a spec with the controller `sequence`, whose directions a script gives.
+
+    Period, dead time, limit of time, first plan and tolerance are those of the spec's controller. A
+    controller that accepts a sum of distances gives each robot its equal part. Raises SpecError for
+    what `sequence` cannot do, such as a hold, and UsageError for a lab.
+    """
+    experiment = spec.experiment
+    if experiment.plant.real_time:
+        raise UsageError(
+            "the spec's plant is the lab, which no script drives", "use `tetractl run`"
+        )
+    if experiment.chosen is not None:
+        raise UsageError("each trial of the spec finds its robots, which no script can step")
+    control = experiment.controller
+    section = SequenceSection(
+        period=control.period,
+        dead_time=control.dead_time,
+        time_limit=control.time_limit,
+        arrival_tolerance=tolerance(control, len(experiment.setup.names)),
+        first_plan=control.first_plan,
+        directions=(FIRST,),
+    )
+    return parse_spec(with_controller(spec, section).text, spec.name)
+
+
+def tolerance(control: ControllerSection, robots: int) -> float:
+    """Return the distance from its target at which each robot counts as arrived [length unit]."""
+    if control.arrival_tolerance > 0 or not isinstance(control, AcceptsSum):
+        return control.arrival_tolerance
+    return control.accept_error / robots
+
+
+class TruthWatch:
+    """An observer of the true paths: whether a robot entered an obstacle or left the arena, as far
+    as camera frames show it. The trial's result knows it from the finest samples."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._path = PathCheck.of(setup)
+
+    @property
+    def failed(self) -> bool:
+        """Whether any robot did so."""
+        return bool(self._path.entered.any() or (self._path.edge < 0).any())
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Add the true poses of new frames."""
+        poses = [sample.truth for sample in samples if sample.truth is not None]
+        if poses:
+            x = np.array([truth.x for truth in poses])
+            y = np.array([truth.y for truth in poses])
+            self._path.add(x, y)
+
+    def on_start(self, start: Start) -> None:
+        """Do nothing."""
+
+    def on_step(self, step: Step) -> None:
+        """Do nothing."""
+
+    def on_command(self, command: Command) -> None:
+        """Do nothing."""
+
+    def on_note(self, note: Note) -> None:
+        """Do nothing."""
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Do nothing."""
+
+
+class OpenTrial:
+    """A simulated trial that waits for a direction at each control step.
+
+    Call `step` until `result` is there, or end the trial by `stop`; then `save` writes its log. A
+    trial runs once: open another for the next. A trial that is dropped ends like one that is
+    stopped, without a result.
+    """
+
+    def __init__(self, spec: LoadedSpec, trial: int, seed: int) -> None:
+        experiment = spec.experiment
+        section: ControllerSection = experiment.controller
+        assert isinstance(section, SequenceSection), "a spec by `stepped_spec`"
+        self._spec = spec
+        self._trial = trial
+        self._seed = seed
+        self._directions: list[float] = []
+        self._truth = TruthWatch(experiment.setup)
+        key, plant_seed = task.trial_seeds(seed, trial)
+        self._controller = SequenceController(section, experiment.setup, key)
+        clock = experiment.plant.clock()
+        self._course = Trial(
+            start=replace(start_of(spec, trial, SIMULATED, EPOCH_NS), seed=seed),
+            plant=experiment.plant.build(experiment.setup, clock, plant_seed, LabSupervision()),
+            controller=self._controller,
+            first_plan=section.first_plan,
+            clock=clock,
+            observers=[self._truth],
+            interrupt=Interrupt(),
+        ).course()
+        self._result: Result | None = None
+        self._observation: Observation
+        self._go_on(None)
+
+    @property
+    def setup(self) -> Setup:
+        """The constants of the experiment: names, targets, arena, obstacles, units."""
+        return self._spec.experiment.setup
+
+    @property
+    def observation(self) -> Observation:
+        """The newest camera frame; its poses are measured, and cannot be written."""
+        return self._observation
+
+    @property
+    def directions(self) -> tuple[float, ...]:
+        """The directions sent so far [rad]."""
+        return tuple(self._directions)
+
+    @property
+    def result(self) -> Result | None:
+        """How the trial ended, None as long as it waits for a direction."""
+        return self._result
+
+    @property
+    def failed(self) -> bool:
+        """Whether a robot has truly entered an obstacle or left the arena so far."""
+        if self._result is None:
+            return self._truth.failed
+        verdict = self._result.verdict
+        return any(verdict.entered) or any(edge < 0 for edge in verdict.edge)
+
+    def step(self, direction: float) -> Observation:
+        """Send a direction [rad] for one control period, and return the next observation.
+
+        After the last step that is the observation before it. Raises UsageError for a direction
+        that is not finite and for a trial that has ended; neither counts as sent.
+        """
+        self._demand_open()
+        direction = float(direction)
+        if not math.isfinite(direction):
+            raise UsageError(f"a direction is a finite number of radians, but this is {direction}")
+        self._directions.append(direction)
+        self._go_on(self._plan(direction))
+        return self.observation
+
+    def stop(self) -> Result:
+        """End the trial after the directions sent so far, and return the result.
+
+        Raises UsageError for a trial that has ended, and before the first direction.
+        """
+        self._demand_open()
+        if not self._directions:
+            raise UsageError("a trial has at least one direction", "step it before it is stopped")
+        self._go_on(Outcome.SEQUENCE_COMPLETED)
+        assert self._result is not None
+        return self._result
+
+    @property
+    def spec(self) -> LoadedSpec:
+        """The spec of this trial with the directions sent so far, which `tetractl run` takes."""
+        if not self._directions:
+            raise UsageError("no direction was sent", "step the trial first")
+        section = self._spec.experiment.controller
+        given = section.model_copy(update={"directions": self.directions})
+        return with_seed(with_controller(self._spec, given), self._seed)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the log of the trial to a folder and return its path.
+
+        Raises UsageError for a trial that has not ended and for a log that exists already.
+        """
+        if self._result is None:
+            raise UsageError("the trial has not ended", "step it until it has a result, or stop it")
+        path = task.log_path(Path(folder), self._trial)
+        if path.exists():
+            raise UsageError(f"{path}: exists already", "name another folder")
+        make_folder(Path(folder))
+        logged = task.run_trial(self.spec, Path(folder), self._trial)
+        if _outcome_of(logged) != _outcome_of(self._result):
+            raise TetractlError(f"{path}: the repeated trial ended otherwise than the stepped one")
+        return path
+
+    def _demand_open(self) -> None:
+        """Raise UsageError if the trial has ended."""
+        if self._result is not None:
+            outcome = self._result.outcome.value
+            raise UsageError(f"the trial has ended: {outcome}", "open another trial")
+
+    def _plan(self, direction: float) -> Plan:
+        """Return the plan of one direction, without the prediction that the log of `save` has."""
+        unknown = np.empty((0, len(self.setup.names), 3))
+        return Plan(
+            signals=np.array([direction]),
+            path=unknown,
+            cost=math.nan,
+            target_cost=math.nan,
+            obstacle_cost=math.nan,
+            searches=(),
+            chosen=0,
+            generator=0,
+        )
+
+    def _go_on(self, decision: Decision | None) -> None:
+        """Send a decision to the trial, None to begin it, and take its next question, or its
+        result."""
+        answer = None if decision is None else (decision, 0)
+        try:
+            question = self._course.send(answer)  # pyright: ignore[reportArgumentType]
+            self._observation = question.observation
+            try:
+                step = self._controller.step(question.observation, question.last)
+            except TetractlError as error:  # the trial ends by it, robots first
+                self._course.send(error)
+                return
+        except StopIteration as end:
+            self._result = end.value
+            return
+        if isinstance(step, Outcome):
+            self._go_on(step)
+
+
+def _outcome_of(result: Result) -> tuple[object, ...]:
+    """Return what two runs of one trial have in common."""
+    return result.outcome, result.steps, result.duration_s, result.robot_errors

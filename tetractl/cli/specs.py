@@ -13,34 +13,15 @@ from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_opt
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
 from tetractl.core.table.table_files import json_text
+from tetractl.experiment.examples import FOLDER, examples
 from tetractl.experiment.packages import not_installed
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
 
-FOLDER = "experiments"
 NAMED = ("base", "identified")
 """Fields of a spec that name another file, relative to the spec's folder."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-
-
-def shipped_folder() -> Path:
-    """Return the folder of the examples: in the source tree, or shipped inside the package."""
-    here = Path(__file__).resolve()
-    for folder in (here.parents[1] / FOLDER, here.parents[2] / FOLDER):
-        if (folder / "three_m3pi.yaml").is_file():
-            return folder
-    raise UsageError("the examples are missing from this installation")
-
-
-def examples() -> dict[str, Path]:
-    """Return the files of all examples, those of other packages too, by name: a path in their
-    folder, without `.yaml`."""
-    found: dict[str, Path] = {}
-    for folder in (shipped_folder(), *EXAMPLES.usable().values()):
-        for file in sorted(folder.rglob("*.yaml")):
-            found.setdefault(file.relative_to(folder).with_suffix("").as_posix(), file)
-    return found
 
 
 def example_files(name: str) -> dict[str, str]:

@@ -1,0 +1,130 @@
+"""A trial as an environment of Gymnasium."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+import tetractl  # noqa: E402
+from tetractl.core.errors import UsageError  # noqa: E402
+from tetractl.gym import TrialEnv  # noqa: E402
+
+SPEC = {
+    "name": "learning",
+    "units": {"length": "um"},
+    "arena": {"left": 0, "bottom": 0, "width": 2000, "height": 1000},
+    "robots": [{"name": "a", "start": [500, 500], "target": [1100, 500], "a": 4, "speed": 300}],
+    "controller": {
+        "type": "pso-mpc",
+        "horizon_max": 20,
+        "period": 0.2,
+        "time_limit": 4,
+        "arrival_tolerance": 50,
+    },
+    "trials": {"count": 1, "seed": 5},
+}
+START_ERROR_UM = 600.0
+"""From the start to the target."""
+EAST = np.array([1.0, 0.0])
+WEST = np.array([-1.0, 0.1])
+"""Not exactly west: by (3), that does not turn a robot that faces east."""
+
+
+def episode(env, action):
+    """Send one action until the episode ends; return rewards, the last flags and info."""
+    rewards = []
+    terminated = truncated = False
+    info = {}
+    while not (terminated or truncated):
+        _, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+    return rewards, terminated, truncated, info
+
+
+@pytest.mark.parametrize("name", ["one-cell", "paper"])
+def test_the_checker_of_gymnasium_has_nothing_to_say(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(f"tetractl/{name}-v0").unwrapped)
+
+
+def test_rewards_add_up_to_what_tables_print():
+    """1 - e/d, with e the true error and d the distance at the start."""
+    env = TrialEnv(SPEC)
+    env.reset(seed=1)
+    rewards, terminated, truncated, info = episode(env, EAST)
+    assert (terminated, truncated) == (True, False)
+    assert info["outcome"] == "arrived"
+    assert info["total_error"] == env.trial.result.total_error <= 50
+    assert sum(rewards) == pytest.approx(1 - info["total_error"] / START_ERROR_UM)
+
+
+def test_the_limit_of_time_truncates():
+    env = TrialEnv(SPEC | {"robots": [SPEC["robots"][0] | {"speed": 10}]})
+    env.reset(seed=1)
+    rewards, terminated, truncated, info = episode(env, EAST)
+    assert (terminated, truncated) == (False, True)
+    assert info["outcome"] == "time limit"
+    assert sum(rewards) == pytest.approx(1 - info["total_error"] / START_ERROR_UM)
+
+
+def test_failing_counts_as_the_greatest_error_whatever_was_collected():
+    env = TrialEnv(SPEC)
+    env.reset(seed=1)
+    _, collected, *_ = env.step(EAST)
+    rewards, terminated, truncated, info = episode(env, WEST)
+    assert collected > 0
+    assert (terminated, truncated) == (True, False)
+    assert info["outcome"] == "failed"
+    corner = np.hypot(1100, 500)  # the corners on the left are farthest from the target
+    assert info["total_error"] == pytest.approx(corner)
+    assert collected + sum(rewards) == pytest.approx(1 - corner / START_ERROR_UM)
+
+
+def test_an_observation_is_what_the_camera_measured():
+    env = TrialEnv(SPEC)
+    seen, _ = env.reset(seed=1)
+    gap = 600 / 2000  # of the arena's longer side
+    np.testing.assert_allclose(seen, [gap, 0, 1, 0, 0, 0], atol=1e-6)
+    seen, *_ = env.step(np.array([0.0, 0.5]))
+    np.testing.assert_allclose(seen[4:], [0, 1], atol=1e-6)  # the last direction, up
+
+
+def test_a_seed_and_a_number_open_the_trial_of_the_benchmark():
+    env = TrialEnv(SPEC | {"plant": {"type": "sim", "a_error": 0.3, "speed_error": 0.3}})
+    env.reset(seed=5, options={"trial": 3})
+    episode(env, EAST)
+    trial = tetractl.open_trial(env.trial.spec, trial=3)
+    while trial.result is None:
+        trial.step(0.0)
+    assert env.trial.result.robot_errors == trial.result.robot_errors
+    assert env.trial.spec.experiment.trials.seed == 5
+
+
+def test_without_a_seed_each_reset_draws_one():
+    env = TrialEnv(SPEC)
+    env.reset(seed=1)
+    seeds = []
+    for _ in range(3):
+        env.reset()
+        env.step(EAST)
+        env.trial.stop()
+        seeds.append(env.trial.spec.experiment.trials.seed)
+    assert len(set(seeds)) == 3
+
+
+def test_an_episode_is_saved_as_a_log_that_is_verified(tmp_path):
+    env = TrialEnv(SPEC)
+    env.reset(seed=1)
+    episode(env, EAST)
+    log = env.trial.save(tmp_path)
+    assert not tetractl.verify(log).problems
+
+
+def test_a_step_before_the_first_reset_is_refused():
+    with pytest.raises(UsageError, match="call reset first"):
+        TrialEnv(SPEC).step(EAST)

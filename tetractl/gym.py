@@ -1,0 +1,151 @@
+"""A trial as an environment of Gymnasium, for learners: `pip install tetractl[gym]`.
+
+Importing this module registers the shipped benchmark specs, such as "tetractl/one-cell-v0";
+`TrialEnv` takes any spec whose plant is simulated.
+
+Action: a vector (2,) in [-1, 1], which points in the direction that is sent: u = atan2(y, x). An
+angle would jump at pi.
+
+Observation (4 N + 2,) for N robots: gaps to the targets, headings and the last direction, all as
+measured, by `tetractl.control.policy.features`. Nothing of the truth is in it.
+
+Reward: the decrease of the measured sum of distances to the targets, over that sum at the starts,
+d. In the last step the true error e of the result takes the place of the measured sum, so that the
+rewards of an episode add up to 1 - e/d. A robot in an obstacle or outside the arena ends the trial,
+and e is then the greatest sum of distances that the arena allows, whatever was collected.
+
+An episode is terminated if the robots have arrived or one has failed in that way, and truncated at
+the limit of time, or if the trial is aborted.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from tetractl import api
+from tetractl.control.policy import features, features_of
+from tetractl.core.errors import UsageError
+from tetractl.core.plan import Outcome
+from tetractl.core.setup import Setup
+from tetractl.experiment.examples import examples
+from tetractl.run.open_trial import OpenTrial
+
+GAP_MAX = 2.0
+"""Greatest gap in an observation, in units of the arena's longer side: 1 within the arena, and
+noise."""
+BENCHMARKS = "benchmark"
+"""The folder of the shipped specs that are registered."""
+SEEDS = 2**31
+"""Number of seeds from which `reset` draws one if none is given."""
+
+Features = NDArray[np.float32]
+"""What a learner sees, (4 N + 2,)."""
+
+
+class TrialEnv(gymnasium.Env[Features, Features]):
+    """One simulated trial after another, of a spec: a file, a dict or what `load_spec` returns.
+
+    `trial` is the trial that runs, an `OpenTrial`: its `save` writes a log of a finished episode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as gymnasium.Env has it
+
+    def __init__(self, spec: api.Spec) -> None:
+        self._spec = api.stepped(spec)
+        setup = self._spec.experiment.setup
+        self._start_error = float(setup.distances(setup.starts.xy[None])[0].sum())
+        self._worst_error = greatest_error(setup)
+        size = features_of(len(setup.names))
+        high = np.ones(size, dtype=np.float32)
+        high[: 2 * len(setup.names)] = GAP_MAX
+        self.observation_space = spaces.Box(-high, high, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+        self._trial: OpenTrial | None = None
+        self._error = self._start_error
+
+    @property
+    def trial(self) -> OpenTrial:
+        """The trial that runs; UsageError before the first reset."""
+        if self._trial is None:
+            raise UsageError("no trial runs", "call reset first")
+        return self._trial
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Features, dict[str, Any]]:
+        """Open a trial and return its first observation.
+
+        `seed` is that of the spec's `trials`; without one, it is drawn. `options={"trial": k}`
+        opens trial k, by default 0: with the benchmark's seed, those are the benchmark's trials.
+        """
+        super().reset(seed=seed)
+        trial_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        trial = int((options or {}).get("trial", 0))
+        self._trial = OpenTrial(self._spec, trial, trial_seed)
+        self._error = self._start_error
+        return self._observed(), {}
+
+    def step(self, action: Features) -> tuple[Features, float, bool, bool, dict[str, Any]]:
+        """Send the direction of a vector for one control period.
+
+        At the end of an episode, `info` has the `outcome` and the `total_error` e [length unit].
+        """
+        along_x, along_y = np.asarray(action, dtype=np.float64)
+        self.trial.step(math.atan2(along_y, along_x))
+        if self.trial.failed and self.trial.result is None:
+            self.trial.stop()
+        result = self.trial.result
+        if result is None:
+            return self._observed(), self._progress(self._measured_error()), False, False, {}
+        failed = self.trial.failed
+        error = self._worst_error if failed else result.total_error
+        terminated = failed or result.outcome is Outcome.ARRIVED
+        info = {"outcome": "failed" if failed else result.outcome.value, "total_error": error}
+        return self._observed(), self._progress(error), terminated, not terminated, info
+
+    def _progress(self, error: float) -> float:
+        """Return by how much the sum of distances has decreased to `error`, over that at the
+        starts."""
+        decrease = self._error - error
+        self._error = error
+        return decrease / self._start_error
+
+    def _measured_error(self) -> float:
+        """Return the measured sum of distances to the targets [length unit]."""
+        poses = self.trial.observation.poses
+        return float(poses.distances(self.trial.setup.targets).sum())
+
+    def _observed(self) -> Features:
+        """Return the newest observation within the bounds of its space."""
+        directions = self.trial.directions
+        last = directions[-1] if directions else None
+        seen = features(self.trial.setup, self.trial.observation, last)
+        space = self.observation_space
+        assert isinstance(space, spaces.Box)
+        return np.clip(seen.astype(np.float32), space.low, space.high)
+
+
+def greatest_error(setup: Setup) -> float:
+    """Return the greatest sum of distances to the targets that the arena allows [length unit]."""
+    arena = setup.arena
+    x = np.maximum(setup.targets[:, 0] - arena.left, arena.right - setup.targets[:, 0])
+    y = np.maximum(setup.targets[:, 1] - arena.bottom, arena.top - setup.targets[:, 1])
+    return float(np.hypot(x, y).sum())
+
+
+def register_examples() -> None:
+    """Register each shipped benchmark as an environment, "tetractl/NAME-v0"."""
+    for name, file in examples().items():
+        group, _, short = name.rpartition("/")
+        if group == BENCHMARKS:
+            gymnasium.register(
+                f"tetractl/{short}-v0", entry_point="tetractl.gym:TrialEnv", kwargs={"spec": file}
+            )
+
+
+register_examples()

@@ -1,6 +1,7 @@
 """Kinds of other packages: the example package, installed next to tetractl, and a broken one."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -165,3 +166,19 @@ def test_a_broken_package_is_one_line_where_it_is_used_and_nothing_elsewhere(tmp
         done = tetractl(tmp_path, [bad], "validate", "two.yaml")
         assert out in done.stdout and done.stderr.startswith(said)
     assert told in tetractl(tmp_path, [bad], "kinds").stderr
+
+
+def test_what_a_kind_prints_in_the_commands_own_process_is_marked(site, logged, tmp_path):
+    """Regression: a `print` stood between the lines of the JSON on stdout."""
+    code = (site / "tetractl_example" / "random_search.py").read_text("utf-8")
+    talking = tmp_path / "talking" / "tetractl_example"
+    talking.mkdir(parents=True)
+    for path in (site / "tetractl_example").glob("*.py"):
+        (talking / path.name).write_bytes(path.read_bytes())
+    (talking / "random_search.py").write_text(f"{code}\nprint('\\x1b[2J' * 3)\n", encoding="utf-8")
+    for info in site.glob("*.dist-info"):
+        shutil.copytree(info, talking.parent / info.name)
+    done = tetractl(logged, [talking.parent], "validate", "two.yaml", "--json")
+    assert json.loads(done.stdout)["specs"][0]["ok"]
+    assert r"\x1b[2J\x1b[2J\x1b[2J" in done.stderr
+    assert "\x1b" not in done.stderr

@@ -1,4 +1,5 @@
-"""Standard streams without a reader: no message raises, and no signal waits for a reader.
+"""The standard streams: no message raises, no signal waits for a reader, and what a plug-in prints
+is marked and bounded.
 
 Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
 of the observers only (`run.task.ObserverRelay`): if it lasts, the trial ends and robots stop.
@@ -13,13 +14,18 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import TYPE_CHECKING
+
+from tetractl.core.registry import SPEAKERS
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 STDOUT = 1
 STDERR = 2
+LINE_BYTES = 4096
+"""Most that is kept of a line that a plug-in has not ended."""
 GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
 """What `poll` says of a closed stream; Windows has no `poll`."""
 
@@ -48,9 +54,70 @@ class Messages(io.FileIO):
         return len(piece)
 
 
+class PluginWords:
+    """What plug-ins print in this process: lines on stderr, each printable and marked, so that the
+    results on stdout stay as they are. At most LINES_MAX are shown.
+    """
+
+    def __init__(self) -> None:
+        self._begun = dict[str, str]()  # of each plug-in, the line that it has not ended
+        self._shown = 0
+
+    def add(self, who: str, text: str) -> None:
+        """Show the lines that a text of a plug-in ends."""
+        *lines, rest = (self._begun.get(who, "") + text).split("\n")
+        self._begun[who] = rest[:LINE_BYTES]
+        for line in lines:
+            self._show(who, line)
+
+    def end(self) -> None:
+        """Show the lines that were not ended."""
+        begun, self._begun = self._begun, {}
+        for who, line in begun.items():
+            self._show(who, line)
+
+    def _show(self, who: str, line: str) -> None:
+        from tetractl.core.children import LINES_MAX, shown_lines  # slow to import
+
+        for text in shown_lines(line.encode(errors="replace")):
+            self._shown += 1
+            if self._shown <= LINES_MAX:
+                print(f"{who}: {text}", file=sys.stderr)
+            elif self._shown == LINES_MAX + 1:
+                print(f"{who}: says more, which is not shown", file=sys.stderr)
+
+
+WORDS = PluginWords()
+
+
+class MarkedStream(io.TextIOWrapper):
+    """A standard stream that passes a plug-in's text to WORDS."""
+
+    def write(self, text: str, /) -> int:
+        """Write a text, or pass it on."""
+        if who := _speaker(sys._getframe(1)):
+            WORDS.add(who, text)
+            return len(text)
+        return super().write(text)
+
+
+def _speaker(frame: FrameType | None) -> str:
+    """Return which plug-in's code writes, by the calls that lead to `frame`; "" if it is tetractl's
+    own, or that of rich, which draws for it.
+    """
+    while frame is not None and SPEAKERS:
+        top = frame.f_globals.get("__name__", "").partition(".")[0]
+        if top in ("tetractl", "rich"):
+            return ""
+        if top in SPEAKERS:
+            return SPEAKERS[top]
+        frame = frame.f_back
+    return ""
+
+
 def open_streams() -> None:
-    """Replace `sys.stderr` by a stream of `Messages`, and let both streams escape the characters
-    that their encoding lacks.
+    """Replace `sys.stderr` by a stream of `Messages`, and let both streams mark what plug-ins print
+    and escape the characters that their encoding lacks.
 
     A closed standard descriptor is opened on the null device, so that no log gets its number.
     """
@@ -59,18 +126,19 @@ def open_streams() -> None:
     os.close(descriptor)
     encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
     escapes = "backslashreplace"
+    look = {"encoding": encoding, "errors": escapes}
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors=escapes)
+        own, by_line = sys.stdout.buffer, sys.stdout.line_buffering
     else:  # the descriptor was closed
-        sys.stdout = os.fdopen(STDOUT, "w", encoding=encoding, errors=escapes, closefd=False)
-    sys.stderr = io.TextIOWrapper(
-        Messages(), encoding=encoding, errors=escapes, line_buffering=True
-    )
+        own, by_line = os.fdopen(STDOUT, "wb", closefd=False), False
+    sys.stdout = MarkedStream(own, line_buffering=by_line, **look)
+    sys.stderr = MarkedStream(Messages(), line_buffering=True, **look)
 
 
 def close_stdout() -> None:
     """Write the rest of the results; if that fails, lose them, so that the interpreter, which
     writes them again as it ends, does not fail too."""
+    WORDS.end()
     try:
         sys.stdout.flush()
     except (OSError, ValueError):

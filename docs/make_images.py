@@ -33,8 +33,9 @@ from tetractl.view.video import write_video  # noqa: E402
 
 FOLDERS = ("reference", "swarm", "ours", "paper")
 VIDEO_WIDTH = 640
-THIN, COLORS = 5, 24
-"""Of the video, the pictures between those that are kept, and its colours: a sixth of the bytes."""
+THIN, COLORS = 5, 48
+"""Of the video, the pictures between those that are kept, and its colours: a sixth of the bytes.
+With half as many the green of a robot is another one."""
 SCREENS = ((1280, 800),)
 MIDDLE = 0.55
 """The share of the trial after which the report is photographed."""

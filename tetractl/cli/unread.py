@@ -126,13 +126,12 @@ def open_streams() -> None:
     os.close(descriptor)
     encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
     escapes = "backslashreplace"
-    look = {"encoding": encoding, "errors": escapes}
     if isinstance(sys.stdout, io.TextIOWrapper):
         own, by_line = sys.stdout.buffer, sys.stdout.line_buffering
     else:  # the descriptor was closed
         own, by_line = os.fdopen(STDOUT, "wb", closefd=False), False
-    sys.stdout = MarkedStream(own, line_buffering=by_line, **look)
-    sys.stderr = MarkedStream(Messages(), line_buffering=True, **look)
+    sys.stdout = MarkedStream(own, encoding, escapes, line_buffering=by_line)
+    sys.stderr = MarkedStream(Messages(), encoding, escapes, line_buffering=True)
 
 
 def close_stdout() -> None:

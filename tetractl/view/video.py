@@ -204,7 +204,7 @@ class VideoFrames:
         axes.set_xlim(0, max(recording.elapsed_s(recording.end_ns), 1e-9))
         axes.set_ylim(0, 1.05 * float(np.nanmax(recording.totals, initial=1e-9)))
         axes.set(xlabel="time [s]", ylabel=f"total error [{unit_of(self._setup.unit)}]")
-        return axes.plot([], [], color=style.INK, lw=1.5)[0]
+        return axes.plot([], [], color=style.WHOLE, lw=1.5)[0]
 
     def _draw_words(self, axes: Axes) -> tuple[Line2D, list[Text]]:
         """Return the arrow of the direction u, and a line of text for each number."""
@@ -229,7 +229,7 @@ class VideoFrames:
         dial.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
         dial.set_axis_off()
         dial.text(-1.6, 0, "$u$", ha="right", va="center")
-        return dial.plot([], [], color=style.INK, lw=1.4, clip_on=False)[0], texts
+        return dial.plot([], [], color=style.WHOLE, lw=1.4, clip_on=False)[0], texts
 
     def at(self, elapsed_s: float) -> Picture:
         """Return the picture at `elapsed_s` [s] after the first direction sent."""

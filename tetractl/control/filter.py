@@ -8,7 +8,7 @@ or with which it slides. Under a direction u
     dx/dt = v cos theta + f_x,   dy/dt = v sin theta + f_y,   dtheta/dt = a sin(u + beta - theta).
 
 A cell also swims on a helix of the angular frequency w, with a sideways swing of sine p and cosine
-q. A robot on wheels has motors that may saturate, and may lag behind its commands.
+q. (Robots on wheels have none: p = q = 0.)
 
     dp/dt = w q,   dq/dt = -w p.
 
@@ -17,30 +17,34 @@ A camera measures, each with its noise,
     x - p sin theta,   y + p cos theta,   theta + m + atan(w q / v).
 
 The state has the logarithms of a, v and w, and all parameters drift as random walks, so that old
-measurements lose their weight (`kernels.filter_state`; what is assumed: `body_model`). Every robot
-turns with another a to the left than to the right (`tetractl.model.motion.turn_rate`). If the lag T
-of the wheels is given, turning rate and speed approach the commanded ones with the time constant T,
-and the direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
+measurements lose their weight. Robots may turn faster to one side, and motors of wheels may
+saturate (`tetractl.model.motion.turn_rate`). If the lag T of the wheels is given, turning rate and
+speed approach the commanded ones with the time constant T, and the direction acts on the heading
+theta + T dtheta/dt, in which the robot would come to rest. The states are in
+`kernels.filter_state`, and what is assumed of them in `body_model`.
 
-**Hypotheses.** A robot may not follow the latest direction. Its hypotheses, each with a state, a
-covariance and a weight, are that it follows the latest direction, that it follows one of the two
-directions before, because later ones were lost, and that it is stuck and stands still. A pose that
-fits no hypothesis is an outlier; after some time without a fit, the filter restarts from the
-camera's pose (`kernels.filter`).
+**A hypothesis** is a state with its covariance, what the robot may be doing, and a weight. A robot
+may not follow the latest direction: its hypotheses are that it does, that it follows one of the two
+before, because later ones were lost, and that it is stuck and stands still. A pose that fits no
+hypothesis is an outlier; after some time without a fit, all start from the camera's pose
+(`kernels.filter`).
 
-**Banks.** Each robot has a bank of filters, one for each dead time of a grid, from the sending of a
-direction to the moment when it acts, weighted by its likelihood; the grid is refined around likely
-values. Most probably all robots have the same dead time, so that each robot's frames tell that of
-the others too (`kernels.bank`). For cells, the bank also has several frequencies w to start from.
+**A filter** has these hypotheses, and a dead time: the time from the sending of a direction to the
+moment when it acts. Its score is the ln of the likelihood of the robot's frames.
 
-**Frames.** The filter uses frames about 30 ms apart, and each control step's newest frame: wheels
-whose lag is not given respond over tens of milliseconds, and at shorter intervals the start of the
-response would bias dead time and turning rate to smaller values.
+**A bank** is the filters of a robot, one for each dead time of a grid, which is refined around
+likely values. Most probably all robots have the same dead time, so that each robot's frames say
+something of that of the others (`kernels.bank`). A cell has such a grid for each of some
+frequencies w to start from: the filters of one frequency are a group.
+
+**Frames** are used if they are 30 ms apart, and each control step's newest one: wheels whose lag is
+not given respond over tens of milliseconds, and at shorter intervals the start of the response
+would bias dead time and turning rate to smaller values.
 
 **Misfit.** If the model is right, what a frame shows beyond the prediction, the innovation, is
 independent of those before. Sums over blocks of frames test this, and standard deviations grow by
-what they are found to be. While the model does not fit robots on wheels, what it may be is laid out
-again: another dead time, and, if the heading does not fit, motors that saturate.
+what they are found to be. While the model does not fit robots on wheels, the bank is opened again:
+with another dead time, and, if the heading does not fit, with motors that saturate.
 
 A prior without uncertainty identifies nothing: each frame's poses are taken as they are, and only
 the prediction over the dead time remains.
@@ -78,8 +82,6 @@ from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 
-COMMANDS_KEPT = 32
-"""Least number of commands kept after they acted: robots that are placed follow one of them."""
 SPACING_S = 0.03
 """Least time between two frames used [s]; docs/decisions/filter.md has errors with others."""
 SATURATED = -3.0
@@ -89,7 +91,7 @@ HEADING_MISFIT = INNOVATIONS.index("heading")
 REOPEN_STD_S = 0.05
 """Standard deviation of a dead time's change [s]."""
 REOPEN_S = 4.0
-"""Least time from laying out dead times to laying them out again [s]."""
+"""Least time from the start of a trial, or from opening the bank again, to doing so again [s]."""
 
 
 class Ahead(NamedTuple):
@@ -106,32 +108,26 @@ class Ahead(NamedTuple):
     """What is known of the robots' motion."""
 
 
-class Laid(NamedTuple):
-    """The filters that follow the robots, and room for what is computed of them."""
+class RunningFilters(NamedTuple):
+    """The filters that follow the robots, and what they say together."""
 
     bank: Bank
     shared: SharedTimes
     step_s: Floats
     """(N,) spacing of each robot's dead times [s]."""
-    going_on: NextFilters
 
 
 class CommandRecord:
-    """The directions and stops that were sent, without those that acted long ago."""
+    """The directions and stops that were sent."""
 
     def __init__(self) -> None:
-        self._room = np.empty((2, 3 * COMMANDS_KEPT))
-        self.latest = SentCommands(*self._room[:, :0])
-        """The commands kept, in the order of their times."""
+        self._room = np.empty((2, 64))
+        self.all = SentCommands(*self._room[:, :0])
+        """All of them, in the order of their times."""
         self.first_ns: int | None = None
         """The time at which the first one was sent [ns]."""
         self.turning = False
         """Whether robots have turned on the spot since the last direction."""
-
-    @property
-    def full(self) -> bool:
-        """Whether there is no room for another command."""
-        return len(self.latest.sent_s) == self._room.shape[1]
 
     def add(self, command: Command) -> None:
         """Add a direction or a stop."""
@@ -139,29 +135,28 @@ class CommandRecord:
             self.first_ns = command.sent_ns
         if not isinstance(command.action, Stop):
             self.turning = isinstance(command.action, Turn)
-        number = len(self.latest.sent_s)
+        number = len(self.all.sent_s)
+        if number == self._room.shape[1]:
+            self._room = np.append(self._room, np.empty_like(self._room), axis=1)  # twice as much
         self._room[0, number] = command.sent_ns / SECOND
         self._room[1, number] = np.nan if command.direction is None else command.direction
-        self.latest = SentCommands(*self._room[:, : number + 1])
-
-    def make_room(self, acted: int) -> int:
-        """Forget all but the last COMMANDS_KEPT of the `acted` commands, the first ones, or make
-        room for more if there are none to forget; return how many were forgotten."""
-        forgotten = max(0, acted - COMMANDS_KEPT)
-        number = len(self.latest.sent_s)
-        added = number if forgotten == 0 else forgotten
-        self._room = np.append(self._room[:, forgotten:], np.empty((2, added)), axis=1)
-        self.latest = SentCommands(*self._room[:, : number - forgotten])
-        return forgotten
+        self.all = SentCommands(*self._room[:, : number + 1])
 
 
 class FilterBank:
-    """The banks of filters that identify N robots during one trial.
+    """The filters that identify N robots during one trial.
 
     `sent` adds a command and `seen` adds frames, in the order in which they become known; a command
     counts from its time on. `ahead` says where the robots will be, and changes nothing: it can be
-    asked after the first frame, any number of times. `restart` is for robots that were replaced by
-    others, after the frame in which they were seen first.
+    called after the first frame, any number of times. `restart` is for robots that were replaced by
+    others, after the frame in which they were seen first. A control step is
+
+        filters.seen(newest, earlier)
+            _spaced, _use   follow the robots through the frames, or start at a frame's poses
+            _select         find how likely each filter is, drop and refine
+            _reopen         where the model does not fit
+        ahead = filters.ahead(now_ns)
+        filters.sent(command)
 
     With `drive_first`, robots drive a square before the first plan, and the filters start when the
     first direction acts.
@@ -174,28 +169,28 @@ class FilterBank:
         self.commands = CommandRecord()
         self.last: Observation | None = None
         """The last frame used."""
-        self.laid_out_ns = 0
-        """Time at which dead times were laid out again, for robots that the model did not fit; 0 if
-        they never were [ns]."""
+        self.reopened_ns = 0
+        """Time at which the bank was opened again, 0 if it never was [ns]."""
         self._drive_first = drive_first
         self._noisy = False
         """Whether robots were measured at different poses before the first command."""
-        self._laid = self._lay_out(self._first_bank(), np.full(len(prior.a), GRID.step_s))
+        first_step_s = np.full(len(prior.a), GRID.step_s)
+        self._running = self._run(self._first_bank(), first_step_s)
 
     @property
     def bank(self) -> Bank:
         """The filters, B of each robot."""
-        return self._laid.bank
+        return self._running.bank
 
     @property
     def shared(self) -> SharedTimes:
         """What the filters say of the robots' dead times, after the last frame."""
-        return self._laid.shared
+        return self._running.shared
 
     @property
     def step_s(self) -> Floats:
         """(N,) spacing of each robot's dead times [s]."""
-        return self._laid.step_s
+        return self._running.step_s
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
         """Return the index of each robot's likeliest hypothesis in the bank: its filter, robot and
@@ -209,28 +204,17 @@ class FilterBank:
         """Add a direction or a stop with the time at which it was sent."""
         if isinstance(command.action, FieldOff):
             return
-        if self.commands.full:
-            self.bank.coming[:] -= self.commands.make_room(int(self.bank.coming.min()))
         self.commands.add(command)
 
     def seen(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
         """Update the filters by those `earlier` frames that are at least SPACING_S apart, and by
-        the `newest` frame; then lay other filters out where the present ones do not fit."""
-        misfits = self._misfits() if self._may_lay_out_again(newest) else None
-        frames = self._spaced(newest, earlier)
-        starts = [k for k, frame in enumerate(frames) if self._starts_at(frame, k)]
-        if starts:
-            frames = frames[starts[-1] :]
-            self._place(frames[0], np.ones(len(self.prior.a), dtype=np.bool_))
-        elif self.last is not None:
-            frames = [self.last, *frames]
-        if len(frames) > 1:
-            self._follow(frames)
-        self.last = frames[-1]
+        the `newest` frame."""
+        misfits = self._misfits() if self._may_reopen(newest) else None  # as `ahead` said it last
+        self._use(self._spaced(newest, earlier))
         if not self.prior.certain:
             self._select()
         if misfits is not None and misfits.any():
-            self._lay_out_again(newest, misfits[:, HEADING_MISFIT])
+            self._reopen(newest, misfits[:, HEADING_MISFIT])
 
     def restart(self, robots: Sequence[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
@@ -245,7 +229,7 @@ class FilterBank:
         for column, new in zip(bank, first.padded(size), strict=True):
             column[:, replaced] = new[:, replaced]
         step_s = np.where(replaced, GRID.step_s, self.step_s)
-        self._laid = self._lay_out(bank, step_s)
+        self._running = self._run(bank, step_s)
         self._place(self.last, replaced)
 
     def ahead(self, sent_ns: int) -> Ahead:
@@ -258,7 +242,7 @@ class FilterBank:
             self.bank,
             self.model,
             self.shared,
-            self.commands.latest,
+            self.commands.all,
             self.last.seconds,
             sent_ns / SECOND,
             outlook,
@@ -286,6 +270,11 @@ class FilterBank:
             estimate=estimate,
         )
 
+    def _may_reopen(self, newest: Observation) -> bool:
+        """Return whether the bank is opened again if the model does not fit."""
+        due_ns = self.reopened_ns + REOPEN_S * SECOND
+        return bool(self.body.later_tried) and newest.sampled_ns >= due_ns
+
     def _misfits(self) -> Bools:
         """Return for each robot which of INNOVATIONS the model does not fit, (N, 3)."""
         robots = np.arange(len(self.prior.a))
@@ -311,10 +300,26 @@ class FilterBank:
                 last = frame
         return used
 
-    def _starts_at(self, frame: Observation, k: int) -> bool:
-        """Return whether the filters take the poses of frame k of those used as they are: it is the
-        first one of the trial, or robots are not followed yet, or turn on the spot."""
-        if (self.last is None and k == 0) or self.prior.certain or self.commands.turning:
+    def _use(self, frames: Sequence[Observation]) -> None:
+        """Follow the robots through some frames, from the last one used before on; or from the last
+        one whose poses are taken as they are, which the first one of a trial is."""
+        taken = [k for k, frame in enumerate(frames) if self._takes_poses(frame)]
+        if self.last is None and not taken:
+            taken = [0]
+        if taken:
+            frames = frames[taken[-1] :]
+            self._place(frames[0], np.ones(len(self.prior.a), dtype=np.bool_))
+        else:
+            assert self.last is not None
+            frames = [self.last, *frames]
+        if len(frames) > 1:
+            self._follow(frames)
+        self.last = frames[-1]
+
+    def _takes_poses(self, frame: Observation) -> bool:
+        """Return whether a frame's poses are taken as they are: there is nothing to identify, or
+        the filters cannot follow the robots yet, or robots turn on the spot."""
+        if self.prior.certain or self.commands.turning:
             return True
         if not self._drive_first:
             return False
@@ -329,7 +334,7 @@ class FilterBank:
         from tetractl.control.kernels.filter import place  # late: checking a spec needs no compiler
 
         poses = frame.poses.array()
-        place(self.bank, self.model, self.commands.latest, frame.seconds, poses, placed)
+        place(self.bank, self.model, self.commands.all, frame.seconds, poses, placed)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the first to the last of some frames."""
@@ -340,31 +345,32 @@ class FilterBank:
             poses=np.array([frame.poses.array() for frame in frames]),
             valid=np.array([frame.valid for frame in frames]),
         )
-        if not len(self.commands.latest.sent_s) and not self._noisy:
+        if not len(self.commands.all.sent_s) and not self._noisy:
             moved = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
             seen = measured.valid[1:].any(axis=1)
             self._noisy = bool((moved & seen).any())
         step_s = float(self.step_s.max())
-        follow(self.bank, self.model, self.commands.latest, measured, self._noisy, step_s)
+        follow(self.bank, self.model, self.commands.all, measured, self._noisy, step_s)
 
     def _select(self) -> None:
         """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
         from tetractl.control.kernels.bank import select, share
 
-        bank, shared, step_s, going_on = self._laid
+        bank, shared, step_s = self._running
         share(bank, shared, step_s)
-        commanded = len(self.commands.latest.sent_s) > 0
+        filters, robots = bank.score.shape
+        going_on = NextFilters.empty(max(filters, 3 * self.body.groups_max), robots)
+        commanded = len(self.commands.all.sent_s) > 0
         if not select(bank, shared, step_s, self.body.tried, commanded, going_on):
             return
         goes_on = going_on.rows >= 0
         number = goes_on.sum(axis=0)
         rows = np.minimum(np.arange(number.max())[:, None], number - 1)  # the last fills the rest
-        robots = np.arange(rows.shape[1])
-        chosen = bank.part(going_on.rows[rows, robots])
-        chosen.dead_time_s[:] = going_on.dead_time_s[rows, robots]
-        chosen.score[:] = going_on.score[rows, robots]
+        chosen = bank.part(np.take_along_axis(going_on.rows, rows, axis=0))
+        chosen.dead_time_s[:] = np.take_along_axis(going_on.dead_time_s, rows, axis=0)
+        chosen.score[:] = np.take_along_axis(going_on.score, rows, axis=0)
         chosen.score[~goes_on[: len(rows)]] = -np.inf
-        self._laid = self._lay_out(chosen, step_s)
+        self._running = self._run(chosen, step_s)
 
     def _first_bank(self) -> Bank:
         """Return filters for the dead times of the prior, in the first groups."""
@@ -382,17 +388,12 @@ class FilterBank:
         least_s = max(0.0, self.prior.dead_time - reach_s)
         return np.arange(least_s, self.prior.dead_time + reach_s + 1e-9, GRID.step_s)
 
-    def _may_lay_out_again(self, newest: Observation) -> bool:
-        """Return whether other filters are laid out if the present ones do not fit."""
-        due_ns = self.laid_out_ns + REOPEN_S * SECOND
-        return bool(self.body.later_tried) and newest.sampled_ns >= due_ns
+    def _reopen(self, frame: Observation, heading_misfits: Bools) -> None:
+        """Open the bank again: with the first dead times, each in the state of the robot's
+        likeliest filter, and, for robots whose heading does not fit, SATURATIONS of their motors.
 
-    def _lay_out_again(self, frame: Observation, heading_misfits: Bools) -> None:
-        """Lay out the first dead times again, each in the state of the robot's likeliest filter,
-        and, for robots whose heading does not fit, SATURATIONS of their motors.
-
-        The dead time may have changed, and the others are gone by then. The likeliest one stays so
-        until frames show otherwise; how well the model fits is tested again.
+        The dead time may have changed, and filters of others are gone by then. The likeliest one
+        stays so until frames show otherwise; how well the model fits is tested again.
         """
         filters, robots, slots = self.likeliest()
         old = self.bank
@@ -414,8 +415,8 @@ class FilterBank:
             bank.state[rows, :, :, LN_SATURATION] = ln_saturation
             bank.score[rows] += np.where(heading_misfits, SATURATED, -np.inf)
         self.model.walk[LN_SATURATION] = SATURATION_DRIFT
-        self.laid_out_ns = frame.sampled_ns
-        self._laid = self._lay_out(bank, np.full(len(robots), GRID.step_s))
+        self.reopened_ns = frame.sampled_ns
+        self._running = self._run(bank, np.full(len(robots), GRID.step_s))
         self._place(frame, np.ones(len(robots), dtype=np.bool_))
 
     @staticmethod
@@ -428,16 +429,15 @@ class FilterBank:
         cov[:, :, 0, state, state] = std**2
         bank.cov[rows] = cov
 
-    def _lay_out(self, bank: Bank, step_s: Floats) -> Laid:
-        """Return filters with what they say of the robots' dead times, which are `step_s` (N,)
-        apart [s].
+    def _run(self, bank: Bank, step_s: Floats) -> RunningFilters:
+        """Return filters with what they say together; dead times are `step_s` (N,) apart [s].
 
-        A robot's dead time is that of a filter up to half of the step; that of another robot is
-        the same with the probability 1 - GRID.own, else it differs by GRID.own_s.
+        If a filter is right, the robot's dead time is that of the filter, give or take half a step;
+        that of another robot is the same with the probability 1 - GRID.own, else it differs by
+        GRID.own_s.
         """
         from tetractl.control.kernels.bank import share
 
-        filters, robots = bank.score.shape
         half_step_s = GRID.finest_s / 2
         times_s = np.arange(0, float(bank.dead_time_s.max()) + GRID.finest_s, half_step_s)
         gaps_s = times_s[:, None, None] - bank.dead_time_s
@@ -448,20 +448,14 @@ class FilterBank:
         shared = SharedTimes(
             near=near,
             prior=-(deviations**2) / 2,
-            scratch=np.empty((len(times_s), robots)),
+            scratch=np.empty((len(times_s), len(step_s))),
             score=bank.score.copy(),
             mean_s=bank.dead_time_s[0].copy(),
-            std_s=np.zeros(robots),
-        )
-        size = max(filters, 3 * self.body.groups_max)
-        going_on = NextFilters(
-            rows=np.empty((size, robots), np.int64),
-            dead_time_s=np.empty((size, robots)),
-            score=np.empty((size, robots)),
+            std_s=np.zeros(len(step_s)),
         )
         if not self.prior.certain:
             share(bank, shared, step_s)
-        return Laid(bank, shared, step_s, going_on)
+        return RunningFilters(bank, shared, step_s)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:

@@ -153,7 +153,7 @@ def test_a_dead_time_that_changes_is_found_again():
     found, _, estimator = know(settings, 24, 20, late=Late([0.15] * 3, since_s=12.0))
     assert found.dead_time == pytest.approx(0.26, abs=0.004)
     assert found.misfit.max() < 1
-    assert estimator.filter.laid_out_ns > 12 * SECOND
+    assert estimator.filter.reopened_ns > 12 * SECOND
 
 
 def test_the_side_to_which_a_robot_turns_faster_is_found():
@@ -182,9 +182,9 @@ def test_the_turning_rates_of_motors_that_saturate_are_found():
     assert found.a == pytest.approx(plant.a, rel=0.15)
 
 
-def test_dead_times_are_not_laid_out_again_while_the_model_fits():
+def test_a_bank_is_not_opened_again_while_the_model_fits():
     _, _, estimator = know(["plant.dead_time=0.11", "plant.a_error=0.2", *NOISY], 20, 20)
-    assert estimator.filter.laid_out_ns == 0
+    assert estimator.filter.reopened_ns == 0
 
 
 def test_a_motion_that_the_model_leaves_out_is_noticed():

@@ -378,15 +378,19 @@ def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
     """Predict the state z of a hypothesis between two times [s] through all commands; return the
     direction followed at the end [rad], NaN for a robot that stands.
 
-    A stuck robot hears no command. One that acts within 1 ns of the end is followed then.
+    A stuck robot hears no command. One that acts within 1 ns of the end is followed then. Those
+    that acted before the beginning are in the state.
     """
     stuck = slot == bank.weight.shape[2] - 1
     number = commands.sent_s.size
     direction = bank.direction[b, i, slot]
     stops_s = bank.until_s[b, i, slot]
     at_end = direction if stops_s > end_s else math.nan
+    first = number
+    while first > 0 and commands.sent_s[first - 1] + dead_time_s > begin_s:
+        first -= 1
     t = begin_s
-    for c in range(number + 1):  # to each command, and from the last one to the end
+    for c in range(first, number + 1):  # to each command, and from the last one to the end
         acts_s = commands.sent_s[c] + dead_time_s if c < number else end_s
         leg_end_s = min(max(acts_s, t), end_s)
         drives_s = min(max(stops_s, t), leg_end_s) - t
@@ -396,7 +400,7 @@ def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
             if seconds > 0:
                 advance(model, i, z, None, u, None, seconds, None)
         t = leg_end_s
-        if c < number and acts_s > begin_s and not stuck:
+        if c < number and not stuck:
             direction = commands.directions[c]
             stops_s = acts_s + model.watchdog_s
             if acts_s <= end_s + 1e-9:

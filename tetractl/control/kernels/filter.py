@@ -99,17 +99,7 @@ def follow(bank, model, commands, frames, noisy, step_s):
     """
     filters, robots = bank.dead_time_s.shape
     likelihood = np.zeros((filters, robots))
-    states = bank.cov.shape[4]
-    scratch = FilterScratch(
-        np.empty((3, states)),
-        np.empty(states),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.zeros(DEPENDS_ON.shape),
-        np.zeros(3),
-        np.zeros(3),
-    )
+    scratch = _scratch(bank.cov.shape[4])
     for f in range(1, frames.time_s.shape[0]):
         frozen = _is_frozen(bank, model, commands, frames, f)
         for i in range(robots):
@@ -131,6 +121,21 @@ def follow(bank, model, commands, frames, noisy, step_s):
                 _stick(bank, model, b, i, until_s - since_s, until_s)
             _forget(bank, i, until_s - since_s)
     return likelihood
+
+
+@compiled(**INLINE_FAST)
+def _scratch(states):
+    """Return room for predictions and updates, in the order of the fields."""
+    return FilterScratch(
+        np.empty((3, states)),
+        np.empty(states),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.zeros(DEPENDS_ON.shape),
+        np.zeros(3),
+        np.zeros(3),
+    )
 
 
 @compiled(**INLINE_FAST)
@@ -282,22 +287,13 @@ def _branch(bank, model, b, i, u, step_s, now_s):
         s = best % follows
         hears = best < follows
         follows_now = u if hears else old_direction[s]
-        twin = -1
-        for slot in range(filled):
-            gap = old_state[source[slot], HEADING] - old_state[s, HEADING]
-            alike = gap**2 < ASSUMED.alike * old_cov[s, HEADING, HEADING]
-            if twin < 0 and alike and direction[slot] == follows_now:
-                twin = slot
+        twin = _find_twin(old_state, old_cov, direction, source, filled, s, follows_now)
         if twin >= 0:
             weight[twin] += math.log(1 + math.exp(best_weight - weight[twin]))
         elif filled < follows:
             z = bank.state[b, i, filled]
             cov = bank.cov[b, i, filled]
-            for k in range(z.size):  # arrays assigned whole take seconds to compile
-                z[k] = old_state[s, k]
-            for k in range(cov.shape[0]):
-                for m in range(cov.shape[0]):
-                    cov[k, m] = old_cov[s, k, m]
+            _copy_state(old_state[s], old_cov[s], z, cov)
             source[filled] = s
             weight[filled] = best_weight
             direction[filled] = follows_now
@@ -307,6 +303,18 @@ def _branch(bank, model, b, i, u, step_s, now_s):
                 before = old_direction[s] if now_s < old_until_s[s] else math.nan
                 _blur(model, i, z, cov, before, u, step_s)
             filled += 1
+
+
+@compiled(**INLINE_FAST)
+def _find_twin(old_state, old_cov, direction, source, filled, s, follows_now):
+    """Return the first of the slots `filled` whose hypothesis follows the same direction as the old
+    one s now does, from a like heading; -1 if there is none."""
+    for slot in range(filled):
+        gap = old_state[source[slot], HEADING] - old_state[s, HEADING]
+        alike = gap**2 < ASSUMED.alike * old_cov[s, HEADING, HEADING]
+        if alike and direction[slot] == follows_now:
+            return slot
+    return -1
 
 
 @compiled(**INLINE_FAST)
@@ -337,12 +345,19 @@ def _turning(model, i, z, u):
 @compiled(**INLINE_FAST)
 def _copy(bank, b, i, source, slot):
     """Copy the state and covariance of one hypothesis to another."""
-    states = bank.cov.shape[4]
-    for k in range(bank.state.shape[3]):
-        bank.state[b, i, slot, k] = bank.state[b, i, source, k]
-    for k in range(states):
-        for m in range(states):
-            bank.cov[b, i, slot, k, m] = bank.cov[b, i, source, k, m]
+    z = bank.state[b, i, source]
+    cov = bank.cov[b, i, source]
+    _copy_state(z, cov, bank.state[b, i, slot], bank.cov[b, i, slot])
+
+
+@compiled(**INLINE_FAST)
+def _copy_state(z, cov, z_copy, cov_copy):
+    """Copy a state and its covariance; arrays that are assigned whole take seconds to compile."""
+    for k in range(z.size):
+        z_copy[k] = z[k]
+    for k in range(cov.shape[0]):
+        for m in range(cov.shape[0]):
+            cov_copy[k, m] = cov[k, m]
 
 
 @compiled(**INLINE_FAST)
@@ -380,8 +395,7 @@ def _update_weights(bank, model, b, i, pose, scratch):
         if weight[slot] > -math.inf:
             z = bank.state[b, i, slot]
             cov = bank.cov[b, i, slot]
-            scale = bank.noise_scale[b, i]
-            weight[slot] += measure(model, i, z, cov, scale, pose, scratch.innovation, scratch)
+            weight[slot] += measure(model, i, z, cov, bank.noise_scale[b, i], pose, scratch)
             if weight[slot] > most:
                 most = weight[slot]
                 for k in range(3):

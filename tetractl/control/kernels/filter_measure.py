@@ -84,16 +84,38 @@ def _expect(model, i, z, expected, slopes):
 
 
 @compiled(**INLINE_FAST)
-def measure(model, i, z, cov, noise_scale, pose, innovation, scratch):
+def measure(model, i, z, cov, noise_scale, pose, scratch):
     """Update one hypothesis of robot i by a pose (3,); return the ln of the pose's likelihood.
 
-    `innovation` (3,) is filled with y - h(z) along and across the course and of the heading, over
-    their deviations. An outlier changes nothing, and has the likelihood of a pose at the gate.
+    `scratch.innovation` (3,) is filled with y - h(z) along and across the course and of the
+    heading, over their deviations. An outlier changes nothing, and has the likelihood of a pose at
+    the gate.
     """
+    columns = _expect(model, i, z, scratch.expected, scratch.slopes)
+    distance2, ln_variances = _compare(model, i, z, cov, noise_scale, pose, columns, scratch)
+    if not distance2 <= ASSUMED.gate:  # nor is a pose that is no number
+        return -0.5 * (ASSUMED.gate + ln_variances)
+    off = scratch.off
+    ln_likelihood = 0.0
+    for j in range(3):
+        total = _correct(z, cov, j, columns, scratch)
+        ln_likelihood -= 0.5 * (off[j] * off[j] / total + math.log(total))
+    for k in range(cov.shape[0]):
+        for m in range(k):
+            mean = 0.5 * (cov[k, m] + cov[m, k])
+            cov[k, m] = mean
+            cov[m, k] = mean
+    return ln_likelihood
+
+
+@compiled(**INLINE_FAST)
+def _compare(model, i, z, cov, noise_scale, pose, columns, scratch):
+    """Fill `off`, `variance` and `innovation` of the scratch arrays for a pose (3,); return the sum
+    of the squared innovations, and that of the ln of their variances H P H' + R."""
     off = scratch.off
     variance = scratch.variance
     slopes = scratch.slopes
-    columns = _expect(model, i, z, scratch.expected, slopes)
+    innovation = scratch.innovation
     c = math.cos(z[HEADING])
     s = math.sin(z[HEADING])
     distance2 = 0.0
@@ -105,7 +127,7 @@ def measure(model, i, z, cov, noise_scale, pose, innovation, scratch):
             off[j] = wrapped(off[j])
             scale = noise_scale[1]
         variance[j] = model.noise[j, i] ** 2 * scale
-        total = variance[j]  # of the pose's number: H P H' + R
+        total = variance[j]
         for n in range(columns):
             for m in range(columns):
                 total += slopes[j, n] * cov[DEPENDS_ON[j, n], DEPENDS_ON[j, m]] * slopes[j, m]
@@ -116,18 +138,7 @@ def measure(model, i, z, cov, noise_scale, pose, innovation, scratch):
     across = c * innovation[1] - s * innovation[0]
     innovation[0] = along
     innovation[1] = across
-    if not distance2 <= ASSUMED.gate:  # nor is a pose that is no number
-        return -0.5 * (ASSUMED.gate + ln_variances)
-    ln_likelihood = 0.0
-    for j in range(3):
-        total = _correct(z, cov, j, columns, scratch)
-        ln_likelihood -= 0.5 * (off[j] * off[j] / total + math.log(total))
-    for k in range(cov.shape[0]):
-        for m in range(k):
-            mean = 0.5 * (cov[k, m] + cov[m, k])
-            cov[k, m] = mean
-            cov[m, k] = mean
-    return ln_likelihood
+    return distance2, ln_variances
 
 
 @compiled(**INLINE_FAST)

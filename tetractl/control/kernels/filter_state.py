@@ -313,6 +313,12 @@ class NextFilters(NamedTuple):
     score: Floats
     """(C, N) the score that each takes."""
 
+    @classmethod
+    def empty(cls, size: int, robots: int) -> Self:
+        """Return room for `size` filters of each of some robots."""
+        shape = (size, robots)
+        return cls(np.empty(shape, np.int64), np.empty(shape), np.empty(shape))
+
 
 class Outlook(NamedTuple):
     """What the likeliest hypothesis of each of N robots says, (N,) each (`kernels.bank.forecast`).

@@ -1,4 +1,14 @@
-"""Runs tasks on this machine: in this process, or in worker processes that this process stops."""
+"""Runs tasks on this machine: in this process, or in worker processes that this process stops.
+
+An `Executor` runs tasks: `Here` one after another in this process, `Processes` several at a time.
+The `run` of each yields every task that was started with its result or error, and returns early
+after `end`, or after the first request of the interrupt. `called` does the same for plain calls.
+
+A worker process ends in one of four ways. Its pool ends, and with it the worker. The event `ending`
+is its interrupt's first request: the trial ends after its control step. SIGTERM is the second: the
+trial ends at once. If its parent ends, the worker sends SIGTERM to itself, and soon after ends.
+Signals of a terminal reach the workers too, which ignore them: only the parent reacts.
+"""
 
 import multiprocessing
 import os
@@ -28,10 +38,15 @@ from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
+SAID = "printed in a trial's process"
+CHECK_S = 0.1
+"""Time between two checks for a request to stop while trials run [s]."""
+SIGTERM_S = 1.0
+"""Time between two SIGTERMs to a worker [s]: an exception raised in a finaliser is lost."""
+CLOSE_LOG_S = 5.0
+"""Time for a worker to close its log after its parent process has ended [s]."""
 T = TypeVar("T")
 R = TypeVar("R")
-
-SAID = "printed in a trial's process"
 
 Ended = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
@@ -77,7 +92,8 @@ class Here:
         observers: Sequence[Observer] = (),
         supervision: LabSupervision | None = None,
     ) -> None:
-        self._interrupt, self._observers = interrupt, observers
+        self._interrupt = interrupt
+        self._observers = observers
         self._supervision = supervision
         self._ended = False
 
@@ -88,10 +104,10 @@ class Here:
                 return
             folder = ready(task)
             try:
-                found = run_task(task, folder, self._interrupt, self._observers, self._supervision)
+                ended = run_task(task, folder, self._interrupt, self._observers, self._supervision)
             except Exception as error:
-                found = error
-            yield task, found
+                ended = error
+            yield task, ended
 
     def end(self) -> None:
         """Start no further trial."""
@@ -107,10 +123,12 @@ class Processes:
     """
 
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
-        self.workers, self._interrupt = workers, interrupt
+        self.workers = workers
+        self._interrupt = interrupt
         self._context = fresh_context(["tetractl.run.preloaded"])
         self._ending: Event | None = None
-        self._again = 0.0  # earliest time of the next SIGTERM [s]
+        self._next_sigterm_s = 0.0
+        """Earliest time of the next SIGTERM, by the monotonic clock [s]."""
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield each task with its result or error, in the order in which the tasks end."""
@@ -120,59 +138,73 @@ class Processes:
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
             suspects = list[Task]()
-            for task, found in self._in_pool(waiting, self.workers, ready):
-                if isinstance(found, BrokenProcessPool):
+            for task, ended in self._in_pool(waiting, self.workers, ready):
+                if isinstance(ended, BrokenProcessPool):
                     suspects.append(task)
                 else:
-                    yield task, found
+                    yield task, ended
             for suspect in suspects:
-                for task, found in self._in_pool(deque([suspect]), 1, ready):
-                    lost = isinstance(found, BrokenProcessPool)
-                    hint = "give the same command with fewer --jobs to continue"
-                    yield task, AbortError(KILLED, hint) if lost else found
+                yield from self._repeat(suspect, ready)
 
     def end(self) -> None:
         """Start no further trial, and end the running ones early."""
         assert self._ending is not None
         self._ending.set()
 
+    def _repeat(self, suspect: Task, ready: Ready) -> Iterator[Ended]:
+        """Run a task alone that was running when a worker was killed; if that is killed, too, the
+        task fails."""
+        for task, ended in self._in_pool(deque([suspect]), 1, ready):
+            if isinstance(ended, BrokenProcessPool):
+                hint = "give the same command with fewer --jobs to continue"
+                yield task, AbortError(KILLED, hint)
+            else:
+                yield task, ended
+
     def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
         """Run the waiting tasks until a worker is killed; running tasks then end with the error
         BrokenProcessPool, and the others stay in `waiting`."""
         assert self._ending is not None
-        running, broken = dict[Future[Finished], Task](), False
-        start = _start_worker, (self._ending, dict(os.environ))
-        with WorkerPool(self._context, workers, SAID, _tell, *start) as pool:
+        running = dict[Future[Finished], Task]()
+        broken = False
+        environment = dict(os.environ)
+        with WorkerPool(
+            self._context, workers, SAID, _print_line, _start_worker, (self._ending, environment)
+        ) as pool:
             while True:
                 if self._interrupt.requested:
                     self._ending.set()
-                while waiting and len(running) < workers and not (broken or self._ending.is_set()):
+                ends = broken or self._ending.is_set()
+                while waiting and len(running) < workers and not ends:
                     task = waiting.popleft()
                     folder = ready(task)
                     with _signals_held_back():  # `submit` starts workers
                         running[pool.submit(_work, task, folder)] = task
+                    ends = self._ending.is_set()
                 if not running:
                     return
-                done, _ = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
+                done, _ = wait(running, timeout=CHECK_S, return_when=FIRST_COMPLETED)
                 for future in done:
                     error = future.exception()
                     if error is not None and not isinstance(error, Exception):
                         raise error
-                    broken |= isinstance(error, BrokenProcessPool)
+                    if isinstance(error, BrokenProcessPool):
+                        broken = True
                     yield running.pop(future), error or future.result()
                 self._stop_at_once()
 
     def _stop_at_once(self) -> None:
-        """Send SIGTERM to the workers after a second request to stop."""
-        if self._interrupt.count > 1 and time.monotonic() >= self._again:
-            for process in living_workers():
-                with suppress(ProcessLookupError):
-                    os.kill(process, signal.SIGTERM)
-            # sent repeatedly, because an exception raised in a finaliser is lost
-            self._again = time.monotonic() + 1.0
+        """Send SIGTERM to the workers after a second request to stop, again and again."""
+        if self._interrupt.count < 2 or time.monotonic() < self._next_sigterm_s:
+            return
+        for process in living_workers():
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGTERM)
+        self._next_sigterm_s = time.monotonic() + SIGTERM_S
 
 
-def _tell(line: str) -> None:
+def _print_line(line: str) -> None:
+    """Print a line that a worker has printed."""
     with suppress(OSError, ValueError):  # stderr may be closed
         print(line, file=sys.stderr, flush=True)
 
@@ -232,11 +264,11 @@ _interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a
 def _start_worker(ending: Event, environment: dict[str, str]) -> None:
     """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent process ends;
     its environment variables are those of its parent now, not when the server was started.
-    A terminal sends Ctrl-C to workers too, but only the parent reacts to it, and sends SIGTERM.
     """
     global _interrupt
     os.environ.update(environment)
-    _interrupt = interrupt = _SharedInterrupt(ending)
+    interrupt = _SharedInterrupt(ending)
+    _interrupt = interrupt
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.end_at_once())
@@ -252,5 +284,5 @@ def _end_with_parent() -> None:
     assert parent is not None
     parent.join()
     os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(5.0)  # time for a worker to close its log after its parent process has ended [s]
+    time.sleep(CLOSE_LOG_S)
     os._exit(1)

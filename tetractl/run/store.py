@@ -1,7 +1,9 @@
 """The folder of a run: its lock, the logs of its trials, and which trials are missing.
 
 A batch is a folder with the logs of the trials of one experiment. A study is a folder of batches,
-its arms.
+its arms. Both are a `Store`: it is `opened` first, which locks the folder and reads which trials
+are finished; for each trial that is run, `place` then returns the folder of its log, and `add`
+reads the log. A `RecordStore` is the folder of numbered records that are no trials.
 """
 
 import itertools
@@ -39,19 +41,22 @@ class BatchFolder:
     """
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
-        self.folder, self.experiment = folder, experiment
-        self.code, self.hash = code_of(experiment), arm_hash(experiment)
+        self.folder = folder
+        self.experiment = experiment
+        self.code = code_of(experiment)
+        self.hash = arm_hash(experiment)
         self.results: dict[int, ResultSummary] = {}
 
     @property
     def lacking(self) -> list[int]:
         """The numbers of the trials that are not finished."""
-        return [n for n in range(self.experiment.trials.count) if n not in self.results]
+        trials = range(self.experiment.trials.count)
+        return [trial for trial in trials if trial not in self.results]
 
     @property
     def outdated(self) -> list[int]:
         """The numbers of the finished trials that another version of the code has run."""
-        return [n for n, found in self.results.items() if found.code != self.code]
+        return [trial for trial, result in self.results.items() if result.code != self.code]
 
     def read(self) -> None:
         """Read which trials are finished; logs that are damaged or incomplete do not count.
@@ -68,29 +73,30 @@ class BatchFolder:
         if not path.exists():
             return
         try:
-            found = read_result(path)
+            result = read_result(path)
         except LogError:
             return
-        self._check(found)
-        if self._finished(found):
-            self.results[trial] = found
+        self._check(result)
+        if self._finished(result):
+            self.results[trial] = result
 
-    def _finished(self, found: ResultSummary) -> bool:
+    def _finished(self, result: ResultSummary) -> bool:
         aborts_again = (
-            found.outcome is Outcome.ABORTED
-            and found.code == self.code
+            result.outcome is Outcome.ABORTED
+            and result.code == self.code
             and not self.experiment.plant.real_time
         )
-        return not found.recovered and (found.outcome.complete or aborts_again)
+        return not result.recovered and (result.outcome.complete or aborts_again)
 
-    def _check(self, found: ResultSummary) -> None:
-        experiment = found.experiment
+    def _check(self, result: ResultSummary) -> None:
+        """Raise UsageError for a trial of another spec or seed."""
+        experiment = result.experiment
         if self.experiment.open:  # each trial chose its own robots
-            own = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
-            experiment = experiment.model_copy(update=own)
+            asked = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
+            experiment = experiment.model_copy(update=asked)
         if arm_hash(experiment) != self.hash:
             raise UsageError(
-                f"{found.path}: was run with another spec or seed",
+                f"{result.path}: was run with another spec or seed",
                 "name another folder with --out, or give the spec and seed of this trial",
             )
 
@@ -101,7 +107,8 @@ class Store:
     """
 
     def __init__(self, folder: Path, batches: Mapping[str, BatchFolder]) -> None:
-        self.folder, self.batches = folder, batches
+        self.folder = folder
+        self.batches = batches
 
     @classmethod
     def of_batch(cls, folder: Path, experiment: Experiment) -> "Store":
@@ -134,10 +141,14 @@ class Store:
             batch.read()
 
     def _check(self, resume: bool) -> None:
-        if self.folder.exists() and not self.folder.is_dir():
+        """Raise UsageError if the folder is a file, or has logs that are not to be resumed."""
+        if not self.folder.exists():
+            return
+        if not self.folder.is_dir():
             raise UsageError(f"{self.folder}: not a folder", "name another with --out")
-        names = () if resume or not self.folder.exists() else self.folder.iterdir()
-        if any(path.name.endswith((SUFFIX, LOG_PART)) for path in names):
+        if resume:
+            return
+        if any(path.name.endswith((SUFFIX, LOG_PART)) for path in self.folder.iterdir()):
             raise UsageError(
                 f"{self.folder}: holds logs already",
                 "name another folder with --out, or add --resume",
@@ -165,7 +176,9 @@ class RecordStore:
     """
 
     def __init__(self, folder: Path, identity: str, fields: Collection[str]) -> None:
-        self.folder, self._identity, self._fields = folder, identity, fields
+        self.folder = folder
+        self._identity = identity
+        self._fields = fields
         self.records: dict[int, dict[str, Any]] = {}
 
     @contextmanager
@@ -175,22 +188,24 @@ class RecordStore:
         Raises UsageError if the folder is a file or has records of another identity, and the errors
         of `locked`.
         """
-        if any(
-            place.exists() and not place.is_dir() for place in (self.folder, *self.folder.parents)
-        ):
-            raise UsageError(f"{self.folder}: not a folder", "name another with --out")
+        for folder in (self.folder, *self.folder.parents):
+            if folder.exists() and not folder.is_dir():
+                raise UsageError(f"{self.folder}: not a folder", "name another with --out")
         with locked(self.folder):
             for path in self.folder.glob("record-*.json"):
-                if (record := self._read(path)) is not None:
-                    self.records[int(path.stem.removeprefix("record-"))] = record
+                record = self._read(path)
+                if record is not None:
+                    number = int(path.stem.removeprefix("record-"))
+                    self.records[number] = record
             yield
 
     def _read(self, path: Path) -> dict[str, Any] | None:
         """Return the record in a file; None if it cannot be read."""
         try:
             stated = json.loads(path.read_bytes())
-            identity, record = stated["of"], stated["record"]
-            known = record.keys() >= set(self._fields)
+            identity = stated["of"]
+            record = stated["record"]
+            whole = record.keys() >= set(self._fields)
         except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError):
             return None
         if identity != self._identity:
@@ -198,7 +213,7 @@ class RecordStore:
                 "give another --out: a folder has records of one spec, with its --set, and one seed"
             )
             raise UsageError(f"{path}: is of another spec, seed or settings", hint)
-        return record if known else None
+        return record if whole else None
 
     def add(self, number: int, record: Mapping[str, Any]) -> None:
         """Write a record; LogError if that fails."""
@@ -214,17 +229,26 @@ def set_aside(folder: Path, trial: int) -> None:
     """
     path = log_path(folder, trial)
     recovered = path.with_suffix(RECOVERED_SUFFIX)
-    for left in (path, path.with_name(path.name + ".part")):
-        if left.exists():
-            number = next(i for i in itertools.count(1) if not _attempts(folder, left, i))
-            for log in (left, recovered):
-                if log.exists():
-                    aside = log.with_name(attempt_name(log.name, number))
-                    aside.touch(exist_ok=False)  # reserves the name
-                    log.replace(aside)
+    for log in (path, path.with_name(path.name + ".part")):
+        if log.exists():
+            number = _next_attempt(folder, log)
+            _rename(log, number)
+            if recovered.exists():
+                _rename(recovered, number)
 
 
-def _attempts(folder: Path, log: Path, number: int) -> list[Path]:
-    """Return the files of a trial's attempt `number`."""
+def _next_attempt(folder: Path, log: Path) -> int:
+    """Return the number of the first attempt of a trial of which there are no files."""
     stem = log.name.partition(SUFFIX)[0]
-    return [p for p in folder.iterdir() if p.name.startswith(f"{stem}.attempt-{number}.")]
+    names = [path.name for path in folder.iterdir()]
+    for number in itertools.count(1):
+        if not any(name.startswith(f"{stem}.attempt-{number}.") for name in names):
+            return number
+    raise AssertionError("counting does not end")
+
+
+def _rename(log: Path, number: int) -> None:
+    """Rename a log to that of attempt `number`."""
+    aside = log.with_name(attempt_name(log.name, number))
+    aside.touch(exist_ok=False)  # reserves the name
+    log.replace(aside)

@@ -1,5 +1,12 @@
-"""Runs one trial for an executor, with its log and result. A background thread calls the
-observers, so that a slow screen never delays the loop.
+"""Runs one trial for an executor, with its log and result.
+
+    run_task       runs a task of an executor: one trial, and its log, whole or brief
+    run_trial      runs one trial of a spec, with a whole log
+      run_with     builds plant, controller and clock from the spec, and runs the trial
+        Trial.run  is the control loop (`tetractl.run.run_trial`)
+
+In real time, a background thread calls the observers, so that a slow screen never delays the loop;
+the writers of logs are called in the loop's thread. In simulation, all are.
 """
 
 import gc
@@ -35,6 +42,13 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import stated_delay
 from tetractl.run.run_trial import Trial
 
+QUEUED_CALLS_MAX = 2000
+"""Largest number of queued calls of an observer: over two minutes of a trial."""
+LAST_CALLS_S = 30.0
+"""Time for the last calls of an observer after the robots were stopped [s]."""
+SPECS_KEPT = 64
+"""Number of specs that a process keeps loaded and compiled, the latest ones."""
+
 
 class ObserverRelay(Relay):
     """A relay for an observer that may be slow."""
@@ -43,9 +57,9 @@ class ObserverRelay(Relay):
         self.observer = observer
         self.worker = Worker(
             "observer",
-            size=2000,  # largest number of queued calls: over two minutes of a trial
+            size=QUEUED_CALLS_MAX,
             wait_s=0.0,
-            patience_s=30.0,  # time for the last calls after the robots were stopped [s]
+            patience_s=LAST_CALLS_S,
             too_slow=TetractlError("an observer is too slow for the trial"),
         )
 
@@ -75,10 +89,11 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The result of a trial, and its wall time [s]."""
+    """The result of a trial, and its wall time."""
 
     result: Result
     wall_s: float
+    """Time from the building of the plant to the end of the log [s]."""
 
 
 class OtherCodeError(UsageError):
@@ -87,8 +102,8 @@ class OtherCodeError(UsageError):
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
     """Return the tasks of a batch: trials of one spec, all with whole logs."""
-    data, count = pickle.dumps(spec), spec.experiment.trials.count
-    return [Task(trial, count, data) for trial in trials]
+    pickled = pickle.dumps(spec)
+    return [Task(trial, spec.experiment.trials.count, pickled) for trial in trials]
 
 
 def code_of(experiment: Experiment) -> str:
@@ -108,7 +123,7 @@ def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
 
 
 def log_path(folder: Path, trial: int) -> Path:
-    """Return the path of a trial's log in a batch's or arm's folder."""
+    """Return the path of a trial's log in the folder of a batch or of an arm."""
     return folder / f"trial-{trial:03d}.mcap"
 
 
@@ -125,27 +140,45 @@ def run_task(
     the trial without an outcome, such as a camera that does not answer. With `log_if_failed`, a
     failed trial is run a second time, with the same result, to write its whole log.
     """
-    if task.log_if_failed and not task.log:
-        with suppress(Exception):  # the repeated trial raises the same error
-            finished = run_task(replace(task, log_if_failed=False), folder, interrupt)
-            if finished.result.outcome is not Outcome.ABORTED:
-                return finished
-        log_path(folder, task.trial).unlink(missing_ok=True)  # the brief log
-        task = replace(task, log=True)
+    if task.log:
+        return _run_with_whole_log(task, folder, interrupt, observers, supervision)
+    if not task.log_if_failed:
+        return _run_with_brief_log(task, folder, interrupt, observers)
+    with suppress(Exception):  # the repeated trial raises the same error
+        finished = _run_with_brief_log(task, folder, interrupt)
+        if finished.result.outcome is not Outcome.ABORTED:
+            return finished
+    log_path(folder, task.trial).unlink(missing_ok=True)  # the brief log
+    return _run_with_whole_log(task, folder, interrupt, observers, supervision)
+
+
+def _run_with_whole_log(
+    task: Task,
+    folder: Path,
+    interrupt: Interrupt,
+    observers: Sequence[Observer],
+    supervision: LabSupervision | None,
+) -> Finished:
     spec = _loaded(task.spec, task.code)
     began_s = time.perf_counter()
-    if task.log:
-        with _log(spec, folder, task.trial) as log:
-            result = run_with([log], spec, task.trial, observers, interrupt, supervision)
-    else:
-        brief = BriefLog()
-        result = run_with([brief], spec, task.trial, observers, interrupt)
-        if result.outcome is not Outcome.INTERRUPTED:
-            brief.save(log_path(folder, task.trial))
+    with _log(spec, folder, task.trial) as log:
+        result = run_with([log], spec, task.trial, observers, interrupt, supervision)
     return Finished(result, time.perf_counter() - began_s)
 
 
-@lru_cache(maxsize=64)
+def _run_with_brief_log(
+    task: Task, folder: Path, interrupt: Interrupt, observers: Sequence[Observer] = ()
+) -> Finished:
+    spec = _loaded(task.spec, task.code)
+    began_s = time.perf_counter()
+    brief = BriefLog()
+    result = run_with([brief], spec, task.trial, observers, interrupt)
+    if result.outcome is not Outcome.INTERRUPTED:
+        brief.save(log_path(folder, task.trial))
+    return Finished(result, time.perf_counter() - began_s)
+
+
+@lru_cache(maxsize=SPECS_KEPT)
 def _loaded(spec: bytes, code: str) -> LoadedSpec:
     """Return a task's spec after compiling its controller; cached by the pickled bytes."""
     loaded: LoadedSpec = pickle.loads(spec)
@@ -189,22 +222,16 @@ def run_with(
     In real time, a background thread calls the other `observers`, so that they do not delay the
     loop.
     """
-    section, real_time = spec.experiment.plant, spec.experiment.plant.real_time
-    clock, start_unix_ns = section.clock(), _unix_ns() if real_time else EPOCH_NS
+    section = spec.experiment.plant
+    clock = section.clock()
+    start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
+    supervision = supervision or _own_supervision(writers, interrupt)
     with plugins_blamed(packages(spec.experiment)), ExitStack() as stack:
-        if real_time:
-            observers = [stack.enter_context(closing(ObserverRelay(one))) for one in observers]
-
-        def fail_log(error: OSError) -> None:
-            for writer in writers:
-                if isinstance(writer, LogWriter):
-                    writer.fail(error)
-
-        unsupervised = LabSupervision(
-            cancelled=lambda: interrupt.requested, signalled=interrupt.request, fail_log=fail_log
-        )
-        spec, plant = _built(spec, clock, seed, supervision or unsupervised)
+        if section.real_time:
+            relays = [ObserverRelay(observer) for observer in observers]
+            observers = [stack.enter_context(closing(relay)) for relay in relays]
+        spec, plant = _built(spec, clock, seed, supervision)
         return Trial(
             start=start_of(spec, trial, PlantInfo("", section.simulated, 0.0, {}), start_unix_ns),
             plant=plant,
@@ -215,6 +242,19 @@ def run_with(
             interrupt=interrupt,
             delay=stated_delay(spec.experiment),
         ).run()
+
+
+def _own_supervision(writers: Sequence[Observer], interrupt: Interrupt) -> LabSupervision:
+    """Return the supervision of a lab by the process that runs the trial."""
+
+    def fail_log(error: OSError) -> None:
+        for writer in writers:
+            if isinstance(writer, LogWriter):
+                writer.fail(error)
+
+    return LabSupervision(
+        cancelled=lambda: interrupt.requested, signalled=interrupt.request, fail_log=fail_log
+    )
 
 
 def _built(
@@ -232,8 +272,9 @@ def _built(
 
 def _unix_ns() -> int:
     """Return the Unix time [ns]; TetractlError before 1970, which logs cannot hold."""
-    if (now := time.time_ns()) < 0:
+    now_ns = time.time_ns()
+    if now_ns < 0:
         raise TetractlError(
             "this computer's clock is before 1970", "set the computer's date, then run again"
         )
-    return now
+    return now_ns

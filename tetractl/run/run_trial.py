@@ -1,4 +1,45 @@
-"""One trial: the control loop of Algorithm 2, from opening the plant to the result."""
+"""One trial: the control loop of Algorithm 2, from opening the plant to the result.
+
+What calls what:
+
+    Trial.run                   answers each request of the course by its controller
+      Trial.course              a new TrialCourse
+        run                     opens the plant, runs the loop, ends
+          _loop                 asks for a decision, carries it out, waits for the next step
+            _carry_out          one control step k: sends, and notifies the observers
+            _drive_square       before step 0, if the spec asks for it
+          _end
+            _halt               stops the robots, waits until they rest, takes the last frames
+            how_it_ended        outcome and reason, in the order below
+            _notify_of_the_end  the observers' last calls
+
+Threads. Plant and observers are called by the thread that runs the trial; observers that may be
+slow are relays to threads of their own. It calls the controller, too, but for the first plan in
+real time, which has a thread of its own, so that frames are logged and squares driven meanwhile.
+
+Interruptions are counted by `Interrupt`, in the handlers of signals:
+
+    count     meaning                      in the loop                       planning, sleeping
+    0                                      goes on                           go on
+    1         `requested`: end the trial   the step, or the side of a        go on
+                                           square, is finished first
+    2 or more end it at once               as for 1                          KeyboardInterrupt
+
+Nothing else is broken off: what sends, stops or writes is not `breakable`. A plan that is broken
+off is no step.
+
+How a trial ends. The robots are stopped first, whatever happened. Then the first of these counts:
+
+    1  an error in the loop              aborted      what it says, or which plug-in has raised it
+    2  an error while robots stop        aborted      likewise
+    3  robots that are not at rest       aborted      which
+    4  an interruption                   interrupted  whether the step was finished
+    5  the controller's decision         its outcome  which robots do not move, if any
+
+An error that is no TetractlError and none of a plug-in is a bug: it is raised again once all
+observers were called. An observer that fails in its last call makes the result `aborted`, if it was
+not, for the caller; the log of each other observer is whole.
+"""
 
 import itertools
 import time
@@ -6,21 +47,14 @@ from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import NamedTuple
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import (
-    Action,
-    Command,
-    Note,
-    Sample,
-    Steer,
-    Stop,
-    Turn,
-    Verdict,
-)
+from tetractl.core.commands import Action, Command, Note, Sample, Steer, Stop, Turn, Verdict
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
-from tetractl.core.plugin_fault import plugin_fault
+from tetractl.core.plugin_fault import FaultyPluginError, plugin_fault
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure, told_dead
@@ -31,15 +65,27 @@ from tetractl.run.model_news import ModelNews, StatedDelay
 from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
+BEFORE_STEPS = "interrupted before the first step"
+STEP_FINISHED = "interrupted; the step was finished"
+TURNING = "all robots turn on the spot: they have no safe way ahead"
+PAUSING = "all robots pause: the next plan starts from rest, or the trial ends"
 
 Decision = Plan | Outcome | End
 
-Timed = tuple[Decision, int]
-"""A controller's decision, and the wall time that it needed [ns]."""
+
+class TimedDecision(NamedTuple):
+    """A decision, and the wall time that it needed [ns]."""
+
+    decision: Decision
+    solve_ns: int
+
+
+Answer = TimedDecision | BaseException
+"""A decision, or what was raised instead."""
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class DecisionRequest:
     """What is asked for the decision of one control step: the newest frame, the command before it,
     None at the first step, and the frames exposed between the two, oldest first."""
 
@@ -48,20 +94,16 @@ class Question:
     earlier: Sequence[Observation]
 
 
-Course = Generator[Question, Timed | BaseException, Result]
-"""A trial that asks for each decision, is sent it, or what was raised instead, and returns the
-result."""
+class ClosedError(BaseException):
+    """The course was closed: its result is not wanted."""
 
 
-class _Dropped(BaseException):
-    """The course is closed: the result is not wanted."""
-
-
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Trial:
-    """One trial; either `run` or `course` may be called, once.
+    """What one trial is made of; either `run` or `course` may be called, once.
 
-    The plant's description is added to `start` when the plant is opened.
+    The plant's description is added to `start` when the plant is opened. `delay` is the dead time
+    that the spec states, None if a wrong one is not to be reported.
     """
 
     start: Start
@@ -72,22 +114,6 @@ class Trial:
     observers: Sequence[Observer]
     interrupt: Interrupt
     delay: StatedDelay | None = None
-    _solve_ns: list[int] = field(default_factory=list)
-    _misses: int = 0
-    _virtual: bool = False  # whether time passes only where the plant's clock is slept on
-    _turning: bool = False  # whether robots turn on the spot
-    _began_ns: int | None = None  # time at which the first direction was sent
-    _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
-    _tour: TourMeasure = field(init=False)
-    _dead: int = 0  # number of robots that do not move while others drive
-    # frames newer than the frame of the last step
-    _between: list[Observation] = field(default_factory=list)
-    _model: ModelNews = field(init=False)
-
-    def __post_init__(self) -> None:
-        setup = self.start.setup
-        self._model = ModelNews(self.delay)
-        self._tour = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
 
     def run(self) -> Result:
         """Run the trial by the decisions of its controller, and return its result.
@@ -96,295 +122,458 @@ class Trial:
         becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
         another exception is raised again after the observers were called with the result.
         """
-        course = self.course()
+        trial = TrialCourse(self)
+        course = trial.run()
         try:
-            question = next(course)
+            request = next(course)
             while True:
-                question = course.send(self._answer(question))
+                request = course.send(trial.answer(request))
         except StopIteration as end:
             result: Result = end.value
             return result
 
-    def course(self) -> Course:
+    def course(self) -> Generator[DecisionRequest, Answer, Result]:
         """Run the trial, and ask for each decision.
 
         An exception that is sent ends the trial, like one of the controller. `close` stops the
         robots, and no observer is called any more.
         """
-        bug: BaseException | None = None
+        return TrialCourse(self).run()
+
+
+class StepPacing:
+    """When control steps are due: step k is k periods after the first, but for what delays it.
+
+    A pause delays all later steps by PAUSE_S, a plan that is sent late on purpose by its delay. A
+    step that is late by a period or more delays them by that much: they have the full period again.
+    """
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self._clock = clock
+        self._period_s = period_s
+        self.period_ns = round(period_s * SECOND)
+        self._first_ns = 0
+
+    def start(self) -> None:
+        """Let step 0 be due now."""
+        self._first_ns = self._clock.now()
+
+    def delay(self, by_ns: int) -> None:
+        """Delay all later steps."""
+        self._first_ns += by_ns
+
+    def finish(self, k: int, pauses: bool) -> int:
+        """Take the end of step k, after which robots may pause; return when the next is due."""
+        late_ns = self._clock.now() - self._due_ns(k)
+        if late_ns >= self.period_ns:
+            self.delay(late_ns)
+        if pauses:
+            self.delay(round(PAUSE_S * SECOND))
+        return self._due_ns(k + 1)
+
+    def _due_ns(self, k: int) -> int:
+        return self._first_ns + round(k * self._period_s * SECOND)
+
+
+class FrameIntake:
+    """Takes camera frames from the plant: each goes to the observers once, and once to the
+    controller unless it is the newest of a step."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self.unreported: list[Sample] = []  # not yet passed to the observers, oldest first
+        self._unplanned: list[Observation] = []  # newer than the frame of the last step
+
+    def take(self) -> None:
+        """Take the frames that have come."""
+        samples = self._plant.samples()
+        self.unreported += samples
+        self._unplanned += [sample.observation for sample in samples]
+
+    def hand_over(self) -> list[Sample]:
+        """Return the frames for the observers, which count as reported from now on."""
+        samples = self.unreported
+        self.unreported = []
+        return samples
+
+    def take_between(self, before: Observation, now: Observation) -> list[Observation]:
+        """Return the frames exposed between those of two steps, oldest first; forget them, and keep
+        the ones that are newer."""
+        self.take()
+        frames = self._unplanned
+        self._unplanned = [frame for frame in frames if frame.sampled_ns > now.sampled_ns]
+        return [frame for frame in frames if before.sampled_ns < frame.sampled_ns < now.sampled_ns]
+
+
+@dataclass(slots=True)
+class StepCounts:
+    """What is counted over the control steps."""
+
+    solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
+    misses: int = 0  # plans that took longer than a period while robots drove
+    first_sent_ns: int | None = None  # when the first direction was sent
+
+
+class RobotMotion(Enum):
+    """What the robots do by the last decision."""
+
+    NOT_BEGUN = "not begun"
+    DRIVE = "drive"
+    TURN = "turn on the spot"
+    STAND = "stand"
+
+    @classmethod
+    def of(cls, plan: Plan) -> "RobotMotion":
+        """Return what the robots do by a plan."""
+        if not plan.pauses:
+            return cls.DRIVE
+        return cls.TURN if isinstance(plan.action, Turn) else cls.STAND
+
+
+def motion_text(before: RobotMotion, now: RobotMotion) -> str:
+    """Return what is reported when robots begin to turn on the spot or to pause; "" for nothing. A
+    pause right after a turn is none of its own."""
+    if now is RobotMotion.TURN and before is not RobotMotion.TURN:
+        return TURNING
+    if now is RobotMotion.STAND and before in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
+        return PAUSING
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopEnd:
+    """How the control loop ended: by an outcome and its reason, or by an `error`."""
+
+    outcome: Outcome
+    reason: str = ""
+    error: BaseException | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Halt:
+    """How the robots were stopped: the stop, the verdict on where they came to rest, the last
+    frames, the plant's last commands and notes, and an `error` if something failed."""
+
+    stop: Command
+    verdict: Verdict
+    samples: list[Sample]
+    events: list[Command | Note]
+    error: BaseException | None
+
+
+def how_it_ended(
+    loop: LoopEnd, halt: Halt, fault: FaultyPluginError | None, dead: str
+) -> tuple[Outcome, str]:
+    """Return outcome and reason of a trial, by the list at the head of this module. `fault` is a
+    plug-in's part in the first error, `dead` which robots do not move, "" for none."""
+    error = loop.error or halt.error
+    if error is not None:
+        return Outcome.ABORTED, fault.message if fault else message_of(error)
+    if halt.verdict.not_at_rest:
+        return Outcome.ABORTED, halt.verdict.not_at_rest
+    return loop.outcome, loop.reason or dead
+
+
+def message_of(error: BaseException) -> str:
+    """Return what an error says, with its type if it is no TetractlError."""
+    return error.message if isinstance(error, TetractlError) else text_of(error)
+
+
+class TrialCourse:
+    """A trial that runs once: `run` asks for each decision, `answer` lets the controller decide."""
+
+    def __init__(self, trial: Trial) -> None:
+        setup = trial.start.setup
+        self._trial = trial
+        self._pacing = StepPacing(trial.clock, setup.period_s)
+        self._frames = FrameIntake(trial.plant)
+        self._measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
+        self._model = ModelNews(trial.delay)
+        self._counts = StepCounts()
+        self._motion = RobotMotion.NOT_BEGUN
+        self._dead = 0  # number of robots that do not move while others drive
+        self._virtual = False  # whether time passes only where the plant's clock is slept on
+
+    # ---- the trial ----
+
+    def run(self) -> Generator[DecisionRequest, Answer, Result]:
+        """Run the trial: ask for each decision, be sent it, and return the result."""
+        trial = self._trial
         try:
-            info = self.plant.open()
+            info = trial.plant.open()
         except BaseException:
             with suppress(Exception, SystemExit):  # not every plant stops before it is open
-                self.plant.stop()
-            self.plant.close()
+                trial.plant.stop()
+            trial.plant.close()
             raise
-        opened_ns = self.clock.now()
+        opened_ns = trial.clock.now()
+        self._virtual = info.virtual
         try:
-            start = replace(self.start, plant=info)
-            for observer in self.observers:
+            start = replace(trial.start, plant=info)
+            for observer in trial.observers:
                 observer.on_start(start)
-            self._virtual = info.virtual
-            outcome, reason = yield from self._steps()
-        except _Dropped:
-            self.plant.stop()
-            self.plant.close()
+            loop = yield from self._loop()
+        except ClosedError:
+            trial.plant.stop()
+            trial.plant.close()
             raise GeneratorExit from None
         except KeyboardInterrupt:
-            reason = AT_ONCE if self.interrupt.count > 1 else "interrupted before the first step"
-            outcome = Outcome.INTERRUPTED
+            reason = AT_ONCE if trial.interrupt.count > 1 else BEFORE_STEPS
+            loop = LoopEnd(Outcome.INTERRUPTED, reason)
         except BaseException as error:
-            outcome = Outcome.ABORTED
-            reason = error.message if isinstance(error, TetractlError) else text_of(error)
-            bug = error
-        return self._end(outcome, reason, bug, opened_ns)
+            loop = LoopEnd(Outcome.ABORTED, error=error)
+        return self._end(loop, opened_ns)
 
-    def _answer(self, question: Question) -> Timed | BaseException:
+    def _loop(self) -> Generator[DecisionRequest, Answer, LoopEnd]:
+        """Run the control loop of Algorithm 2."""
+        trial = self._trial
+        observation = trial.plant.observe()
+        decision, solve_ns = yield from ask(DecisionRequest(observation, None, ()))
+        if self._virtual and isinstance(trial.first_plan, Square):  # planning took no time
+            self._drive_square(trial.first_plan, observation)
+        self._pacing.start()
+        for k in itertools.count():
+            if isinstance(decision, Outcome):
+                return LoopEnd(decision)
+            if isinstance(decision, End):
+                self._sleep_until(trial.clock.now() + decision.delay_ns)
+                return LoopEnd(decision.outcome)
+            command = self._carry_out(k, observation, decision, solve_ns)
+            if trial.interrupt.requested:
+                return LoopEnd(Outcome.INTERRUPTED, STEP_FINISHED)
+            self._sleep_until(self._pacing.finish(k, decision.pauses))
+            before = observation
+            observation = trial.plant.observe()
+            between = self._frames.take_between(before, observation)
+            decision, solve_ns = yield from ask(DecisionRequest(observation, command, between))
+        raise AssertionError("unreachable: the loop ends by returning")
+
+    def _carry_out(self, k: int, observation: Observation, plan: Plan, solve_ns: int) -> Command:
+        """Carry out step k: send what the plan says, and notify the observers; return the
+        command."""
+        begun_leg = self._measure.step(plan.leg, observation)
+        if plan.pauses:
+            self._sleep_until(self._trial.clock.now() + plan.delay_ns)
+            self._pacing.delay(plan.delay_ns)
+        command = self._send(plan.action)
+        motion = RobotMotion.of(plan)
+        # the first plan, and one for robots that stand, may take as long as it needs
+        missed = self._motion is RobotMotion.DRIVE and solve_ns > self._pacing.period_ns
+        self._report(command.sent_ns, motion_text(self._motion, motion))
+        self._report(command.sent_ns, begun_leg)
+        self._motion = motion
+        self._counts.solve_ns.append(solve_ns)
+        if missed:
+            self._counts.misses += 1
+        self._report_frames()
+        self._report_dead(command.sent_ns)
+        step = Step(k, observation, plan, command, solve_ns, missed)
+        for observer in self._trial.observers:
+            observer.on_step(step)
+        self._report_model(plan, command.sent_ns)
+        return command
+
+    # ---- decisions, and squares before step 0 ----
+
+    def answer(self, request: DecisionRequest) -> Answer:
         """Return the controller's decision, or what it raised."""
         try:
-            if question.last is None and not self._virtual:
-                return self._first(question.observation)
-            return self._plan(question.observation, question.last, question.earlier)
+            if request.last is None and not self._virtual:
+                return self._first_in_real_time(request)
+            with self._trial.interrupt.breakable():
+                return self._plan(request)
         except BaseException as error:  # the trial ends by it, robots first
             return error
 
-    def _ask(self, question: Question) -> Generator[Question, Timed | BaseException, Timed]:
-        """Return the answer to a question; raise what was raised instead."""
-        try:
-            answer = yield question
-        except GeneratorExit:
-            raise _Dropped from None
-        if isinstance(answer, BaseException):
-            raise answer
-        return answer
+    def _plan(self, request: DecisionRequest) -> TimedDecision:
+        began_ns = time.perf_counter_ns()
+        decision = self._trial.controller.plan(request.observation, request.last, request.earlier)
+        return TimedDecision(decision, time.perf_counter_ns() - began_ns)
 
-    def _steps(self) -> Generator[Question, Timed | BaseException, tuple[Outcome, str]]:
-        """Run the control loop of Algorithm 2; return the outcome and its reason."""
-        period_s = self.start.setup.period_s
-        period = round(period_s * SECOND)
-        observation = self.plant.observe()
-        decision, solve_ns = yield from self._ask(Question(observation, None, ()))
-        if self._virtual and isinstance(self.first_plan, Square):  # planning took no time
-            self._drive_square(self.first_plan, observation)
-        began, standing = self.clock.now(), True
-        for k in itertools.count():
-            if isinstance(decision, Outcome):
-                return decision, ""
-            if isinstance(decision, End):
-                self._sleep_until(self.clock.now() + decision.delay_ns)
-                return decision.outcome, ""
-            begins = self._tour.step(decision.leg, observation)
-            if decision.pauses:
-                self._sleep_until(self.clock.now() + decision.delay_ns)
-                began += decision.delay_ns
-            command = self._send(decision.action)
-            if decision.pauses:
-                self._tell_pause(command, again=standing and k > 0)
-            else:
-                self._turning = False
-            if begins:
-                self._say(command, begins)
-            self._solve_ns.append(solve_ns)
-            missed = not standing and solve_ns > period
-            standing = decision.pauses
-            self._misses += missed
-            self._pass_samples()
-            self._tell_dead(command)
-            step = Step(k, observation, decision, command, solve_ns, missed)
-            for observer in self.observers:
-                observer.on_step(step)
-            if known := decision.estimate:
-                for level, text in self._model.of(known, self.start.setup, command.sent_ns):
-                    self._say(command, text, level)
-            if self.interrupt.requested:
-                return Outcome.INTERRUPTED, "interrupted; the step was finished"
-            late = self.clock.now() - (began + round(k * period_s * SECOND))
-            if late >= period:  # after an overrun, the following steps have the full period again
-                began += late
-            began += round(PAUSE_S * SECOND) if standing else 0
-            self._sleep_until(began + round((k + 1) * period_s * SECOND))
-            last, observation = observation, self.plant.observe()
-            between = self._frames_between(last, observation)
-            question = Question(observation, command, between)
-            decision, solve_ns = yield from self._ask(question)
-        raise AssertionError("unreachable: the loop ends by returning")
-
-    def _frames_between(self, last: Observation, now: Observation) -> list[Observation]:
-        """Return the frames exposed between two control steps, oldest first."""
-        self._take_samples()
-        frames = self._between
-        self._between = [one for one in frames if one.sampled_ns > now.sampled_ns]
-        return [one for one in frames if last.sampled_ns < one.sampled_ns < now.sampled_ns]
-
-    def _plan(
-        self, observation: Observation, last: Command | None, earlier: Sequence[Observation]
-    ) -> Timed:
-        with self.interrupt.breakable():
-            return self._timed_plan(observation, last, earlier)
-
-    def _timed_plan(
-        self, observation: Observation, last: Command | None, earlier: Sequence[Observation]
-    ) -> Timed:
-        before = time.perf_counter_ns()
-        decision = self.controller.plan(observation, last, earlier)
-        return decision, time.perf_counter_ns() - before
-
-    def _first(self, observation: Observation) -> Timed:
-        """Compute the first plan in real time while the robots stand, and record frames, or while
-        they drive squares (section IV-B.1 of the paper).
+    def _first_in_real_time(self, request: DecisionRequest) -> TimedDecision:
+        """Return the first decision, computed in real time: meanwhile the robots stand, and frames
+        are reported, or they drive squares (section IV-B.1 of the paper), one at least.
         """
-        square = self.first_plan if isinstance(self.first_plan, Square) else None
-        with self._planning(observation) as planning:
-            driven = False
-            while not planning.done() or (square and not driven):
-                if square:
-                    self._drive_square(square, observation)
-                    driven = True
-                else:
-                    with self.interrupt.breakable():
-                        wait([planning], timeout=self.start.setup.period_s)
-                    self._pass_samples()
+        square = self._trial.first_plan
+        with self._planning(request) as planning:
+            if isinstance(square, Square):
+                self._drive_square(square, request.observation)
+                while not planning.done():
+                    self._drive_square(square, request.observation)
+            while not planning.done():
+                with self._trial.interrupt.breakable():
+                    wait([planning], timeout=self._trial.start.setup.period_s)
+                self._report_frames()
             return planning.result()
+
+    @contextmanager
+    def _planning(self, request: DecisionRequest) -> Iterator[Future[TimedDecision]]:
+        """Compute a plan in a thread of its own."""
+        pool = ThreadPoolExecutor(1)
+        try:
+            yield pool.submit(self._plan, request)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
     def _drive_square(self, square: Square, observation: Observation) -> None:
         """Drive one square from the poses of `observation`."""
         for direction in directions(observation.poses.heading):
-            self._drive_side(direction, self.clock.now() + round(square.side * SECOND))
+            self._drive_side(direction, self._trial.clock.now() + round(square.side * SECOND))
 
-    @contextmanager
-    def _planning(self, observation: Observation) -> Iterator[Future[Timed]]:
-        """Compute the first plan in a thread of its own."""
-        pool = ThreadPoolExecutor(1)
-        try:
-            yield pool.submit(self._timed_plan, observation, None, ())
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-
-    def _drive_side(self, direction: float, end: int) -> None:
-        """Send a direction [rad] once per control period until `end` [ns]."""
-        period = round(self.start.setup.period_s * SECOND)
-        while (now := self.clock.now()) < end:
+    def _drive_side(self, direction: float, end_ns: int) -> None:
+        """Send a direction [rad] once per control period until `end_ns`."""
+        clock = self._trial.clock
+        while clock.now() < end_ns:
+            due_ns = min(clock.now() + self._pacing.period_ns, end_ns)
             command = self._send(Steer(direction))
-            for observer in self.observers:
+            for observer in self._trial.observers:
                 observer.on_command(command)
-            self._sleep_until(min(now + period, end))
-            self._pass_samples()
-            if self.interrupt.requested:
+            self._sleep_until(due_ns)
+            self._report_frames()
+            if self._trial.interrupt.requested:
                 raise KeyboardInterrupt
 
-    def _tell_pause(self, command: Command, again: bool) -> None:
-        """Say that robots turn on the spot, or pause, unless they do so already (`again`)."""
-        turns = isinstance(command.action, Turn)
-        if turns and not self._turning:
-            self._say(command, "all robots turn on the spot: they have no safe way ahead")
-        elif not turns and not again:
-            self._say(
-                command, "all robots pause: the next plan starts from rest, or the trial ends"
-            )
-        self._turning = turns
-
-    def _say(self, command: Command, text: str, level: str = "info") -> None:
-        for observer in self.observers:
-            observer.on_note(Note(command.sent_ns, level, text))
-
-    def _tell_dead(self, command: Command) -> None:
-        """Say which robots do not move while others drive, and whether they are lost."""
-        before = self._dead
-        self._dead = int(self._tour.dead.sum())
-        if self._dead == before:
-            return
-        text = told_dead(self.start.setup.names, self._tour.dead)
-        goes_on = "" if self._tour.stood.any() else ": the trial goes on without"
-        self._say(command, text + goes_on, "warning")
+    # ---- plant and clock ----
 
     def _send(self, action: Action) -> Command:
-        command = self.plant.send(action)
-        if self._began_ns is None and not command.stops:
-            self._began_ns = command.sent_ns
+        command = self._trial.plant.send(action)
+        if self._counts.first_sent_ns is None and not command.stops:
+            self._counts.first_sent_ns = command.sent_ns
         return command
 
-    def _sleep_until(self, when: int) -> None:
-        with self.interrupt.breakable():
-            self.clock.sleep_until(when)
+    def _sleep_until(self, due_ns: int) -> None:
+        with self._trial.interrupt.breakable():
+            self._trial.clock.sleep_until(due_ns)
 
-    def _take_samples(self) -> None:
-        samples = self.plant.samples()
-        self._samples += samples
-        self._between += [sample.observation for sample in samples]
+    # ---- what the observers are notified of ----
 
-    def _pass_samples(self) -> None:
-        self._take_samples()
-        samples, self._samples = self._samples, []
-        self._tour.add(samples)
-        news = self.plant.news()
-        for observer in self.observers:
+    def _report(self, t_ns: int, text: str, level: str = "info") -> None:
+        """Report a text, unless it is empty."""
+        if text:
+            for observer in self._trial.observers:
+                observer.on_note(Note(t_ns, level, text))
+
+    def _report_frames(self) -> None:
+        """Report the frames that have come, and what the plant itself has sent and noted."""
+        self._frames.take()
+        events = self._trial.plant.news()
+        samples = self._frames.hand_over()
+        self._measure.add(samples)
+        for observer in self._trial.observers:
             observer.on_samples(samples)
-            _pass_news(observer, news)
+            pass_on(observer, events)
 
-    def _end(
-        self, outcome: Outcome, reason: str, bug: BaseException | None, opened_ns: int
-    ) -> Result:
-        """Stop the robots, wait until they rest, and call every observer, even one that failed
-        before. If an observer raises an exception, the others are still called; bugs are raised at
-        the end.
-        """
-        setup, news, samples = self.start.setup, list[Command | Note](), self._samples
-        stop = Command(Stop(), self.clock.now(), (False,) * len(setup.names))
-        verdict = Verdict.unknown(len(setup.names))
-        try:
-            try:
-                stop = self.plant.stop()
-                verdict = self.plant.settle()
-                samples = samples + self.plant.samples()
-                self._tour.add(samples, stop.sent_ns)
-                news = self.plant.news()
-            finally:
-                self.plant.close()
-        except (Exception, SystemExit) as error:  # the log ends as one that says so
-            bug = error if bug is None else bug
-            if outcome is not Outcome.ABORTED:
-                outcome = Outcome.ABORTED
-                reason = error.message if isinstance(error, TetractlError) else text_of(error)
-        if bug is not None and (fault := plugin_fault(bug, self.start.packages)):
-            reason, bug = fault.message, None
-            news = [*news, *(Note(stop.sent_ns, "debug", call) for call in fault.calls)]
-        if verdict.not_at_rest and outcome is not Outcome.ABORTED:
-            outcome, reason = Outcome.ABORTED, verdict.not_at_rest
-        result = Result.of(
-            self.start.setup,
-            verdict,
-            outcome=outcome,
-            reason=reason or told_dead(self.start.setup.names, self._tour.stood),
-            duration_s=seconds(
-                stop.sent_ns - (opened_ns if self._began_ns is None else self._began_ns)
-            ),
-            solve_ns=tuple(self._solve_ns),
-            deadline_misses=self._misses,
-            tour=self._tour,
-        )
-        failures: list[TetractlError] = []
-        bugs = [] if isinstance(bug, TetractlError | None) else [bug]
-        for observer in self.observers:
-            try:
-                try:
-                    observer.on_samples(samples)
-                    _pass_news(observer, news)
-                finally:
-                    observer.on_stop(stop, result)
-            except TetractlError as error:
-                failures.append(error)
-            except Exception as error:
-                bugs.append(error)
+    def _report_dead(self, t_ns: int) -> None:
+        """Report which robots do not move while others drive, once more do so than before."""
+        dead = int(self._measure.dead.sum())
+        if dead == self._dead:
+            return
+        self._dead = dead
+        goes_on = "" if self._measure.stood.any() else ": the trial goes on without"
+        text = told_dead(self._trial.start.setup.names, self._measure.dead)
+        self._report(t_ns, text + goes_on, "warning")
+
+    def _report_model(self, plan: Plan, t_ns: int) -> None:
+        """Report where the controller's model does not fit, or fits again."""
+        if plan.estimate is None:
+            return
+        for level, text in self._model.of(plan.estimate, self._trial.start.setup, t_ns):
+            self._report(t_ns, text, level)
+
+    # ---- the end ----
+
+    def _end(self, loop: LoopEnd, opened_ns: int) -> Result:
+        """Stop the robots, find how the trial has ended, and notify the observers of it."""
+        halt = self._halt()
+        error = loop.error or halt.error
+        fault = plugin_fault(error, self._trial.start.packages) if error is not None else None
+        dead = told_dead(self._trial.start.setup.names, self._measure.stood)
+        outcome, reason = how_it_ended(loop, halt, fault, dead)
+        result = self._result(outcome, reason, halt, opened_ns)
+        calls = fault.calls if fault else ()
+        failures = self._notify_of_the_end(halt, calls, result)
+        bugs = [failure for failure in failures if not isinstance(failure, TetractlError)]
+        if error is not None and fault is None and not isinstance(error, TetractlError):
+            raise error
         if bugs:
             raise bugs[0]
         if failures and outcome is not Outcome.ABORTED:
-            result = replace(result, outcome=Outcome.ABORTED, reason=failures[0].message)
+            return replace(result, outcome=Outcome.ABORTED, reason=message_of(failures[0]))
         return result
 
+    def _halt(self) -> Halt:
+        """Stop the robots, wait until they rest, take the last frames, and close the plant; none of
+        it keeps the rest from being reported if it fails."""
+        plant = self._trial.plant
+        robots = len(self._trial.start.setup.names)
+        stop = Command(Stop(), self._trial.clock.now(), (False,) * robots)
+        verdict = Verdict.unknown(robots)
+        events: list[Command | Note] = []
+        error: BaseException | None = None
+        try:
+            try:
+                stop = plant.stop()
+                verdict = plant.settle()
+                self._frames.take()
+                self._measure.add(self._frames.unreported, stop.sent_ns)
+                events = plant.news()
+            finally:
+                plant.close()
+        except (Exception, SystemExit) as failure:
+            error = failure
+        return Halt(stop, verdict, self._frames.hand_over(), events, error)
 
-def _pass_news(observer: Observer, news: Sequence[Command | Note]) -> None:
-    for item in news:
-        if isinstance(item, Command):
-            observer.on_command(item)
+    def _result(self, outcome: Outcome, reason: str, halt: Halt, opened_ns: int) -> Result:
+        """Return the result; a trial lasts from its first direction, or from its opening if none
+        was sent."""
+        began_ns = self._counts.first_sent_ns
+        if began_ns is None:
+            began_ns = opened_ns
+        return Result.of(
+            self._trial.start.setup,
+            halt.verdict,
+            outcome=outcome,
+            reason=reason,
+            duration_s=seconds(halt.stop.sent_ns - began_ns),
+            solve_ns=tuple(self._counts.solve_ns),
+            deadline_misses=self._counts.misses,
+            tour=self._measure,
+        )
+
+    def _notify_of_the_end(
+        self, halt: Halt, calls: Sequence[str], result: Result
+    ) -> list[Exception]:
+        """Call every observer for the last time, even one that failed before, with the `calls` that
+        led to a plug-in's error; return what they raise."""
+        traces = [Note(halt.stop.sent_ns, "debug", call) for call in calls]
+        failures: list[Exception] = []
+        for observer in self._trial.observers:
+            try:
+                try:
+                    observer.on_samples(halt.samples)
+                    pass_on(observer, [*halt.events, *traces])
+                finally:
+                    observer.on_stop(halt.stop, result)
+            except Exception as failure:
+                failures.append(failure)
+        return failures
+
+
+def ask(request: DecisionRequest) -> Generator[DecisionRequest, Answer, TimedDecision]:
+    """Return the decision that is asked for; raise what was raised instead."""
+    try:
+        answer = yield request
+    except GeneratorExit:
+        raise ClosedError from None
+    if isinstance(answer, BaseException):
+        raise answer
+    return answer
+
+
+def pass_on(observer: Observer, events: Sequence[Command | Note]) -> None:
+    """Pass the plant's own commands and notes on to an observer."""
+    for event in events:
+        if isinstance(event, Command):
+            observer.on_command(event)
         else:
-            observer.on_note(item)
+            observer.on_note(event)

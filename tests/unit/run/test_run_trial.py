@@ -192,6 +192,21 @@ def test_a_plant_that_fails_at_the_end_has_its_last_frames_in_the_log():
     assert frames == list(range(4 + 10 + 1))  # ten a second: 0.4 s of steps, 1 s to settle
 
 
+def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
+    """Regression: those taken in the step in which it could not say what it had sent were lost."""
+    made = bench(3)
+
+    def fail_in_the_second_step():
+        if made.happenings.names.count("send") == 2:
+            raise AbortError("the radio is gone")
+        return []
+
+    made.plant.news = fail_in_the_second_step
+    assert made.run().reason == "the radio is gone"
+    frames = [sample.observation.frame for sample in made.observers[0].samples]
+    assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
+
+
 @pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step"])
 def test_a_first_interruption_finishes_the_step(where):
     made = bench(5)

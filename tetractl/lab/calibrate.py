@@ -2,12 +2,21 @@
 offset, and whether its wheels are swapped, by small motions.
 
 The actuator is any of robots on two wheels (`WheeledActuator`) whose section says what it sends
-(`WheeledSection`). One wheel alone turns the robot about the other: |turning rate| = k (|output| -
-dead zone) with k = gain / (2 r), for any heading offset. Both wheels together, with outputs whose
-turning rates w1 and w2 cancel, drive the robot straight at the speed v = r (|w1| + |w2|), which
-gives r; the direction of travel gives the heading offset and which way is forward. The rigid body's
-x axis, turned by the spec's heading offset, must point less than a right angle away from the
-robot's front; beyond 60 degrees the calibration fails.
+(`WheeledSection`). An output is what is sent to a motor, in the actuator's own unit.
+
+One wheel alone turns the robot about the other, whatever the heading offset:
+
+    |turning rate| = k (|output| - dead zone),   k = gain / (2 r).
+
+Both wheels together, with outputs whose turning rates w1 and w2 cancel, drive the robot straight at
+the speed v = r (|w1| + |w2|), which gives r; the direction of travel gives the heading offset and
+which way is forward. The rigid body's x axis, turned by the spec's heading offset, must point less
+than a right angle away from the robot's front; beyond 60 degrees the calibration fails.
+
+The order of motions: each motor channel alone, forwards and backwards, with growing outputs
+(`_channel`); both straight, away and back (`measure`); starts from rest by turns on the spot
+(`first_motions`). After each motion the frames must be complete, or it is repeated. The robot is
+stopped, and AbortError raised, if it strays too far from its first place.
 """
 
 import math
@@ -29,8 +38,52 @@ from tetractl.lab.actuators.wheeled_section import Found, FoundWheel, WheeledSec
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
 
-STARTS, TURNED = 8, 0.03  # starts from rest, and by how much a robot has moved then [rad]
-GAP_S = 0.06  # longest time without a frame, of cameras that are fast enough [s]
+STARTS = 8
+"""Number of starts from rest: their mean time has a 95 % interval of +- 0.84 deviations."""
+TURNED_RAD = 0.03
+"""Least turn by which a robot has started [rad]."""
+QUIET_TURNS = 3.0
+"""The same, over the range of the headings measured at rest."""
+START_S = 1.0
+"""Longest time for a start [s]."""
+GAP_S = 0.06
+"""Longest time without a frame, of cameras that are fast enough [s]: the guard's is longer."""
+GAP_PERIODS = 2.5
+"""The same for slower cameras, in periods of their frames: one frame may be missing."""
+SETTLED_S = 0.2
+"""Time from an output's change until wheels turn steadily [s]: five time constants of 40 ms."""
+CHANNEL_S = 0.4
+"""Time for which one motor channel is driven with one output [s]."""
+STRAIGHT_S = 0.7
+"""Time for which the robot is driven straight [s]."""
+STAND_S = 0.25
+"""Time until a stopped robot stands [s]."""
+ATTEMPTS = 4
+"""Number of attempts at a motion of which frames are missing."""
+FIRST_OUTPUT = 6
+"""Least output of a channel, of 127ths of full speed."""
+OUTPUT_STEP = 4
+"""Step between two outputs of a channel, of 127ths of full speed."""
+SLOWEST_RAD_S = 0.25
+"""Turning rate below which it is noise, or a wheel that sticks [rad/s]."""
+POINTS_MIN = 3
+"""Least number of turning rates for the fit of a line."""
+STRAIGHT_SHARE = 0.6
+"""Turning rate of each wheel while the robot drives straight, over the greatest of both."""
+RADII_MM = 5.0, 500.0
+"""Range of possible distances from a wheel to the robot's centre [mm]."""
+OFFSET_MAX_RAD = math.pi / 3
+"""Greatest heading offset of a rigid body [rad]."""
+AWAY_MAX_MM = 300.0
+"""Greatest distance from the robot's first place [mm]."""
+FASTEST_MM_S = 500.0
+"""A speed that no robot has during calibration, for the guard [mm/s]."""
+FASTEST_RAD_S = 12.0
+"""A turning rate that no robot has during calibration, for the guard [rad/s]."""
+SILENCE_S = 3
+"""Longest time between two changes of the outputs, for the guard [s]."""
+UNKNOWN_WHEEL_ERROR = 10.0
+"""Limit `wheel_error` of a robot that is not calibrated yet: a wheel may do anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,52 +129,65 @@ def calibrate_robots(
     emulated: tuple[str, ...] = ()
     for name in names:
         report(f"{name}: measuring")
-        known = lab.camera.heading_offset(name)
-        # before it is calibrated, a wheel may do anything
-        limits = lab.limits.model_copy(update={"wheel_error": 10.0})
+        offset_before = lab.camera.heading_offset(name)
+        limits = lab.limits.model_copy(update={"wheel_error": UNKNOWN_WHEEL_ERROR})
         rig = make_rig(limits, setup.only([setup.names.index(name)]))
-        bench = _Bench(section, rig, known or 0.0, limit)
+        bench = _Bench(section, rig, offset_before or 0.0, limit)
         try:
             bench.open()
             for question in rig.actuator.check().questions:
                 report(f"warning: {question}")
-            found = bench.measure()
-            waits = bench.first_motions()
+            measured = bench.measure()
+            start_times_s = bench.first_motions()
             emulated = rig.emulated(rig.camera.check(), rig.actuator.check())
         finally:
             bench.close()
-        if known is not None:
-            offsets.append({"name": name, "heading_offset": found.heading_offset})
-        wheels.append({"name": name, **section.measured(found)})
-        lines += [f"{name}: {found}", f"{name}: {latency_line(waits)}"]
+        if offset_before is not None:
+            offsets.append({"name": name, "heading_offset": measured.heading_offset})
+        wheels.append({"name": name, **section.measured(measured)})
+        lines.append(f"{name}: {measured}")
+        lines.append(f"{name}: {latency_line(start_times_s)}")
     camera = {"robots": offsets} if offsets else {}
     return Measured(camera, {"robots": wheels}, tuple(lines), emulated)
 
 
 class _Bench:
-    """The calibration of one robot; the guard checks camera frames as in a run."""
+    """The calibration of one robot; the guard checks camera frames as in a run.
+
+    `open` comes first, then `measure` and `first_motions`; `close` comes last, whatever failed.
+    """
 
     def __init__(self, section: WheeledSection, rig: Rig, offset: float, limit: int) -> None:
         assert isinstance(rig.actuator, WheeledActuator), "its section says that it has wheels"
-        self.rig, self.actuator, self.clock = rig, rig.actuator, rig.clock
+        self.rig = rig
+        self.actuator = rig.actuator
+        self.clock = rig.clock
         (self.name,) = rig.setup.names
-        self._home: Pose | None = None
-        self._slow_s = 0.0  # by how much frames are later than GAP_S
-        self._offset, self._dead_zone_max = offset, section.dead_zone_max
+        self._offset_before = offset
+        self._dead_zone_max = section.dead_zone_max
         self._scale, self.limit = section.outputs(self.name, limit)
-        guard = rig.guard
-        fastest = (500.0 / self.rig.mm,), (12.0,)  # faster than any robot during calibration
-        guard.change_rules(
-            replace(guard.rules, speeds=fastest[0], turning=fastest[1], silence_ns=3 * SECOND)
+        self._home: Pose | None = None
+        """The robot's first place."""
+        self._late_s = 0.0
+        """By how much frames may be later than GAP_S [s]."""
+        rig.guard.change_rules(
+            replace(
+                rig.guard.rules,
+                speeds=(FASTEST_MM_S / rig.mm,),
+                turning=(FASTEST_RAD_S,),
+                silence_ns=SILENCE_S * SECOND,
+            )
         )
 
     def open(self) -> None:
         """Connect; AbortError unless the robot is tracked and answers."""
         rig = self.rig.__enter__()
-        if problems := rig.camera.check().problems:
+        problems = rig.camera.check().problems
+        if problems:
             raise AbortError("; ".join(problems))
         (status,) = rig.actuator.poll(1.0)
-        if problems := rig.actuator.check().problems:
+        problems = rig.actuator.check().problems
+        if problems:
             raise AbortError("; ".join(problems))
         if status.answers is False:  # None: it cannot answer
             raise AbortError(
@@ -142,124 +208,157 @@ class _Bench:
     def measure(self) -> Found:
         """Move the robot and return its measured values."""
         channels = [self._channel(0), self._channel(1)]
-        turning = 0.6 * min(channel.k * (self.limit - channel.dead_zone) for channel in channels)
-        sizes = [channel.output(turning) for channel in channels]
+        greatest = [channel.k * (self.limit - channel.dead_zone) for channel in channels]
+        outputs = [channel.output(STRAIGHT_SHARE * min(greatest)) for channel in channels]
         # signs of the outputs for which the two turning rates cancel
         signs = [1, -channels[0].sign * channels[1].sign]
-        away, back = (self._run(_pair([k * s for s in signs], sizes), 0.7) for k in (1, -1))
-        here = away
-        if away.along < 0:
-            here, back = back, away
+        first = self._run(_pair(signs, outputs), STRAIGHT_S)
+        second = self._run(_pair([-sign for sign in signs], outputs), STRAIGHT_S)
+        if first.along < 0:
+            forwards = second
+            backwards = first
             signs = [-sign for sign in signs]
+        else:
+            forwards = first
+            backwards = second
         self._stand()
-        speed = math.hypot(here.along, here.across)
-        rates = [c.k * (size - c.dead_zone) for c, size in zip(channels, sizes, strict=True)]
-        radius = speed / sum(rates)
-        if not 5.0 < radius < 500.0:
+        radius = self._radius(forwards, channels, outputs)
+        offset = self._offset(forwards, backwards)
+        wheels = [
+            FoundWheel(round(2 * radius * channel.k, 4), channel.dead_zone, sign < 0)
+            for channel, sign in zip(channels, signs, strict=True)
+        ]
+        # a right wheel that drives forwards turns the robot to the left
+        swapped = channels[0].sign * signs[0] > 0
+        left, right = reversed(wheels) if swapped else wheels
+        whole_offset = math.remainder(self._offset_before + offset, math.tau)
+        return Found(round(whole_offset, 5), round(radius, 3), left, right, swapped)
+
+    def _radius(
+        self, straight: DrivenPath, channels: Sequence[Channel], outputs: Sequence[int]
+    ) -> float:
+        """Return the distance r from a wheel to the centre [mm], by v = r (|w1| + |w2|)."""
+        speed_mm_s = math.hypot(straight.along, straight.across)
+        rates = [
+            channel.k * (output - channel.dead_zone)
+            for channel, output in zip(channels, outputs, strict=True)
+        ]
+        radius_mm = speed_mm_s / sum(rates)
+        least_mm, most_mm = RADII_MM
+        if not least_mm < radius_mm < most_mm:
             raise AbortError(
-                f"{self.name}: measured an impossible distance of {radius:.0f} mm from a wheel to "
-                "the robot's centre; do the wheels roll freely?"
+                f"{self.name}: measured an impossible distance of {radius_mm:.0f} mm from a wheel "
+                "to the robot's centre; do the wheels roll freely?"
             )
-        offset = math.atan2(here.across - back.across, here.along - back.along)
-        if abs(offset) > math.pi / 3:
+        return radius_mm
+
+    def _offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
+        """Return the direction of travel in the body's frame [rad]; what drifts in both motions
+        cancels."""
+        offset = math.atan2(forwards.across - backwards.across, forwards.along - backwards.along)
+        if abs(offset) > OFFSET_MAX_RAD:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
                 "set an approximate heading_offset in the spec, or redefine the rigid body in the "
                 "camera software",
             )
-        wheels = [
-            FoundWheel(round(2 * radius * c.k, 4), c.dead_zone, sign < 0)
-            for c, sign in zip(channels, signs, strict=True)
-        ]
-        swap = channels[0].sign * signs[0] > 0  # a right wheel driving forward turns the robot left
-        left, right = reversed(wheels) if swap else wheels
-        whole = math.remainder(self._offset + offset, math.tau)
-        return Found(round(whole, 5), round(radius, 3), left, right, swap)
+        return offset
 
     def first_motions(self) -> list[float]:
-        """Start the robot STARTS times from rest by a turn on the spot; return the times [s] from
-        the sending until the first picture in which it has turned by TURNED is here."""
-        waits = list[float]()
+        """Start the robot STARTS times from rest by a turn on the spot, to either side in turn;
+        return the times [s] from the sending until the first picture in which it has turned is
+        here."""
+        times_s = list[float]()
         for k in range(STARTS):
             self._stand()
-            rest = [pose.heading for f in self.rig.frames.last(SECOND // 10) if (pose := f.pose(0))]
-            first = self.rig.frames.count
-            if not rest:
-                continue
-            sent_ns = self._hold(_pair((-1, 1) if k % 2 else (1, -1), (self.limit, self.limit)))
-            began = rest[-1]
-            enough = max(TURNED, 3 * float(np.ptp(np.unwrap(rest))))
-
-            def turned(since: int = first, from_rad: float = began, by: float = enough) -> int:
-                for frame in self.rig.frames.since(since)[0]:
-                    pose = frame.pose(0)
-                    if pose and abs(math.remainder(pose.heading - from_rad, math.tau)) > by:
-                        return frame.frame.received_ns
-                return 0
-
-            wait_for(self.clock, lambda: bool(turned()) or self._strayed(), 1.0)
-            if self.rig.guard.reason:
-                raise AbortError(f"{self.name}: {self.rig.guard.reason}")
-            if arrived_ns := turned():
-                waits.append((arrived_ns - sent_ns) / SECOND)
+            signs = (1, -1) if k % 2 == 0 else (-1, 1)
+            time_s = self._time_of_start(_pair(signs, (self.limit, self.limit)))
+            if time_s is not None:
+                times_s.append(time_s)
         self._stand()
-        return waits
+        return times_s
 
-    def _channel(self, which: int) -> Channel:
+    def _time_of_start(self, counts: Counts) -> float | None:
+        """Return how long after the sending of outputs a robot at rest is seen to turn [s]; None if
+        it is not seen, or does not turn."""
+        frames = self.rig.frames.last(SECOND // 10)
+        poses = [pose for pose in (frame.pose(0) for frame in frames) if pose is not None]
+        first = self.rig.frames.count
+        if not poses:
+            return None
+        headings = [pose.heading for pose in poses]
+        enough = max(TURNED_RAD, QUIET_TURNS * float(np.ptp(np.unwrap(headings))))
+        sent_ns = self._hold(counts)
+
+        def arrived_ns() -> int | None:
+            for frame in self.rig.frames.since(first)[0]:
+                pose = frame.pose(0)
+                if pose and abs(math.remainder(pose.heading - headings[-1], math.tau)) > enough:
+                    return frame.frame.received_ns
+            return None
+
+        wait_for(self.clock, lambda: arrived_ns() is not None or self._strayed(), START_S)
+        self._raise_abort()
+        arrived = arrived_ns()
+        return None if arrived is None else (arrived - sent_ns) / SECOND
+
+    def _channel(self, number: int) -> Channel:
         """Drive motor channel 0 or 1 with growing outputs in both directions; fit k and dead zone
         to the turning rates.
         """
-        points: list[tuple[int, float]] = []
-        signs: list[float] = []
-        for step in range(6, int(self.limit / self._scale) + 1, 4):
-            rates, count = [], round(step * self._scale)
-            for sign in (1, -1):
-                counts = [0, 0]
-                counts[which] = sign * count
-                rates.append(sign * self._run((counts[0], counts[1]), 0.4).turning)
-            rate = sum(rates) / 2
-            if abs(rate) > 0.25:  # rad/s: slower is noise, or a wheel that sticks
-                points.append((count, abs(rate)))
-                signs.append(rate)
+        outputs = list[int]()
+        rates = list[float]()  # means of both directions
+        for step in range(FIRST_OUTPUT, int(self.limit / self._scale) + 1, OUTPUT_STEP):
+            output = round(step * self._scale)
+            rate = self._rate(number, output)
+            if abs(rate) > SLOWEST_RAD_S:
+                outputs.append(output)
+                rates.append(rate)
         self._stand()
-        if len(points) < 3:  # too few for the fit of a line
+        if len(rates) < POINTS_MIN:
             raise AbortError(
-                f"{self.name}: motor channel {which + 1} hardly turns the robot with up to "
+                f"{self.name}: motor channel {number + 1} hardly turns the robot with up to "
                 f"{self.limit} of its unit",
                 "is the robot's battery charged and the motor connected? If so, raise --limit",
             )
-        counts, rates = np.array(points).T
-        slope, start = np.polyfit(counts, rates, 1)
-        if slope <= 0 or len({rate > 0 for rate in signs}) > 1:
+        slope, start = np.polyfit(outputs, np.abs(rates), 1)
+        to_both_sides = min(rates) < 0 < max(rates)
+        if slope <= 0 or to_both_sides:
             raise AbortError(
-                f"{self.name}: motor channel {which + 1} does not turn the robot steadily; "
+                f"{self.name}: motor channel {number + 1} does not turn the robot steadily; "
                 "charge the battery and check the wheel"
             )
-        dead = min(self._dead_zone_max, max(0, round(-start / slope)))
-        steps = counts - dead
-        return Channel(1 if signs[0] > 0 else -1, float(steps @ rates / (steps @ steps)), dead)
+        dead_zone = min(self._dead_zone_max, max(0, round(-start / slope)))
+        # the line through the dead zone that has the least squares
+        beyond = np.array(outputs) - dead_zone
+        k = float(beyond @ np.abs(rates) / (beyond @ beyond))
+        return Channel(1 if rates[0] > 0 else -1, k, dead_zone)
+
+    def _rate(self, number: int, output: int) -> float:
+        """Return the turning rate of one channel with an output [rad/s]: the mean of both
+        directions, so that what turns the robot by itself cancels."""
+        forwards = self._run(_alone(number, output), CHANNEL_S).turning
+        backwards = self._run(_alone(number, -output), CHANNEL_S).turning
+        return (forwards - backwards) / 2
 
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold outputs for a time [s]; return the motion after the wheels have settled.
 
         If frames were missing, the motion is repeated, since the guard may have stopped the robot.
         """
-        for _ in range(4):
+        for _ in range(ATTEMPTS):
             first = self.rig.frames.count
-            began = self._hold(counts)
-            end = began + round((seconds + 2 * self._slow_s) * SECOND)
-            wait_for(self.clock, self._strayed, (end - self.clock.now()) / SECOND)
-            if self.rig.guard.reason:
-                raise AbortError(f"{self.name}: {self.rig.guard.reason}")
-            came, _ = self.rig.frames.since(first)
-            frames = [f for f in came if f.exposed(0) >= began]
-            seen = [(f.exposed(0), pose) for f in frames if (pose := f.pose(0)) is not None]
-            times = [began, *(t for t, _ in seen), end]
-            self._slow_s = max(self._slow_s, _slow(came))
-            if max(np.diff(times)) <= (GAP_S + self._slow_s) * SECOND:  # otherwise frames miss
-                # the wheels turn steadily 0.2 s after the start of a burst
-                return _steady(seen, began + round(0.2 * SECOND), self.rig.mm)
+            began_ns = self._hold(counts)
+            end_ns = began_ns + round((seconds + 2 * self._late_s) * SECOND)
+            wait_for(self.clock, self._strayed, (end_ns - self.clock.now()) / SECOND)
+            self._raise_abort()
+            frames, _ = self.rig.frames.since(first)
+            self._late_s = max(self._late_s, _late_s(frames))
+            poses = _poses_since(frames, began_ns)
+            times_ns = [began_ns, *(t_ns for t_ns, _ in poses), end_ns]
+            if max(np.diff(times_ns)) <= (GAP_S + self._late_s) * SECOND:  # none are missing
+                return _steady(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
             self._hold(_pair((-1, -1), counts))
             wait_for(self.clock, self._strayed, seconds)
@@ -273,60 +372,92 @@ class _Bench:
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
     def _stand(self) -> None:
+        """Stop the wheels, and wait until the robot stands."""
         self._hold((0, 0))
-        self.clock.sleep_until(self.clock.now() + SECOND // 4)
+        self.clock.sleep_until(self.clock.now() + round(STAND_S * SECOND))
 
     def _strayed(self) -> bool:
-        """Abort the calibration if the robot is too far from its first position; return whether it
+        """Abort the calibration if the robot is too far from its first place; return whether it
         has been aborted.
         """
-        guard, newest = self.rig.guard, self.rig.frames.newest
-        if newest is not None and (pose := newest.poses[0]) is not None:
+        guard = self.rig.guard
+        newest = self.rig.frames.newest
+        pose = None if newest is None else newest.poses[0]
+        if pose is not None:
             self._home = self._home or pose
-            away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
-            if away > 300.0:  # mm
-                guard.abort(f"the robot is {away:.0f} mm from its first position")
+            away_mm = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
+            if away_mm > AWAY_MAX_MM:
+                guard.abort(f"the robot is {away_mm:.0f} mm from its first position")
         return bool(guard.reason)
 
+    def _raise_abort(self) -> None:
+        """Raise AbortError if the guard has aborted the calibration."""
+        if self.rig.guard.reason:
+            raise AbortError(f"{self.name}: {self.rig.guard.reason}")
 
-def latency_line(waits: Sequence[float]) -> str:
+
+def latency_line(times_s: Sequence[float]) -> str:
     """Return the mean of times to a first motion [s], with its 95 % interval, as text."""
-    if len(waits) < 2:
+    number = len(times_s)
+    if number < 2:
         return "no first motion was seen"
-    mean, half = np.mean(waits), stdtrit(len(waits) - 1, 0.975) * np.std(waits, ddof=1)
-    ends = f"{mean - half / len(waits) ** 0.5:.3f} to {mean + half / len(waits) ** 0.5:.3f}"
+    mean_s = np.mean(times_s)
+    half_s = stdtrit(number - 1, 0.975) * np.std(times_s, ddof=1) / number**0.5
     return (
-        f"first motion seen {mean:.3f} s ({ends}, n {len(waits)}) after sending: radio, wheels "
-        f"until they have turned it by {TURNED:g} rad, exposure, and the picture's way here"
+        f"first motion seen {mean_s:.3f} s ({mean_s - half_s:.3f} to {mean_s + half_s:.3f}, "
+        f"n {number}) after sending: radio, wheels until they have turned it by {TURNED_RAD:g} "
+        "rad, exposure, and the picture's way here"
     )
 
 
-def _slow(came: Sequence[AcceptedFrame]) -> float:
-    """Return by how much [s] it takes longer than GAP_S until a frame two and a half periods after
-    another is here."""
-    if len(came) < 3:
+def _late_s(frames: Sequence[AcceptedFrame]) -> float:
+    """Return by how much [s] it takes longer than GAP_S until a frame that follows another by
+    GAP_PERIODS is here."""
+    if len(frames) < 3:
         return 0.0
-    late_ns = np.median([f.frame.received_ns - f.exposed(0) for f in came])
-    period_ns = np.median(np.diff([f.exposed(0) for f in came]))
-    return max(0.0, float(2.5 * period_ns + late_ns) / SECOND - GAP_S)
+    way_ns = np.median([frame.frame.received_ns - frame.exposed(0) for frame in frames])
+    period_ns = np.median(np.diff([frame.exposed(0) for frame in frames]))
+    return max(0.0, float(GAP_PERIODS * period_ns + way_ns) / SECOND - GAP_S)
 
 
-def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
+def _poses_since(frames: Sequence[AcceptedFrame], since_ns: int) -> list[tuple[int, Pose]]:
+    """Return the times [ns] and poses of the robot, where it is tracked, in the frames that were
+    exposed at `since_ns` or later."""
+    poses = list[tuple[int, Pose]]()
+    for frame in frames:
+        pose = frame.pose(0)
+        if pose is not None and frame.exposed(0) >= since_ns:
+            poses.append((frame.exposed(0), pose))
+    return poses
+
+
+def _steady(poses: Sequence[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
     """Return the steady motion fitted to (time [ns], pose) pairs from `since_ns` on; `mm` is the
     spec's length unit in millimetres.
+
+    The turning rate is the slope of the headings; the speeds are the sums of the displacements
+    along and across the heading in the middle of each, over the time.
     """
-    seen = [(t, pose) for t, pose in poses if t >= since_ns]
-    t = np.array([t for t, _ in seen]) / SECOND
-    x, y, raw = np.array([(p.x, p.y, p.heading) for _, p in seen]).T
-    heading = np.unwrap(raw)
+    steady = [(t_ns, pose) for t_ns, pose in poses if t_ns >= since_ns]
+    t = np.array([t_ns for t_ns, _ in steady]) / SECOND
+    x = np.array([pose.x for _, pose in steady])
+    y = np.array([pose.y for _, pose in steady])
+    heading = np.unwrap([pose.heading for _, pose in steady])
     turning = float(np.polyfit(t - t[0], heading, 1)[0])
     middle = (heading[1:] + heading[:-1]) / 2
-    dx, dy = np.diff(x) * mm, np.diff(y) * mm
-    span = t[-1] - t[0]
-    along = float(np.sum(dx * np.cos(middle) + dy * np.sin(middle)) / span)
-    across = float(np.sum(dy * np.cos(middle) - dx * np.sin(middle)) / span)
+    dx = np.diff(x) * mm
+    dy = np.diff(y) * mm
+    span_s = t[-1] - t[0]
+    along = float(np.sum(dx * np.cos(middle) + dy * np.sin(middle)) / span_s)
+    across = float(np.sum(dy * np.cos(middle) - dx * np.sin(middle)) / span_s)
     return DrivenPath(turning, along, across)
 
 
+def _alone(number: int, output: int) -> Counts:
+    """Return the outputs of both channels of which only one drives."""
+    return (output, 0) if number == 0 else (0, output)
+
+
 def _pair(signs: Sequence[int], sizes: Sequence[int]) -> Counts:
+    """Return the outputs of both channels, given their signs and sizes."""
     return signs[0] * sizes[0], signs[1] * sizes[1]

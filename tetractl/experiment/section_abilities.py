@@ -65,6 +65,13 @@ class Searches(Protocol):
 
 
 @runtime_checkable
+class GivenDirections(Protocol):
+    """A controller that decides nothing: it sends the directions [rad] of its spec."""
+
+    directions: tuple[float, ...]
+
+
+@runtime_checkable
 class AcceptsSum(Protocol):
     """A controller that ends a trial when it predicts a sum of distances to the targets of at most
     `accept_error` [length unit]."""

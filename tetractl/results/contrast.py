@@ -15,7 +15,7 @@ from tetractl.results import mean_difference
 from tetractl.results.describe import BatchStatistics
 from tetractl.results.estimate import CONFIDENCE, Interval
 from tetractl.results.mean_difference import MeanDifference, from_both_intervals
-from tetractl.results.open_batch import counts, differences
+from tetractl.results.open_batch import counts, differences, directions_given
 
 ENOUGH = 8
 """Least number of pairs or, without pairs, of trials on each side, for a verdict."""
@@ -35,12 +35,14 @@ class Contrast:
     of this size, in standard deviations of the paired differences or, without pairs, of the values.
     `differs` lists the fields in which both specs differ. `verdict` is "lower", "higher" or
     "undecided", or None with a `reason`. Groups with different plants (`alike` False) are not
-    tested: their p-values are NaN.
+    tested: their p-values are NaN. Nor are batches of which one had its directions `given`, perhaps
+    with hindsight: it has no rank among controllers.
     """
 
     one: BatchStatistics
     other: BatchStatistics
     alike: bool
+    given: bool
     pairs: int
     why_unpaired: str
     difference: MeanDifference
@@ -70,6 +72,8 @@ class Contrast:
         """
         if not self.alike:
             return None, "plants are not alike"
+        if self.given:
+            return None, "directions were given: no controller decided"
         if (self.pairs or min(self.one.counted, self.other.counted)) < ENOUGH:
             what = "pairs" if self.pairs else "complete trials on each side"
             return None, f"a verdict needs {ENOUGH} {what}"
@@ -205,13 +209,15 @@ def _contrast(one: BatchStatistics, other: BatchStatistics, tests: int) -> Contr
         difference = mean_difference.welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
         rank_p = mean_difference.rank_sum(one.totals, other.totals)
         detects = mean_difference.detectable(a.n, b.n, tests)
-    if not alike:
+    given = directions_given(one.experiment) or directions_given(other.experiment)
+    if given or not alike:
         rank_p = detects = math.nan
         difference = replace(difference, p_value=math.nan)
     return Contrast(
         one=one,
         other=other,
         alike=alike,
+        given=given,
         pairs=len(paired),
         why_unpaired=why,
         difference=difference,

@@ -14,7 +14,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import Distribution, Interval, distributions
 from tetractl.results.mean_difference import MeanDifference, welch
-from tetractl.results.open_batch import Batch, counts, experiment_of
+from tetractl.results.open_batch import Batch, counts, directions_given, experiment_of
 from tetractl.results.outcomes import SAFETY
 from tetractl.results.statistic import Value, statistics
 from tetractl.results.turning import turned_otherwise
@@ -160,8 +160,10 @@ def _overview(
     }
     tiny = total.max * 1e6 < max(experiment.arena.width, experiment.arena.height)
     n = {"n_trials": len(batch.trials), "n_counted": total.n}
+    given = Value.row("given directions", "no controller decided: not ranked with controllers")
     return (
         Value.row("plant", str(origin), True, **plant),
+        *([given] if directions_given(experiment) else []),
         Value({}, tuple(assumed if origin is Origin.DISTURBED else []), brief=""),
         Value.row("valid trials", f"{total.n} of {len(batch.trials)}", True, **n),
         Value.row(tail.label, tail.text(experiment.units.length), not tail.above or tiny),

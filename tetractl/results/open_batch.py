@@ -9,6 +9,7 @@ from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.section_abilities import GivenDirections
 from tetractl.log.read.find import find_logs, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
@@ -218,12 +219,22 @@ def differences(one: Experiment, two: Experiment) -> list[str]:
     length.
 
     Fields that do not change a trial are left out: the description, the number and seed of the
-    trials, and the error bound; also the robots, if both trials chose them by the same rule.
+    trials, and the error bound; also the robots, if both trials chose them by the same rule, and
+    directions that are given: each trial has its own.
     """
-    found = one.chosen is not None and one.asked == two.asked
-    left_out = _BOOKKEEPING | ({"robots", "chosen"} if found else set())
+    left_out: dict[str, Any] = dict.fromkeys(_BOOKKEEPING, True)
+    if one.chosen is not None and one.asked == two.asked:
+        left_out |= {"robots": True, "chosen": True}
+    if directions_given(one) and directions_given(two):
+        left_out["controller"] = {"directions"}
     ours, theirs = (each.model_dump(mode="json", exclude=left_out) for each in (one, two))
     return list(_differences(ours, theirs))
+
+
+def directions_given(experiment: Experiment) -> bool:
+    """Return whether no controller decided: the spec gives the directions. Its errors may come from
+    hindsight, so they are no controller's."""
+    return isinstance(experiment.controller, GivenDirections)
 
 
 def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:

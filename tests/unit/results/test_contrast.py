@@ -135,6 +135,28 @@ def test_unlike_plants_have_a_difference_but_no_test_and_no_verdict():
     assert (items["comparable"], items["verdict_reason"]) == (False, first.reason)
 
 
+def test_given_directions_have_no_rank_among_controllers():
+    """Hindsight finds directions that no controller could."""
+    given = {"type": "sequence", "period": 0.2, "directions": [0.1]}
+    hindsight = arm("given", ERRORS / 100, controller=given)
+    found = only(hindsight, arm("mpc", ERRORS))
+    assert (found.given, found.verdict) == (True, None)
+    assert found.reason == "directions were given: no controller decided"
+    assert all(map(math.isnan, (found.rank_p, found.p_holm, found.detects)))
+    assert hindsight.rows["given directions"].startswith("no controller decided")
+    (table,) = summary(contrast([hindsight, arm("mpc", ERRORS)]))
+    assert "no verdict (directions were given" in table.note
+
+
+def test_trials_with_directions_of_their_own_are_one_batch():
+    def trials(direction):
+        given = {"type": "sequence", "period": 0.2, "directions": [direction]}
+        return batch(ERRORS.tolist(), experiment(plant=DISTURBED, controller=given))
+
+    mixed = [trials(0.1 * k)[k] for k in range(20)]
+    assert group(mixed, name="given").counted == 20
+
+
 def test_few_trials_carry_no_verdict():
     few = arm("a", ERRORS[:7]), arm("b", ERRORS[:7] + 50, controller=EXACT)
     found = only(*few)

@@ -160,7 +160,7 @@ def _overview(
     }
     tiny = total.max * 1e6 < max(experiment.arena.width, experiment.arena.height)
     n = {"n_trials": len(batch.trials), "n_counted": total.n}
-    given = Value.row("given directions", "no controller decided: not ranked with controllers")
+    given = Value.row("given directions", "no controller decided; not ranked with controllers")
     return (
         Value.row("plant", str(origin), True, **plant),
         *([given] if directions_given(experiment) else []),

@@ -184,10 +184,11 @@ class Estimate:
     saturation: Floats | None = None
     stands: Floats | None = None
 
-    def standing(self, names: Sequence[str]) -> list[str]:
-        """Return the robots, of these `names`, that probably stand although they are to drive."""
+    def standing(self, names: Sequence[str], least: float = 0.5) -> list[str]:
+        """Return the robots, of these `names`, that stand although they are to drive, with more
+        than the probability `least`."""
         there = [] if self.stands is None else self.stands.tolist()
-        return [name for name, p in zip(names, there, strict=False) if p > 0.5]
+        return [name for name, p in zip(names, there, strict=False) if p > least]
 
     def unfit(self, names: Sequence[str]) -> set[str]:
         """Return what the model does not fit, such as "heading of red"."""

@@ -7,6 +7,9 @@
     python benchmarks/films.py time      processor time a picture, of each part
     python benchmarks/films.py real      what is said of a given film, at several scales
 
+`score` gives each film in four ways: with the field's record and without, at the film's 30 Hz, and
+every third picture alone, at 10 Hz.
+
 Every film is synthetic, except those given to `real`. Both renderers were made by the hands that
 made the tracker. Seeds from 9000 on are those of the published figures; smaller ones were used in
 development. Films stay in the folder --cache, and are not rendered twice.
@@ -28,6 +31,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from filmworld.rows import table
 from filmworld.scores import FilmScore, Shown, score_film
+from filmworld.settings import SETTINGS
 from filmworld.truth import FilmTruth, write_film
 
 RENDERERS, LEVELS = ("first", "second"), ("easy", "normal", "hard")
@@ -45,28 +49,30 @@ def rendered(cache: Path, renderer: str, level: str, seed: int) -> Path:
     return folder
 
 
-def scored(cache: Path, renderer: str, level: str, tracker: str, keep: str, seed: int) -> FilmScore:
+def scored(
+    cache: Path, renderer: str, level: str, tracker: str, setting: str, keep: str, seed: int
+) -> FilmScore:
     """Track one film, and score it; `keep` names a folder for what was said, or is empty."""
     cv2.setNumThreads(1)
     folder = rendered(cache, renderer, level, seed)
-    truth = FilmTruth.load(folder / "truth.npz")
-    shown = tracked(tracker, folder, truth)
+    truth = FilmTruth.load(folder / "truth.npz").thinned(SETTINGS[setting].every)
+    shown = tracked(tracker, folder, truth, setting)
     score = score_film(folder.name, truth, shown)
     if keep:
         out = folder / keep
         out.mkdir(exist_ok=True)
         rows = {name: getattr(shown, name) for name in Shown.__slots__ if name != "numbers"}
-        np.savez_compressed(out / f"{tracker}.npz", **rows)
+        np.savez_compressed(out / f"{tracker}-{setting}.npz", **rows)
         said = {"score": asdict(score), "numbers": shown.numbers}
-        (out / f"{tracker}.json").write_text(json.dumps(said, indent=1))
+        (out / f"{tracker}-{setting}.json").write_text(json.dumps(said, indent=1))
     return score
 
 
-def tracked(tracker: str, folder: Path, truth: FilmTruth) -> Shown:
+def tracked(tracker: str, folder: Path, truth: FilmTruth, setting: str) -> Shown:
     if tracker == "tetractl":
         from filmworld.ours import track
 
-        return track(folder, truth.um_px)
+        return track(folder, truth.um_px, SETTINGS[setting])
     from filmworld.peers import PEERS
 
     return PEERS[tracker](folder, truth.um_px)
@@ -82,28 +88,42 @@ def each(chosen: argparse.Namespace, work) -> Iterator:
         yield from pool.imap(work, seeds)
 
 
+Scores = dict[str, dict[str, list[FilmScore]]]
+"""The scores of films by renderer and setting."""
+
+
 def score(chosen: argparse.Namespace, trackers: tuple[str, ...] = ("tetractl",)) -> None:
     """Print the rows of each renderer and level, and of each level over both renderers."""
     for level in chosen.level:
         for tracker in trackers:
-            films: dict[str, list[FilmScore]] = {}
+            films: Scores = {}
             for renderer in chosen.renderer:
-                work = partial(scored, chosen.cache, renderer, level, tracker, chosen.keep)
-                for one in each(chosen, work):
-                    films.setdefault(renderer, []).append(one)
-                    wrong = f"{len(one.wrong)} wrong names" if one.wrong else ""
-                    print(f"  {one.film}: {tracker} F1 {one.f1:.4f} {wrong}", flush=True)
+                films[renderer] = {setting: [] for setting in chosen.setting}
+                for setting, scores in films[renderer].items():
+                    options = renderer, level, tracker, setting, chosen.keep
+                    for film in each(chosen, partial(scored, chosen.cache, *options)):
+                        scores.append(film)
+                        wrong = f"{len(film.wrong)} wrong names" if film.wrong else ""
+                        print(
+                            f"  {film.film}: {tracker} {setting} F1 {film.f1:.4f} {wrong}",
+                            flush=True,
+                        )
             show(films, level, tracker)
 
 
-def show(films: dict[str, list[FilmScore]], level: str, tracker: str) -> None:
-    """Print the rows of a level, for each renderer and over all."""
+def show(films: Scores, level: str, tracker: str) -> None:
+    """Print the rows of a level, with a column for each setting, for each renderer and over all."""
     if len(films) > 1:
-        films = films | {"both renderers": [one for some in films.values() for one in some]}
-    for renderer, some in films.items():
+        settings = next(iter(films.values()))
+        both = {name: [film for some in films.values() for film in some[name]] for name in settings}
+        films = films | {"both renderers": both}
+    for renderer, by_setting in films.items():
+        columns = [dict(table(some, tracker == "tetractl")) for some in by_setting.values() if some]
         print(f"\n## {renderer}, {level}, {tracker}\n")
-        for what, figure in table(some, tracker == "tetractl"):
-            print(f"| {what} | {figure} |")
+        print(f"| | {' | '.join(name for name, some in by_setting.items() if some)} |")
+        print(f"|---|{'---|' * len(columns)}")
+        for what in columns[0]:
+            print(f"| {what} | {' | '.join(column[what] for column in columns)} |")
     print(flush=True)
 
 
@@ -111,21 +131,35 @@ def kept(chosen: argparse.Namespace) -> None:
     """Print the rows of what earlier runs kept under the name --keep."""
     for level in chosen.level:
         for tracker in ("tetractl", "trackpy", "laptrack"):
-            films: dict[str, list[FilmScore]] = {}
+            films: Scores = {}
             for renderer in chosen.renderer:
-                for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
-                    folder = chosen.cache / f"{renderer}-{level}-{seed}"
-                    path = folder / chosen.keep / f"{tracker}.json"
-                    if chosen.keep and path.exists():
-                        one = FilmScore(**json.loads(path.read_text())["score"])
-                        films.setdefault(renderer, []).append(one)
+                of_settings = {
+                    name: kept_scores(chosen, renderer, level, tracker, name)
+                    for name in chosen.setting
+                }
+                if any(of_settings.values()):
+                    films[renderer] = of_settings
             if films:
                 show(films, level, tracker)
+
+
+def kept_scores(
+    chosen: argparse.Namespace, renderer: str, level: str, tracker: str, setting: str
+) -> list[FilmScore]:
+    """Return the scores that an earlier run kept of films in one setting."""
+    found = []
+    for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
+        folder = chosen.cache / f"{renderer}-{level}-{seed}"
+        path = folder / chosen.keep / f"{tracker}-{setting}.json"
+        if chosen.keep and path.exists():
+            found.append(FilmScore(**json.loads(path.read_text())["score"]))
+    return found
 
 
 def peers(chosen: argparse.Namespace) -> None:
     from filmworld.peers import PEERS
 
+    chosen.setting = ["field-30hz"]  # they read no field
     score(chosen, tuple(PEERS))
 
 
@@ -160,6 +194,7 @@ def main() -> None:
     parser.add_argument("film", type=Path, nargs="?", help="the film of `real`")
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
+    parser.add_argument("--setting", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--count", type=int, default=15, help="films of each kind")
     parser.add_argument("--first-seed", type=int, default=9000)
     parser.add_argument("--cache", type=Path, help="folder of the films; else a temporary one")

@@ -12,13 +12,17 @@ from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.pictures import open_film
 
 from .scores import Shown
+from .settings import Setting, ThinnedFilm
 
 
-def track(folder: Path, um_px: float) -> Shown:
+def track(folder: Path, um_px: float, setting: Setting) -> Shown:
     """Run the pipeline of track.py on the film in a folder: decode, follow, fit."""
     began = cpu_s()
-    field = read_field(folder / "field.csv")
-    followed = follow(open_film(folder / "film.avi", None, um_px), um_px, field)
+    field = read_field(folder / "field.csv") if setting.has_field else None
+    film = open_film(folder / "film.avi", None, um_px)
+    if setting.every > 1:
+        film = ThinnedFilm(film, setting.every)
+    followed = follow(film, um_px, field)
     followed, cells = fit_cells(followed, field)
     spent = cpu_s() - began
     rows = [

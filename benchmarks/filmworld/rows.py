@@ -88,6 +88,10 @@ def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, s
             over_films(films, lambda some: an_hour(some, sum(len(f.wrong) for f in some)), 1),
         ),
     ]
+    lives = [life for film in films for life in film.lives]
+    views = [view for film in films for view in film.views]
+    rows.append(("a number lasts, median, s", f"{np.median(lives):.1f}" if lives else "-"))
+    rows.append(("a cell is in view, median, s", f"{np.median(views):.1f}" if views else "-"))
     if numbers:
         a, speed, strangers = (
             [int(sum(getattr(film, name)[k] for film in films)) for k in (0, 1)]

@@ -42,7 +42,8 @@ class FilmScore:
     `wrong` says of each wrong name that lasts whether it is called sure, in most of its rows.
     `right` counts the rows of the cell that the name had at first, `covered` those called sure;
     `held` maps a quantity to the
-    number of intervals that hold the truth and their number.
+    number of intervals that hold the truth and their number. `lives` are the times for which the
+    numbers last, `views` those for which cells are in view without a break [s].
     """
 
     film: str = ""
@@ -67,6 +68,8 @@ class FilmScore:
     speed: tuple[int, int] = (0, 0)
     strangers: tuple[int, int] = (0, 0)
     silent: int = 0
+    lives: list[float] = field(default_factory=list)
+    views: list[float] = field(default_factory=list)
     cpu_s: float = 0.0
 
     @property
@@ -99,6 +102,8 @@ def score_film(name: str, truth: FilmTruth, shown: Shown) -> FilmScore:
     right = true & (owner == np.array([first.get(name, -1) for name in shown.name.tolist()]))
     score.right, score.covered = int(right.sum()), int((right & shown.sure).sum())
     _intervals(score, truth, shown, owner)
+    score.lives = _lives(truth, shown)
+    score.views = _views(truth)
     return score
 
 
@@ -206,6 +211,22 @@ def _wrong(truth: FilmTruth, shown: Shown, owner, free) -> list[bool]:
             if before >= 0 and not family:
                 found.append(bool(np.mean(shown.sure[run]) > 0.5))
             before = i
+    return found
+
+
+def _lives(truth: FilmTruth, shown: Shown) -> list[float]:
+    """Return the time from the first to the last row of each number [s]."""
+    times = truth.times[shown.frame]
+    return [float(np.ptp(times[shown.name == name])) for name in np.unique(shown.name)]
+
+
+def _views(truth: FilmTruth) -> list[float]:
+    """Return how long cells are in view without a break [s]."""
+    found = []
+    for seen in truth.view.T:
+        changes = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]])))
+        for first, end in changes.reshape(-1, 2).tolist():
+            found.append(float(truth.times[end - 1] - truth.times[first]))
     return found
 
 

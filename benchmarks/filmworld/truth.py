@@ -5,7 +5,7 @@ import os
 import shutil
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,11 @@ class FilmTruth:
         with np.errstate(invalid="ignore"):
             low = np.minimum(self.x, self.y) > VIEW_UM
             return low & (np.maximum(self.x, self.y) < span - VIEW_UM)
+
+    def thinned(self, every: int) -> "FilmTruth":
+        """Return the truth of every so many pictures."""
+        of_pictures = ("times", "x", "y", "axis", "heading", "speed", "resting")
+        return replace(self, **{name: getattr(self, name)[::every] for name in of_pictures})
 
     def save(self, path: Path) -> None:
         arrays = {name: getattr(self, name) for name in self.__slots__ if name != "about"}

@@ -58,6 +58,12 @@ class Organism:
         """Speed below which an individual rests [um/s]."""
         return SLOW * self.speed_um_s[0]
 
+    @property
+    def quickness(self) -> float:
+        """How many times more of its lengths its fastest swim in a second than Tetrahymena's do."""
+        fastest = self.speed_um_s[1] / self.body_um[0]
+        return fastest / (TETRAHYMENA.speed_um_s[1] / TETRAHYMENA.body_um[0])
+
 
 def _within(mean: float, deviation: float) -> Range:
     """Return the range of some 95 % of normally distributed values."""

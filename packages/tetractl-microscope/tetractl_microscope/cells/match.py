@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from tetractl.core.poses import Bools, Floats
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import Blob
+from tetractl_microscope.organisms import Organism
 
 NONE = 100.0  # cost of leaving a cell without a blob
 # cost of leaving a speck without a blob: that of a new one, and the increase with each of its blobs
@@ -23,14 +24,13 @@ GATE, NEAR = 6.0, 0.23
 SIZE_SHARE, SIZE_MOST = 0.15, 20.0  # relative variation of a cell's blob, and its largest cost
 ALIKE = 0.4  # largest difference of the logarithms of size of a blob away from its expected place
 # cost of a blob of the cell's size at the expected place, and at the largest distance from it
-# [lengths], which grows with the time without a blob [1/s]: of a cell that stopped
+# [lengths], which grows with the time without a blob [1/s], for Tetrahymena: of a cell that stopped
 STOPPED, STOPPED_FAR, STOPPED_REACH = (50.0, 90.0), 0.86, 3.8
-LOOKED_S = 0.2  # time without a blob for which it is looked for there
 # cost of a place in a blob that is too large for one cell, or not
 SHARED_LARGE, SHARED = 40.0, 70.0
 COVER = 0.6  # largest distance of a cell from a blob it is in, relative to the cell's width
 # of a speck's blob: least cost; deviation from its expected place, and radius of search there, and
-# for a new one [lengths of a cell in 1 / USUAL_HZ, as speeds are what differs]
+# for a new one [lengths of Tetrahymena in 1 / USUAL_HZ, as speeds are what differs]
 SPECK, SPECK_SD, REACH, FIRST = 6.0, 0.115, 0.48, 0.77
 USUAL_HZ = 30.0
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
@@ -74,12 +74,14 @@ def cell_costs(
     expected: Floats,
     squared: Floats,
     places: Floats,
-    body_um: float,
+    organism: Organism,
+    looked_s: float,
 ) -> tuple[Floats, Bools]:
-    """Return the costs (C, B) of blobs of their own for C cells, which are `body_um` long, and
-    whether (C, B) the blob is not where the filter expects it: the cell has stopped or turned by
-    itself.
+    """Return the costs (C, B) of blobs of their own for C cells, and whether (C, B) the blob is not
+    where the filter expects it: the cell has stopped or turned by itself, and was seen less than
+    `looked_s` [s] ago.
     """
+    body_um = organism.body_um[0]
     away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
     sizes = np.array([(cell.long, cell.wide) for cell in cells]).reshape(-1, 1, 2)
     ratio = np.abs(np.log(places[None, :, 3:5] / sizes))
@@ -87,7 +89,8 @@ def cell_costs(
     unlike = np.minimum(np.square(ratio / SIZE_SHARE).sum(-1), SIZE_MOST)
     cost = np.where(near, np.minimum(squared, 4 * GATE**2) + unlike, NONE)
     missed = np.array([cell.missed_s for cell in cells])
-    reach = np.where(missed < LOOKED_S, STOPPED_FAR + STOPPED_REACH * missed, 1e-9)[:, None]
+    stopped = STOPPED_FAR + STOPPED_REACH * organism.quickness * missed
+    reach = np.where(missed < looked_s, stopped, 1e-9)[:, None]
     least, most = STOPPED
     allowed = (away < reach) & (ratio.max(axis=-1, initial=0.0) < ALIKE)
     loose = np.where(allowed, least + (most - least) * np.square(away / reach), NONE)
@@ -95,15 +98,18 @@ def cell_costs(
 
 
 def speck_costs(
-    specks: Sequence[CellTrack], places: Floats, seconds: float, passed: float, body_um: float
+    specks: Sequence[CellTrack],
+    places: Floats,
+    seconds: float,
+    passed: float,
+    organism: Organism,
 ) -> tuple[Floats, Floats]:
     """Return the costs (S, B) of blobs for S specks, at their expected places at a time [s], and
-    those of no blob (S,); `passed` is the time since the last picture [s]. Cells are `body_um`
-    long.
+    those of no blob (S,); `passed` is the time since the last picture [s].
     """
     ahead = np.array([speck.ahead(seconds) for speck in specks]).reshape(-1, 1, 2)
     reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
-    length = body_um * max(1.0, USUAL_HZ * passed)
+    length = organism.body_um[0] * max(1.0, organism.quickness * USUAL_HZ * passed)
     away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / length
     none = np.array([min(NONE, NONE_SPECK + NONE_EACH * len(speck.path)) for speck in specks])
     cost = np.minimum(SPECK + np.square(away / SPECK_SD), none[:, None] - 1)

@@ -31,12 +31,15 @@ from tetractl_microscope.cells.specks import BORN, NEAR, NEAR_BORN, straight, sw
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
 TOGETHER = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
-LOST_S = 0.5  # time without a blob after which a cell is lost
-HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
-GONE_S = 0.1  # the same for a cell near the picture's edge, or one that has just been found
+# time without a blob after which a cell is lost, or not reported any more, and for which one is
+# looked for away from its expected place, as it may have stopped
+LOST_S, HIDDEN_S, LOOKED_S = 0.5, 0.15, 0.2
+# the same for one near the picture's edge, which has left it by then, or that has just been found:
+# for Tetrahymena, as this is a way
+GONE_S = 0.1
 GHOST_S = 1.5  # time for which two tracks may share a blob as small as one cell
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
-STARTED, STARTED_S = 1.15, 1.0  # a track that has not swum so many lengths by then is not a cell
+STARTED = 1.15  # a track that has not swum so many lengths in its slowest's time is not a cell
 ASTRAY = 0.67  # distance of a cell's state from its own blob above which the state is wrong
 ENTERED = 2.3  # a new cell nearer than this to the picture's edge has swum into the picture
 ENTER, APPEAR = 10.0, 0.3  # cells that are expected to appear: at the edge, and anywhere
@@ -71,6 +74,8 @@ class CellTracker:
         self.bank = HelixFilter(known, near_wall, organism)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._organism, self._body_um = organism, organism.body_um[0]
+        self._gone_s = GONE_S / organism.quickness
+        self._started_s = STARTED * self._body_um / organism.slowest_um_s
         self.blobs = list[Blob]()  # those of the last picture
         self._tracks, self._last_track = list[CellTrack](), 0
         self._names = Names(self.bank, self._body_um, splits)
@@ -105,12 +110,17 @@ class CellTracker:
         self._give_up(seconds)
         cells = self._cells()
         self.finder.follow(self._kept(cells))
-        return self._shown([cell for cell in cells if cell.missed_s < HIDDEN_S])
+        hidden_s = self._at_least(HIDDEN_S)
+        return self._shown([cell for cell in cells if cell.missed_s < hidden_s])
 
     def finish(self) -> None:
         """Answer all questions of identity: there are no further pictures."""
         self._names.answers = []
         self._names.finish(self._time or 0.0)
+
+    def _at_least(self, seconds: float) -> float:
+        """Return a time without a blob [s], but at least one in which one picture is missing."""
+        return max(seconds, self._brief_s)
 
     def _shift(self, columns: float, rows: float) -> None:
         """Move all objects with a picture whose content was shifted by a knock."""
@@ -134,11 +144,13 @@ class CellTracker:
         rows = np.array([cell.row for cell in cells], int)
         expected, spread = self.bank.expected(rows)
         squared = match.squared_distances(expected, spread, places)
-        own, loose = match.cell_costs(cells, expected, squared, places, self._body_um)
+        own, loose = match.cell_costs(
+            cells, expected, squared, places, self._organism, self._at_least(LOOKED_S)
+        )
         pixels = match.pixels_of(expected, self.um_px, self._height)
         shared = match.shared_costs(cells, pixels, blobs, self.um_px)
         owner = match.assigned(
-            own, shared, match.speck_costs(specks, places, seconds, passed, self._body_um)
+            own, shared, match.speck_costs(specks, places, seconds, passed, self._organism)
         )
         owners: dict[int, list[int]] = {}
         for i, track in enumerate([*cells, *specks]):
@@ -275,7 +287,7 @@ class CellTracker:
         large = PAIR * float(np.median(usual)) if len(usual) >= USUAL else math.inf
         track.sized_s = self._time or 0.0
         if track.long * track.wide > large:
-            track.pair_s = track.sized_s + STARTED_S
+            track.pair_s = track.sized_s + self._started_s
         track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
         track.identity, track.begun = self._names.number(), (x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]
@@ -321,8 +333,9 @@ class CellTracker:
                 continue
             x, y = self.bank.mean[track.row, :2].tolist()
             outside = self._to_edge(x, y) < OUTSIDE * track.long
-            late = track.missed_s > (GONE_S if outside or track.begun is not None else LOST_S)
-            late |= track.number in ghosts
+            brief = outside or track.begun is not None
+            lost_s = self._gone_s if brief else self._at_least(LOST_S)
+            late = track.missed_s > lost_s or track.number in ghosts
             if late or not math.isfinite(x + y) or self._stays(track, seconds):
                 self._names.give_up(track, seconds, late and not outside and track.begun is None)
             else:
@@ -348,7 +361,7 @@ class CellTracker:
         if math.dist(track.last.tolist(), (x, y)) > STARTED * self._body_um:
             track.begun = None
             return False
-        return seconds - began > STARTED_S
+        return seconds - began > self._started_s
 
     def _kept(self, cells: Sequence[CellTrack]) -> list[tuple[int, int, int, int]]:
         """Return rectangles [px] around the cells, in which the background is not updated."""

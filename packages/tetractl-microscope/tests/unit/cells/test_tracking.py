@@ -1,16 +1,22 @@
 """Blobs and cells of synthetic pictures against their truth."""
 
 import math
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.dish_films import Score, film, followed
+from support.dish_films import Reel, Score, film, followed
+from tetractl_microscope.cells import match
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
 from tetractl_microscope.cells.helix import HEADING
 from tetractl_microscope.cells.readings import note_size, own_path
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import no_field
+from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.picture_times import PictureTimes
+from tetractl_microscope.organisms import TETRAHYMENA
 
 pytestmark = pytest.mark.slow
 
@@ -29,6 +35,38 @@ def test_poses_of_swimming_cells(seed, known):
 def test_cells_are_followed_at_ten_pictures_a_second():
     made = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
     assert Score().add(made, followed(made)).f1 > 0.98
+
+
+@pytest.mark.long
+def test_a_slow_organism_is_followed_at_a_low_rate():
+    """A film at 30 Hz is played eight times more slowly, every second picture of it."""
+    made = film(seed=44, side=512, cells=8, crossings=False)
+    slow = replace(
+        TETRAHYMENA,
+        name="slow",
+        speed_um_s=tuple(speed / 8 for speed in TETRAHYMENA.speed_um_s),
+        helix_hz=tuple(turns / 8 for turns in TETRAHYMENA.helix_hz),
+    )
+    reel = Reel(made, list(made.pictures())[::2], PictureTimes(30.0 / 8 / 2))
+    shown = follow(reel, made.look.um_px, None, slow)
+    half = copy(made)
+    half.times = made.times[::2]
+    half.body = made.body[::2]
+    half.heading = made.heading[::2]
+    half.seen = made.seen[::2]
+    assert Score().add(half, shown).f1 > 0.96
+
+
+def test_specks_are_looked_for_as_far_as_the_organism_swims():
+    speck = CellTrack(1, [(0.0, 0.0, 0.0, 0.0, 50.0, 25.0)])
+    slow = replace(TETRAHYMENA, speed_um_s=tuple(v / 4 for v in TETRAHYMENA.speed_um_s))
+    away_um = 60.0  # 1.15 lengths; in 0.1 s the fastest swim 1.45 lengths, the slow ones 0.36
+    blob = np.array([[away_um, 0.0, 0.0, 50.0, 25.0]])
+    costs = {
+        organism: match.speck_costs([speck], blob, 0.1, 0.1, organism)[0].item()
+        for organism in (TETRAHYMENA, slow)
+    }
+    assert costs[TETRAHYMENA] < 100 < costs[slow]
 
 
 def test_numbers_are_kept_through_crossings():

@@ -29,7 +29,8 @@ from tetractl_microscope.cells.readings import MERGED
 
 TOGETHER = 4  # most tracks whose identities are resolved together
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
-ASSERTED = 0.99  # probability above which no question is asked, and a film goes on with a name
+ASSERTED = 0.99  # probability above which no question is asked, and a name is called sure
+PASSED_ON = 0.9  # least probability with which a film goes on with a name
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
@@ -142,7 +143,7 @@ class Names:
             weights = [return_density(self._bank, one, *seen) for one in self._lost]
             i = int(np.argmax(weights))
             probability = weights[i] / (sum(weights) + expected)
-            if probability > (ASSERTED if self._splits else LIKELIER):
+            if probability > (PASSED_ON if self._splits else LIKELIER):
                 lost = self._lost.pop(i)
                 self._bank.drop(track.filter_row)
                 track.row = self._bank.moved(lost.filter_row, *place.tolist())
@@ -291,7 +292,7 @@ class Names:
 
     def _certain(self, track: CellTrack, certainty: float) -> bool:
         """Set the certainty of a track's name, or give the track a new name; return the latter."""
-        track.certainty, splits = certainty, self._splits and certainty < ASSERTED
+        track.certainty, splits = certainty, self._splits and certainty < PASSED_ON
         if splits:
             track.identity, track.certainty = self.number(), 1.0
         return splits

@@ -15,7 +15,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
 from tetractl_microscope.cells.helix import STATES
-from tetractl_microscope.cells.names import ASSERTED, LIKELIER
+from tetractl_microscope.cells.names import ASSERTED, LIKELIER, PASSED_ON
 from tetractl_microscope.cells.readings import AXIS, POSITION_UM
 from tetractl_microscope.cells.tracking import STARTED, CellTracker
 from tetractl_microscope.organisms import Organism
@@ -24,6 +24,7 @@ SHORTEST_S = 0.35  # least duration of a path that is kept [s]
 # least share of a path's pictures in which its cell has a blob; least way over SHORTEST_S, relative
 # to the way from picture to picture: what jumps to and fro does not swim
 FOUND, STEADY = 0.7, 0.6
+ROUNDING_S = 1e-6  # error of a time that was converted
 OF_BLOB = POSITION_UM, POSITION_UM, 2 * AXIS  # deviations of a new cell's blob
 UNKNOWN = np.full(STATES, np.nan)
 
@@ -103,7 +104,7 @@ class Whereabouts:
 
     def index(self, seconds: float) -> int:
         """Return the index of the first picture at or after a time [s]."""
-        return bisect_left(self.times, seconds)
+        return bisect_left(self.times, seconds - ROUNDING_S)
 
     def picture(self, at: int) -> dict[int, TrackRow]:
         """Return the row of each track in the picture with an index."""
@@ -125,31 +126,36 @@ class Whereabouts:
 
     def split(self) -> None:
         """Give each part of a track in which the name is uncertain, and which lasts, a name of its
-        own once the name before is unlikely, and another when the cell is alone again; unless the
-        track has the same name before and after, or begins with that part. A brief part has the
-        name before until the one after is likelier.
+        own once the name before is unlikely, or when the cell is alone again; unless the track has
+        the same name before and after, or begins with that part. A brief part has the name before
+        until the one after is likelier.
         """
         found = [part for rows in self.tracks.values() for part in _uncertain(rows)]
         names = self.new_names()
         found.sort(key=lambda part: (part[0][-1].at, part[0][0].at, part[0][0].cell.track))
         for rows, before, after in found:
-            name, since, merged, end = before, -math.inf, True, self.times[rows[-1].at]
+            name = before
+            merged = True
+            end_s = self.times[rows[-1].at]
             for row in rows:
-                now = self.times[row.at]
-                alone = merged and not row.cell.merged and now - since > SHORTEST_S
-                unlike = name == before and row.likely < LIKELIER
-                if (alone or unlike) and end - now > SHORTEST_S:
-                    name, since = next(names), now
-                elif unlike:
-                    name = after or before
-                row.name, merged = name, row.cell.merged
+                alone = merged and not row.cell.merged
+                unlike = row.likely < LIKELIER
+                if name == before and (alone or unlike):
+                    lasts = end_s - self.times[row.at] > SHORTEST_S
+                    if lasts:
+                        name = next(names)
+                    elif unlike:
+                        name = after or before
+                row.name = name
+                merged = row.cell.merged
 
     def paths(self, organism: Organism) -> Iterator[CellPath]:
         """Yield the cells in the order of their numbers, except those whose path is too short, that
         move more slowly than the organism for most of the time, or to and fro, or that are hardly
-        seen: debris that a cell has touched.
+        seen: debris that a cell has touched. A track that swims may have several names in turn.
         """
         rows = [row for each in self.tracks.values() for row in each]
+        far = {number for number, each in self.tracks.items() if _goes_far(_places(each), organism)}
         rows.sort(key=lambda row: (row.name, row.at, row.likely, -row.cell.track))
         for name, those in groupby(rows, key=lambda row: row.name):
             # a lost cell that was found again may have its name twice: the likelier one counts
@@ -161,7 +167,8 @@ class Whereabouts:
             )
             times, frames = np.array(self.times)[at], np.array(self.frames)[at]
             path = CellPath(name, times, frames, tuple(seen))
-            if _swims(path, organism):
+            on_far = all(row.cell.track in far for row in kept)
+            if (on_far or _goes_far(path.places, organism)) and _swims(path, organism):
                 yield path
 
     def _begin(self, born: Born) -> None:
@@ -203,10 +210,10 @@ def _uncertain(rows: list[TrackRow]) -> Iterator[tuple[list[TrackRow], int, int 
     after, None if the track ends; but no part whose name is the same before and after.
     """
     # a run has successive pictures, for which `at` minus the index of the row is the same
-    runs = groupby(enumerate(rows), lambda each: (each[1].at - each[0], each[1].likely > ASSERTED))
+    runs = groupby(enumerate(rows), lambda each: (each[1].at - each[0], each[1].likely > PASSED_ON))
     before = None
     for run, later in pairwise([*([row for _, row in run] for _, run in runs), list[TrackRow]()]):
-        if run[0].likely > ASSERTED:
+        if run[0].likely > PASSED_ON:
             before = run[-1].name
             continue
         after = later[0].name if later and later[0].at == run[-1].at + 1 else None
@@ -229,11 +236,21 @@ def _sure(rows: list[TrackRow]) -> list[bool]:
     return (np.cumsum(doubtful | other) == 0).tolist()
 
 
+def _places(rows: list[TrackRow]) -> Floats:
+    """Return x, y (K, 2) [um] of a track's rows."""
+    return np.array([(row.cell.x, row.cell.y) for row in rows]).reshape(-1, 2)
+
+
+def _goes_far(places: Floats, organism: Organism) -> bool:
+    """Return whether something at successive places (K, 2) [um] gets as far as a cell must swim."""
+    way = np.linalg.norm(places - places[:1], axis=1)
+    return bool(way.max(initial=0.0) >= STARTED * organism.body_um[0])
+
+
 def _swims(path: CellPath, organism: Organism) -> bool:
-    """Return whether a path is a cell's."""
+    """Return whether a path lasts, and goes on as fast and as steadily as a cell's."""
     times, places = path.times, path.places
-    way = np.linalg.norm(places - places[0], axis=1)
-    if times[-1] - times[0] < SHORTEST_S or way.max() < STARTED * organism.body_um[0]:
+    if times[-1] - times[0] < SHORTEST_S:
         return False
     later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
     moved = np.linalg.norm(places[later] - places, axis=1)[: later.argmax() + 1]

@@ -383,6 +383,42 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     assert [path.identity for path in found] == ["moves"]
 
 
+def test_a_part_of_a_track_that_swims_needs_no_way_of_its_own():
+    """Numbers 1 and 2 in turn on track 5, and number 3 on track 6, swim 40 um each: a cell must
+    swim 1.15 lengths, 60 um."""
+    pictures = [
+        {
+            5: seen_cell(1 if k < 15 else 2, 80.0 * k / 30, 0.0, 5),
+            6: seen_cell(3, 80.0 * min(k, 15) / 30, 90.0, 6),
+        }
+        for k in range(30)
+    ]
+    found = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
+    assert [path.identity for path in found] == [1, 2]
+
+
+def test_an_uncertain_part_has_one_name_of_its_own_though_its_cell_meets_others_in_it():
+    shares_a_blob = [True, True, False, False, True, True, False, False, False]
+    where = recorded(
+        [{7: seen_cell(3, 0.0, 0.0, 7, 0.6, merged=merged)} for merged in shares_a_blob],
+        np.arange(1, 10) / 2.0,
+    )
+    where.tracks[7].insert(0, TrackRow(-1, seen_cell(3, 0.0, 0.0, 7), 3, 1.0))
+    where.split()
+    assert [row.name for row in where.tracks[7]] == [3, 3, 3, 4, 4, 4, 4, 4, 4, 4]
+
+
+def test_a_track_goes_on_with_a_likely_number_that_is_not_called_sure():
+    cells = [
+        seen_cell(3 if k < 60 else 4, 4.0 * k, 0.0, 7, 1.0 if k < 30 else 0.95) for k in range(90)
+    ]
+    where = recorded([{7: cell} for cell in cells], np.arange(90) / 30.0)
+    where.split()
+    paths = list(where.paths(TETRAHYMENA))
+    assert [path.identity for path in paths] == [3, 4]
+    assert [cell.sure for cell in paths[0].seen] == [True] * 30 + [False] * 30
+
+
 @pytest.mark.parametrize(
     ("after", "rate_hz", "merged", "names"),
     [

@@ -27,6 +27,11 @@ HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index 
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 NO_SIZE = (0, 0)  # of a picture that cannot be read
 FUNCTIONS = ("read", "clock")  # of a film, which cannot be written
+NO_FILMS = {
+    b"<?xm": ("is XML, and no film", "of TrackMate, export the table of spots, or a GEFF graph"),
+    b"PK\3\4": ("is a zip archive, and no film", "unpack it"),
+}
+"""By their first bytes, files that are taken for films: what they are, and what to do."""
 MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
 
 
@@ -80,6 +85,9 @@ def _opened(path: Path) -> films.FilmSource:
             from tetractl_microscope.film.tiff_film import tiff_film
 
             return tiff_film(path)
+        if head in NO_FILMS:
+            said, hint = NO_FILMS[head]
+            raise UsageError(f"{path}: {said}", hint)
         found, size = MICROSCOPES.get(head, films.video_film)(path), path.stat().st_size
         if (found.count or 0) * HEADER_B > size:  # the libraries make up pictures that are missing
             said = f"{path}: cannot have {found.count} pictures in {size} bytes"

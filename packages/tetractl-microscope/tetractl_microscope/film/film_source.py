@@ -93,10 +93,12 @@ class FilmSource:
     def over_time(self, axes: str, shape: Sequence[int]) -> list[int]:
         """Return the indices of the pictures of a film among planes with these axes and lengths.
 
-        Time is axis T or, if that is missing, the longest: ImageJ writes films as slices, too. The
-        first of each other axis is taken, which `remarks` then say.
+        Time is axis T or, if that is missing or has one plane, the longest: films are written as
+        slices, too. The first of each other axis is taken, which `remarks` then say.
         """
-        along = axes.find("T") if "T" in axes else int(np.argmax([*shape, 0]))
+        along = axes.find("T")
+        if along < 0 or shape[along] == 1:
+            along = int(np.argmax([*shape, 0]))
         for i, (axis, length) in enumerate(zip(axes, shape, strict=True)):
             if i != along and length > 1:
                 self.remarks.append(f"the first of {length} {AXES.get(axis, 'planes')} is read")
@@ -234,10 +236,13 @@ def czi_film(path: Path) -> FilmSource:
     box = file.total_bounding_box
     begins = {axis: box[axis][0] for axis in "TZC" if axis in box}
     lengths = [box[axis][1] - begin for axis, begin in begins.items()]
+    scenes = sorted(file.scenes_bounding_rectangle)
+    scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
 
     def read(index: int) -> np.ndarray:
         at = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
-        pixels = file.read(plane={axis: begin + int(at[axis]) for axis, begin in begins.items()})
+        plane = {axis: begin + int(at[axis]) for axis, begin in begins.items()}
+        pixels = file.read(plane=plane, scene=scene)
         return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
 
     xml = ElementTree.fromstring(file.raw_metadata)
@@ -246,6 +251,8 @@ def czi_film(path: Path) -> FilmSource:
     step_s = source.seconds(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s")
     source.rate_hz = 1 / (step_s or math.inf)
     chosen = source.over_time("".join(begins), lengths)
+    if scene is not None:
+        source.remarks.append(f"the first of {len(scenes)} scenes is read")
     times = czi_times(path)
     if times is not None and len(times) == source.count:
         source.add_times(times)

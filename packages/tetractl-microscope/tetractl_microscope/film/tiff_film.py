@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-from tifffile import COMPRESSION, TiffFile, memmap, natural_sorted
+from tifffile import COMPRESSION, PHOTOMETRIC, TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
 from tetractl_microscope.film.film_source import FilmSource, Raw, micrometres
@@ -33,7 +33,9 @@ IMAGECODECS = "imagecodecs"  # package by which tifffile decodes most compressio
 def tiff_film(path: Path) -> FilmSource:
     """Open a TIFF file, and those that its tags name, as a film."""
     tif = TiffFile(path)
-    series: Any = tif.series[0]
+    several: Any = tif.series
+    which = int(np.argmax([len(one) for one in several]))  # a thumbnail may come first
+    series = several[which]
     inside = len(series.keyframe.shape)
     planes: Any = series
     if series.is_truncated:  # ImageJ above 4 GB describes the first page only
@@ -48,8 +50,10 @@ def tiff_film(path: Path) -> FilmSource:
     while not series.is_truncated and chosen and _absent(series[chosen[-1]]):
         chosen.pop()  # the microscope was stopped before the planned end
     source.count = len(chosen)
+    if len(several) > 1:
+        source.remarks.append(f"the longest of its {len(several)} series of pictures is read")
     _require_codec(source)
-    _add_tags(tif, series, source)
+    _add_tags(tif, which, source)
     return source
 
 
@@ -74,7 +78,7 @@ def folder_film(folder: Path) -> FilmSource:
                 if name == chosen.names[0]:
                     if tif.series[0].is_multifile:
                         return tiff_film(path)
-                    _add_tags(tif, tif.series[0], source)
+                    _add_tags(tif, 0, source)
                 count = len(tif.pages)
                 page: Any = tif.pages[0]
                 by_opencv = page.keyframe.compression in OF_OPENCV
@@ -127,6 +131,8 @@ def _pixels(page: Any) -> Raw:
         if isinstance(error, ImportError) or IMAGECODECS in str(error):
             raise _codec_missing(page) from error
         raise
+    if page.keyframe.photometric == PHOTOMETRIC.MINISWHITE and pixels.dtype.kind == "u":
+        pixels = np.iinfo(pixels.dtype).max - pixels  # as OpenCV does
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
 
 
@@ -144,11 +150,15 @@ def _absent(page: Any) -> bool:
     return page is None or not page.dataoffsets or page.dataoffsets[0] == 0
 
 
-def _add_tags(tif: TiffFile, series: Any, source: FilmSource) -> None:
-    """Add what OME-XML, Micro-Manager and ImageJ state, the first of these that states it."""
+def _add_tags(tif: TiffFile, which: int, source: FilmSource) -> None:
+    """Add what OME-XML, Micro-Manager and ImageJ state of a series of a file, the first of these
+    that states it.
+    """
+    series: Any = tif.series[which]
     imagej = tif.imagej_metadata or {}
     summary = (tif.micromanager_metadata or {}).get("Summary", {})
-    xml = ElementTree.fromstring(tif.ome_metadata or "<none/>").find(".//{*}Pixels")
+    images = ElementTree.fromstring(tif.ome_metadata or "<none/>").findall(".//{*}Pixels")
+    xml = images[which] if which < len(images) else None
     ome = {} if xml is None else xml.attrib
     pages = list(_page_metadata(series)) if tif.is_micromanager else []
     per_unit, of = series.keyframe.tags["XResolution"].value if "unit" in imagej else (0, 1)

@@ -442,3 +442,14 @@ def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
     where.split()
     assert [row.name for row in where.tracks[7]] == names
     assert [row.likely for row in where.tracks[7]] == likely
+
+
+@pytest.mark.parametrize(
+    ("head", "says"),
+    [(b'<?xml version="1.0"?><TrackMate/>', "is XML"), (b"PK\3\4rest", "is a zip archive")],
+)
+def test_a_file_that_is_no_film_says_what_it_is(tmp_path, head, says):
+    """Regression: OpenCV could not read it, and it was to be converted to AVI."""
+    (tmp_path / "tracks").write_bytes(head)
+    with pytest.raises(UsageError, match=says):
+        open_film(tmp_path / "tracks", 30.0)

@@ -1,0 +1,82 @@
+"""Films whose writers use another form of their format: each gives the same pictures."""
+
+import numpy as np
+import pytest
+import tifffile
+from support.needs_opencv import cv2
+from tetractl_microscope.film.pictures import open_film
+
+pytestmark = pytest.mark.slow
+
+PICTURES = np.random.default_rng(1).integers(0, 255, (6, 48, 64)).astype(np.uint8)
+
+
+def thumbnail_first(path):
+    with tifffile.TiffWriter(path) as file:
+        for picture in (PICTURES[0, ::4, ::4], *PICTURES):
+            file.write(picture, photometric="minisblack", metadata=None)
+
+
+def white_is_zero(path):
+    tifffile.imwrite(path, 255 - PICTURES, photometric="miniswhite")
+
+
+def two_positions(path):
+    with tifffile.TiffWriter(path, ome=True) as file:
+        for pictures in (PICTURES, PICTURES // 2):
+            file.write(pictures, photometric="minisblack", metadata={"axes": "TYX"})
+
+
+def czi(path, planes):
+    """Write planes, each its indices, keywords of the writer, and picture."""
+    create_czi = pytest.importorskip("pylibCZIrw.czi").create_czi
+    with create_czi(str(path)) as document:
+        for plane, how, picture in planes:
+            document.write(picture[..., None], plane={"T": 0, "C": 0, "Z": 0} | plane, **how)
+        document.write_metadata("film", scale_x=2e-6, scale_y=2e-6)
+
+
+def slices(path):
+    czi(path, [({"Z": k}, {}, one) for k, one in enumerate(PICTURES)])
+
+
+def two_scenes(path):
+    czi(
+        path,
+        [
+            ({"T": k}, {"scene": scene, "location": (0, 100 * scene)}, one // (1 + scene))
+            for k, one in enumerate(PICTURES)
+            for scene in (0, 1)
+        ],
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "remarks"),
+    [
+        ("thumbnail.tif", thumbnail_first, ["the longest of its 2 series of pictures is read"]),
+        ("white.tif", white_is_zero, []),
+        ("two.ome.tif", two_positions, ["the longest of its 2 series of pictures is read"]),
+        ("slices.czi", slices, []),
+        ("scenes.czi", two_scenes, ["the first of 2 scenes is read"]),
+    ],
+)
+def test_the_pictures_are_those_that_were_taken(name, write, remarks, tmp_path):
+    """Regression: a film after its thumbnail, or of slices, was "one picture, and no film"; white
+    was black without compression alone; scenes were one picture, and positions left out unsaid."""
+    write(tmp_path / name)
+    found = open_film(tmp_path / name, 30.0)
+    assert np.array_equal([picture for _, picture in found], PICTURES)
+    assert found.remarks == remarks
+
+
+def test_a_picture_in_which_zero_is_white_is_one_whatever_its_compression(tmp_path):
+    path = tmp_path / "lzw.tif"
+    cv2.imwritemulti(str(path), list(255 - PICTURES))
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as file:
+        for page in file.pages:
+            at = page.tags["PhotometricInterpretation"].valueoffset
+            data[at : at + 2] = bytes(2)
+    path.write_bytes(data)
+    assert np.array_equal([picture for _, picture in open_film(path, 30.0)], PICTURES)

@@ -1,16 +1,16 @@
 """Tracks of other programs as poses: the tables of napari and trackpy, and GEFF graphs."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.errors import AbortError, UsageError
+from tetractl.core.errors import AbortError, UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.core.table.csv_rows import CsvRow, columns_of, read_csv
+from tetractl.core.table.csv_rows import CsvRow, columns_of, is_number, read_csv
 from tetractl.core.table.quantities import SECONDS, NumberColumn, factor
 from tetractl.replay.identification.csv_tracks import POSES_MAX
 from tetractl_microscope.film.kinematics import TURN_S
@@ -19,12 +19,16 @@ from tetractl_microscope.number_columns import read_numbers
 
 NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
 FRAMES = ("frame", "t")
+AXES = (("t", "time", "frame"), ("x",), ("y",))
+"""Names of the axes of a graph of which no types are stated."""
+SAID_MAX = 200
+"""Most characters of an error of the library geff that are shown."""
 TRACKMATE = ("track_id", "position_x", "position_y", "frame")
 """Columns of a table of TrackMate's spots, below whose header stand their names in words, twice,
 and units; `position_t` has times."""
 
 
-MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6}
+MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
 POSE_COLUMNS = ("time_s", "x_um", "y_um", "heading_rad")
 ROUNDING = 1e-6  # share of a window by which a time within it may seem outside
@@ -33,12 +37,14 @@ ROUNDING = 1e-6  # share of a window by which a time within it may seem outside
 @dataclass(frozen=True, slots=True)
 class SpotTable:
     """Spots of tracks: rows (R, 4) of track, picture or time, x and y, downwards; `um` of a unit of
-    length and `hz`, pictures per unit of time, are None if the table does not state them.
+    length and `hz`, pictures per unit of time, are None if the table does not state them. A unit
+    along y has the length of `tall` along x.
     """
 
     rows: Floats
     um: float | None = None
     hz: float | None = None
+    tall: float = 1.0
 
 
 def pose_rows(path: Path, um_px: float | None, rate_hz: float | None) -> Iterator[CsvRow]:
@@ -79,7 +85,7 @@ def _trackmate(path: Path, names: Mapping[str, str]) -> SpotTable:
     units: dict[str, str] = {}
     rows: list[list[float]] = []
     for row in read_csv(path):
-        if not row.cells[frame.key].isdecimal():
+        if not is_number(row.cells[frame.key]):
             units = {key: text.strip("()") for key, text in row.cells.items()}
         elif not math.isnan(track.optional(path, row)):  # else a spot of no track
             columns = (track, frame, timed, x, y)
@@ -101,8 +107,9 @@ def _poses(
     """Yield the poses of the spots of tracks."""
     um = um_px or spots.um
     hz = rate_hz or spots.hz
+    missing = ["a unit of length"] * (um is None) + ["the time of a picture"] * (hz is None)
     if um is None or hz is None:
-        said = f"{path}: its tracks are in pixels and pictures"
+        said = f"{path}: its tracks do not state {' and '.join(missing)}"
         raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")
     if not np.isfinite(spots.rows).all():
         raise UsageError(f"{path}: has a value that is not finite")
@@ -110,7 +117,8 @@ def _poses(
         track = spots.rows[spots.rows[:, 0] == number]
         _, frame, x, y = track[np.argsort(track[:, 1], kind="stable")].T
         time = frame / hz
-        columns = (time, um * x, -um * y, _courses(time, x, -y))
+        up = -spots.tall * y
+        columns = (time, um * x, um * up, _courses(time, x, up))
         for line, numbers in enumerate(zip(*(c.tolist() for c in columns), strict=True), 1):
             cells = dict(zip(POSE_COLUMNS, map(repr, numbers), strict=True))
             yield CsvRow(line, {"robot": f"{CELL}{number:g}"} | cells)
@@ -142,12 +150,14 @@ def _graph(path: Path) -> SpotTable:
 
     try:
         graph: Mapping[str, Any] = read_to_memory(path)
-        axes = _axes(graph["metadata"].axes or ())
         properties = graph["node_props"]
+        axes = _axes(graph["metadata"].axes or (), properties)
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
-        said = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise UsageError(f"{path}: cannot be read as a GEFF graph of t, x, y: {said}") from error
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UsageError(
+            f"{path}: cannot be read as a GEFF graph of t, x, y: {printable(said, SAID_MAX)}"
+        ) from error
     ids, edges = graph["node_ids"], graph["edge_ids"]
     if len(ids) > POSES_MAX:
         raise UsageError(f"{path}: has {len(ids)} nodes; at most {POSES_MAX} are read")
@@ -156,15 +166,17 @@ def _graph(path: Path) -> SpotTable:
     single = np.bincount(first, minlength=len(ids))[first] == 1
     links = coo_array((np.ones(single.sum()), (first[single], last[single])), [len(ids)] * 2)
     _, track = connected_components(links, directed=False)
-    time, x, _ = axes
+    time, x, y = axes
     step = _step(time, SECONDS)
     hz = None if step is None else 1 / step
-    return SpotTable(np.column_stack([track + 1, *nodes]), _step(x, MICROMETRES), hz)
+    across, down = _step(x, MICROMETRES), _step(y, MICROMETRES)
+    tall = down / across if across and down else 1.0
+    return SpotTable(np.column_stack([track + 1, *nodes]), across, hz, tall)
 
 
 @dataclass(frozen=True, slots=True)
 class _NamedAxis:
-    """An axis of a graph without metadata: a name alone."""
+    """An axis of which a graph states a name alone."""
 
     name: str
     unit: str = ""
@@ -172,20 +184,25 @@ class _NamedAxis:
     scaled_unit: str = ""
 
 
-def _axes(stated: Sequence[Any]) -> tuple[Any, Any, Any]:
-    """Return the axes of time, x and y; without metadata they are t, x and y.
+def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
+    """Return the axes of time, x and y, by the types that the metadata state, or else by the names
+    of axes or, without any, of properties: t or time, x and y.
 
     In space, x and y are those whose names end so, or else the last two: a picture's are y, x.
     """
     times = [axis for axis in stated if axis.type == "time"]
     places = [axis for axis in stated if axis.type == "space"]
-    if not times or len(places) < 2:
-        return _NamedAxis("t"), _NamedAxis("x"), _NamedAxis("y")
-    ends = {axis.name.lower()[-1:]: axis for axis in places}
-    if "x" in ends and "y" in ends:
-        return times[0], ends["x"], ends["y"]
-    *_, y, x = places
-    return times[0], x, y
+    if times and len(places) >= 2:
+        ends = {axis.name.lower()[-1:]: axis for axis in places}
+        *_, y, x = places
+        return [times[0], ends["x"], ends["y"]] if {"x", "y"} <= set(ends) else [times[0], x, y]
+    known = [*stated] or [_NamedAxis(name) for name in names]
+    by_name = {axis.name.lower(): axis for axis in known}
+    found = [next((by_name[one] for one in each if one in by_name), None) for each in AXES]
+    if None in found:
+        said = ", ".join(axis.name for axis in known)
+        raise ValueError(f"no axis has a type, and their names are {said}")
+    return found
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> float | None:

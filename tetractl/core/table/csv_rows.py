@@ -109,7 +109,7 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
     below = list(islice(lines, 1))
     separator = stated or _separator(text, below[0][1] if below else "")
     header = _entries(text, separator)
-    if comments and any(map(_is_number, header)):
+    if comments and any(map(is_number, header)):
         below.insert(0, top)
         header = _entries(comments[-1], separator)
     _check_header(path, header)
@@ -140,7 +140,8 @@ def _entries(line: str, separator: str) -> list[str]:
     return [e.replace(",", ".") if _DECIMAL_COMMA.fullmatch(e) else e for e in stripped]
 
 
-def _is_number(entry: str) -> bool:
+def is_number(entry: str) -> bool:
+    """Return whether an entry is a number, with a decimal point."""
     try:
         float(entry)
     except ValueError:
@@ -150,7 +151,7 @@ def _is_number(entry: str) -> bool:
 
 def _check_header(path: Path, header: list[str]) -> None:
     """Raise UsageError for a header of numbers, or one that has a name twice."""
-    if any(map(_is_number, header)):
+    if any(map(is_number, header)):
         raise UsageError(
             f"{path}: has no header: its first line has numbers",
             "write the names of the columns above them, such as time_s",

@@ -101,9 +101,9 @@ def test_a_graph_states_its_scale_and_rate(dish, names):
 @pytest.mark.parametrize(
     ("header", "options", "says"),
     [
-        ("particle,frame,y,x", (), "its tracks are in pixels and pictures"),
+        ("particle,frame,y,x", (), "its tracks do not state"),
         ("particle,frame,y,z", (), "contains neither poses nor commands"),
-        ("particle,frame,y,x", ("--scale", 2), "its tracks are in pixels and pictures"),
+        ("particle,frame,y,x", ("--scale", 2), "its tracks do not state"),
     ],
 )
 def test_what_is_missing_is_one_line(dish, header, options, says):

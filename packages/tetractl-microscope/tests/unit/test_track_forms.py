@@ -1,0 +1,91 @@
+"""Tracks whose writers use another form of their format: each gives the same poses."""
+
+import numpy as np
+import pytest
+from tetractl_microscope.foreign_tracks import pose_rows
+
+from tetractl.core.errors import UsageError
+
+HZ, UM = 25.0, 2.0
+NUMBER, K, Y, X = np.array(
+    [(cell, k, 40.0 + 3 * k, 100.0 * cell + 5 * k) for cell in (1, 2) for k in range(6)]
+).T
+POSES = sorted(zip(K / HZ, UM * X, -UM * Y, strict=True))
+FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
+PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
+TIME, SPACE = {"type": "time", **FRAME}, {"type": "space", **PIXEL}
+
+
+def poses(path, um=None, hz=None):
+    rows = [row.cells for row in pose_rows(path, um, hz)]
+    assert len({cells["robot"] for cells in rows}) == 2
+    return sorted(tuple(float(cells[one]) for one in ("time_s", "x_um", "y_um")) for cells in rows)
+
+
+def graph(path, axes, values):
+    """Write a graph with axes of such names and contents; `values` has the values of each."""
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    from geff import GeffMetadata
+    from geff_spec import Axis
+
+    ids = np.arange(len(K), dtype=np.uint64)
+    about = GeffMetadata(
+        directed=True,
+        axes=[Axis(name=name, **contents) for name, contents in axes.items()] or None,
+        node_props_metadata={},
+        edge_props_metadata={},
+    )
+    nodes = {name: {"values": each, "missing": None} for name, each in values.items()}
+    edges = np.column_stack([ids[:-1], ids[1:]])[np.diff(NUMBER) == 0]
+    core_io.write_arrays(path, ids, nodes, edges, {}, about)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("axes", "values"),
+    [
+        ({"t": TIME, "y": SPACE | {"scale": 4.0}, "x": SPACE}, {"t": K, "y": Y / 2, "x": X}),
+        ({"t": FRAME, "y": PIXEL, "x": PIXEL}, {"t": K, "y": Y, "x": X}),
+        ({"Frame": FRAME, "X": PIXEL, "Y": PIXEL}, {"Frame": K, "X": X, "Y": Y}),
+        ({"t": TIME, "row": SPACE, "col": SPACE}, {"t": K, "row": Y, "col": X}),
+    ],
+    ids=["pixels twice as high as wide", "no types", "other names", "row and column"],
+)
+def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
+    axes, values, tmp_path
+):
+    """Regression: y had the scale of x, and axes without a type had none."""
+    assert np.allclose(poses(graph(tmp_path / "tracks.geff", axes, values)), POSES)
+
+
+def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_path):
+    axes = {"a": {}, "b": {}, "c": {}}
+    path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})
+    with pytest.raises(UsageError, match="no axis has a type, and their names are a, b, c"):
+        poses(path, UM, HZ)
+
+
+SPOTS = """\
+LABEL,TRACK_ID,POSITION_X,POSITION_Y,POSITION_T,FRAME
+Label,Track ID,X,Y,T,Frame
+,,({um}),({um}),({s}),
+"""
+
+
+@pytest.mark.parametrize(
+    ("um", "s", "factor", "written"),
+    [
+        ("micron", "sec", 1.0, "{:g}"),
+        ("micron", "sec", 1.0, "{:.1f}"),
+        ("inch", "s", 25400, "{:g}"),
+    ],
+    ids=["as TrackMate", "frames as pandas writes them", "inches"],
+)
+def test_spots_of_trackmate(um, s, factor, written, tmp_path):
+    """Regression: with frames such as 3.0 the table "has no spot of a track"."""
+    rows = "".join(
+        f"ID,{cell:g},{UM * x / factor!r},{UM * y / factor!r},{k / HZ!r},{written.format(k)}\n"
+        for cell, k, y, x in zip(*(each.tolist() for each in (NUMBER, K, Y, X)), strict=True)
+    )
+    (tmp_path / "spots.csv").write_text(SPOTS.format(um=um, s=s) + rows)
+    assert np.allclose(poses(tmp_path / "spots.csv"), POSES)

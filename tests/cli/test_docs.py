@@ -1,5 +1,6 @@
 """What README and docs/ say, against what the commands do."""
 
+import json
 import os
 import re
 import shutil
@@ -48,6 +49,18 @@ def test_every_example_prints_what_the_page_shows(page):
         )
         told = after is not None and after[0].command == "echo $?"
         assert told or code == 0, f"$ {example.command}\nexit code {code}\n{printed}"
+
+
+@pytest.mark.system
+def test_the_learner_of_the_page_exports_a_policy(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    page = (ROOT / "docs" / "how-to" / "step-by-step.md").read_text("utf-8")
+    (script,) = re.findall(r"```python title=learn\.py\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "learn.py").write_text(script)
+    subprocess.run([sys.executable, "learn.py", "100"], cwd=tmp_path, check=True)
+    layers = json.loads((tmp_path / "weights.json").read_text())["layers"]
+    assert [len(layer["bias"]) for layer in layers] == [64, 64, 2]  # the learner's default network
+    assert len(layers[0]["weights"][0]) == 6  # features of one robot
 
 
 def test_the_small_table_of_the_readme_has_the_numbers_of_its_first_command():

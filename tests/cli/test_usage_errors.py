@@ -28,6 +28,7 @@ replay picture.png | picture.png: is not a log (*.mcap)
 replay logs/figure.png | logs/figure.png: is not a log (*.mcap) | name a log, such as logs/trial-0
 run | SPEC
 run nowhere.yaml | nowhere.yaml: there is no such file
+run spec.yml | spec.yml: there is no such file; did you mean 'spec.yaml'?
 run . | .: is a folder
 run empty.yaml | empty.yaml: is empty
 run binary.yaml | binary.yaml: is a binary file

@@ -31,7 +31,7 @@ from tetractl.experiment.load import (
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
 from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check
@@ -182,7 +182,7 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
     study = _study(document)
     base = Base(study.base if isinstance(study.base, dict) else folder / study.base)
     if isinstance(base.source, Path) and not base.source.exists():
-        text = f"there is no such file: {printable(str(base.source))}"
+        text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
         raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
     arms, problems, hint = list[Arm](), dict[SpecProblem, None](), None
     for controller, values, settings in _arms(study, document):

@@ -15,6 +15,7 @@ from tetractl.experiment.yaml.problems import (
     Loc,
     SpecProblem,
     dotted,
+    near_files,
 )
 
 MAX_BYTES = 1 << 20
@@ -127,7 +128,7 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
         with path.open("rb") as stream:
             raw = stream.read(max_bytes + 1)
     except FileNotFoundError:
-        raise refusal("there is no such file") from None
+        raise refusal(f"there is no such file{near_files(path)}") from None
     except IsADirectoryError:
         raise refusal("is a folder; name a YAML file in it") from None
     except OSError as error:

@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from tetractl.core.errors import SpecError, printable
 
@@ -11,6 +12,8 @@ Loc = tuple[str | int, ...]
 
 SHOWN_PROBLEMS = 100
 SHOWN_LENGTH = 60
+NEAR_FILES = 3  # file names suggested in the place of a missing one
+SUFFIXES = (".yaml", ".yml")
 MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})  # both read as u
 
 
@@ -64,3 +67,15 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
     plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
     close = difflib.get_close_matches(plain, lower, n=1)
     return f"; did you mean '{lower[close[0]]}'?" if close else ""
+
+
+def near_files(path: Path) -> str:
+    """Return a suggestion of the specs in the folder of a missing one whose names are nearest to
+    its own, such as `; did you mean 'mine.yaml'?`, or "" if none is near."""
+    try:
+        names = sorted(one.name for one in path.parent.iterdir() if one.suffix in SUFFIXES)
+    except OSError:
+        return ""
+    close = difflib.get_close_matches(path.name[:SHOWN_LENGTH], names, n=NEAR_FILES)
+    texts = [f"'{printable(name)}'" for name in close]
+    return f"; did you mean {' or '.join(texts)}?" if texts else ""

@@ -32,6 +32,7 @@ import yaml
 from solverbench.problems import EXPERIMENTS
 from solverbench.report import progress
 
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment
@@ -40,20 +41,6 @@ from tetractl.results.estimate import distributions, proportion_interval
 from tetractl.results.mean_difference import holm, paired_t, signed_rank
 
 SETTING = Mapping[str, Any]
-PUBLISHED: SETTING = {
-    "controller.type": "pso-mpc",
-    "controller.accept_error": 0,
-    "controller.collision": {"test": "samples"},
-    "controller.optimizer": {
-        "type": "pso",
-        "particles": 100,
-        "iterations": 100,
-        "inertia": 0.7,
-        "cognitive": 1.5,
-        "social": 1.5,
-        "stop": {"type": "paper"},
-    },
-}
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # IPOPT's only wait for work
 FINE = 0.1  # share of the accepted error at which IPOPT's sequences are good enough
 OURS = "recommended"
@@ -63,12 +50,29 @@ def controllers(name: str) -> dict[str, SETTING]:
     """Return the arms of an instance; the first is the one in its spec."""
     spec = instance(name)
     limit = 5 * spec.controller.time_limit
-    found: dict[str, SETTING] = {OURS: {}, "published": PUBLISHED}
+    found: dict[str, SETTING] = {OURS: {}, "published": published(name)}
     found["ensemble"] = {"controller": {"type": "ensemble", "time_limit": limit}}
     if len(spec.robots) == 1:
         margin = spec.controller.collision.margin  # pyright: ignore[reportAttributeAccessIssue]
         found["rrt"] = {"controller": {"type": "rrt", "time_limit": limit, "margin": margin}}
     return found
+
+
+def published(name: str) -> SETTING:
+    """Return the arm of the controller exactly as published, in the place of an instance's.
+
+    Its period, longest sequence, weight of obstacles and time limit are the instance's.
+    """
+    ours = instance(name).controller
+    assert isinstance(ours, RecommendedMpc)
+    section = {
+        "type": "pso-mpc",
+        "period": ours.period,
+        "horizon_max": ours.horizon_max,
+        "obstacle_weight": ours.obstacle_weight,
+        "time_limit": ours.time_limit,
+    }
+    return {"controller": section}
 
 
 def ipopt(name: str) -> dict[str, SETTING]:
@@ -90,16 +94,21 @@ def bound_s(spec: Experiment) -> float:
     return float(np.max((gaps - accept) / setup.speed))
 
 
-def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: int) -> int:
-    """Write the study of an instance and run what it lacks; return its exit code."""
-    study = out.with_name(f"{out.name}.yaml")
-    text = {
-        "name": out.name,
+def study_text(name: str, title: str, arms: Mapping[str, SETTING], trials: int) -> str:
+    """Return the YAML text of an instance's study."""
+    study = {
+        "name": title,
         "base": str(EXPERIMENTS / "benchmark" / f"{name}.yaml"),
         "controllers": {arm: dict(settings) for arm, settings in arms.items()},
         "trials": {"count": trials, "seed": 1},
     }
-    study.write_text(yaml.safe_dump(text, sort_keys=False))
+    return yaml.safe_dump(study, sort_keys=False)
+
+
+def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: int) -> int:
+    """Write the study of an instance and run what it lacks; return its exit code."""
+    study = out.with_name(f"{out.name}.yaml")
+    study.write_text(study_text(name, out.name, arms, trials), encoding="utf-8")
     command = ["-m", "tetractl", "study", study, "--out", out, "--logs", "none"]
     return subprocess.run(
         [sys.executable, *command, "--jobs", str(jobs)], env=os.environ | ONE_THREAD

@@ -1,9 +1,11 @@
 """The benchmark's instances: each is valid, and README tells of it."""
 
 import pytest
+from instances import controllers, study_text
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
+from tetractl.study.load_study import load_study
 
 FOLDER = ROOT / "experiments/benchmark"
 SPECS = sorted(FOLDER.glob("*.yaml"))
@@ -19,3 +21,12 @@ def test_an_instance_is_valid_and_told_of(path):
     assert row in (FOLDER / "README.md").read_text("utf-8")
     assert (path.parent / "../experiment.schema.json").is_file()
     assert "../experiment.schema.json" in path.read_text("utf-8").splitlines()[0]
+
+
+@pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
+def test_the_study_of_an_instance_is_valid(path, tmp_path):
+    """Regression: the arm `published` set fields that its controller does not have any more."""
+    arms = controllers(path.stem)
+    study = tmp_path / "study.yaml"
+    study.write_text(study_text(path.stem, "study", arms, trials=2), encoding="utf-8")
+    assert [arm.name for arm in load_study(study).arms] == list(arms)

@@ -43,7 +43,7 @@ def main() -> None:
     labs = [lab_trial(lab_spec(), trial).result for trial in range(count)]
     print("| | complete | total error [mm] | median | range | steps |")
     print("|---|--:|--:|--:|--:|--:|")
-    print(row("simulated bench", sims))
+    print(row("bench without noise, slip and lost frames", sims))
     print(row("emulated lab", labs))
     one, two = (np.array([r.total_error for r in results]) for results in (sims, labs))
     ks = stats.ks_2samp(one, two)

@@ -26,7 +26,7 @@ SPECS = (
     "five_robots",
     "five_robots_bench",
     "tetrahymena",
-    "tetrahymena_bench",
+    "tetrahymena_disturbed",
     "tetrahymena_hold",
     "single_cell",
     "round_obstacle",

@@ -5,6 +5,7 @@ from instances import controllers, study_text
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.study.load_study import load_study
 
 FOLDER = ROOT / "experiments/benchmark"
@@ -21,6 +22,24 @@ def test_an_instance_is_valid_and_told_of(path):
     assert row in (FOLDER / "README.md").read_text("utf-8")
     assert (path.parent / "../experiment.schema.json").is_file()
     assert "../experiment.schema.json" in path.read_text("utf-8").splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [("paper-bench", "paper-disturbed"), ("cells-bench", "cells-flow")],
+)
+def test_the_former_name_of_an_instance_is_answered_by_its_present_one(former, now):
+    with pytest.raises(InvalidSpecError) as refused:
+        load_spec(FOLDER / f"{former}.yaml")
+    assert f"'{now}.yaml'" in refused.value.lines()[0]
+
+
+def test_only_specs_of_one_plant_are_called_bench():
+    """Regression: benchmark instances of other plants were called paper-bench and cells-bench."""
+    bench = load_spec(FOLDER.parent / "three_m3pi_bench.yaml").experiment.plant
+    named = list(FOLDER.parent.rglob("*bench*.yaml"))
+    assert len(named) == 3
+    assert all(load_spec(path).experiment.plant == bench for path in named)
 
 
 @pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)

@@ -25,8 +25,8 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.plant.disturbances.camera import FrozenCameraSection
 
 HURTS = "silent", "sticking", "stale", "repeating", "no-frames", "marker", "battery", "wander"
-BENCH, CELLS = "three_m3pi_bench.yaml", "tetrahymena_bench.yaml"
-BENCHMARK = "near-equal", "five-robots", "paper-bench", "one-cell"
+BENCH, CELLS = "three_m3pi_bench.yaml", "tetrahymena_disturbed.yaml"
+BENCHMARK = "near-equal", "five-robots", "paper-disturbed", "one-cell"
 Random = np.random.Generator
 Truth = dict[str, Floats]
 """What holds at a trial's end: a, speed, `side` (N,), dead_time (1,), and who `lives` (N,)."""
@@ -340,7 +340,7 @@ def _radio(text: str) -> tuple[str, ...]:
 
 
 def _cells(disturbance: dict[str, Any], *settings: str) -> World:
-    """The bench of cells with one more of the shipped disturbances."""
+    """The disturbed cells with one more of the shipped disturbances."""
     shipped = [one.model_dump(mode="json") for one in experiment(CELLS).plant.disturbances]
     every = json.dumps([*shipped, disturbance])
     return World((f"plant.disturbances={every}", *settings), base=CELLS)

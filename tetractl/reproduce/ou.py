@@ -50,7 +50,7 @@ ARMS = {
     "square": Runs("three_m3pi_paper_bench", ("controller.first_plan={type: square}",)),
     "harsher": Runs("three_m3pi_paper", HARSHER, 300),
     "ensemble": Runs("three_m3pi_paper_bench", (EARLIER,), 100),
-    "cells": Runs("benchmark/cells-bench", (AS_PUBLISHED,)),
+    "cells": Runs("benchmark/cells-flow", (AS_PUBLISHED,)),
 }
 
 ONE_PERIOD_MM = (180 + 200 + 150) * 0.2

@@ -40,7 +40,7 @@ from tetractl.plant.simulation import SimPlant
 pytestmark = pytest.mark.slow
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
-CELLS = ROOT / "experiments" / "tetrahymena_bench.yaml"
+CELLS = ROOT / "experiments" / "tetrahymena_disturbed.yaml"
 NOISY = ("plant.measurement_noise={position: 0.3, heading: 0.004}", "plant.heading_noise=0.03")
 
 

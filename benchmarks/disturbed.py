@@ -133,6 +133,7 @@ HURTING: list[Row] = [
     ("speed falls by 15 % in 20 s", (_more("{type: battery, speed: 0.15, over: 20}"),)),
     ("a and speed wander by 10 %", (_more("{type: wander, a: 0.1, speed: 0.1, time: 5}"),)),
 ]
+PARTS = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT, "hurting": HURTING}
 
 
 M = TypeVar("M", bound=Mpc)
@@ -258,7 +259,7 @@ def row(name: str, results: list[Result]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict[str, list[Result]]:
+def table(rows: list[Row], world: "World", trials: int) -> dict[str, list[Result]]:
     """Run every row, print the table, and return the results by name."""
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
     found = {}
@@ -266,21 +267,18 @@ def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict
         progress(name)
         found[name] = run(world.spec(OURS, settings), trials)
         print(row(name, found[name]), flush=True)
+    return found
+
+
+def references(world: "World", trials: int, published: bool) -> None:
+    """Print the rows to compare others with: perfect knowledge and, if `published`, the paper's
+    controller and a world without disturbances."""
     progress("given a, speed, dead time, losses")
     spec = world.spec(OURS, (TOLD,))
     print(row("given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
     if published:
         print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
         print(row("undisturbed", run(load_experiment(OURS, *world.rate), trials)), flush=True)
-    return found
-
-
-def hurting(world: "World", trials: int) -> None:
-    """Run every row of HURTING, and print the table."""
-    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
-    for name, settings in HURTING:
-        progress(name)
-        print(row(name, run(world.spec(OURS, settings), trials)), flush=True)
 
 
 def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
@@ -328,8 +326,8 @@ class World:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parts = ("ablation", "knowledge", "accept", "hurting")
-    parser.add_argument("--part", choices=parts, default="ablation")
+    parser.add_argument("--part", choices=tuple(PARTS), default="ablation")
+    parser.add_argument("--only", metavar="ROW", help="print this row alone")
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--seed", type=int, help="root seed, in place of that of the spec")
     parser.add_argument(
@@ -339,17 +337,18 @@ def main() -> None:
     parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
     parser.add_argument("--figure", type=Path, help="of the rows: error over time")
     chosen = parser.parse_args()
+    rows = [one for one in PARTS[chosen.part] if chosen.only in (None, one[0])]
+    if not rows:
+        parser.error(f"--only: no row {chosen.only!r} of the part {chosen.part}")
     plain = () if chosen.bench else HURT if chosen.part == "hurting" else WORLD
     if chosen.seed is not None:
         plain = (*plain, f"trials.seed={chosen.seed}")
     world = World(chosen.bench, chosen.rate, chosen.dead_time, plain)
     where = ", ".join(([chosen.bench] if chosen.bench else []) + [f"`{one}`" for one in plain])
     print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
-    if chosen.part == "hurting":
-        hurting(world, chosen.trials)
-        return
-    rows = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT}[chosen.part]
-    found = table(rows, world, chosen.trials, published=chosen.part == "ablation")
+    found = table(rows, world, chosen.trials)
+    if chosen.part != "hurting" and not chosen.only:
+        references(world, chosen.trials, published=chosen.part == "ablation")
     if chosen.figure:
         where = chosen.bench or "the world of benchmarks/disturbed.py"
         title = f"simulated, {where}, {chosen.rate} Hz, {chosen.trials} trials a point"

@@ -74,6 +74,37 @@ def test_the_small_table_of_the_readme_has_the_numbers_of_its_first_command():
     assert "left the arena: paper: 4 of 20" in printed
 
 
+def test_the_example_of_processors_has_the_numbers_of_the_same_command_in_the_readme():
+    """README's are compared with what the command prints."""
+    page = (ROOT / "docs/reference/statistics.md").read_text("utf-8")
+    mean, low, high, most = re.search(
+        r"total error is ([\d.]+) mm \(95 % interval ([\d.]+)\s+to ([\d.]+), at most ([\d.]+)\)",
+        page,
+    ).groups()
+    assert "\n    tetractl run experiments/three_m3pi_bench.yaml --quiet\n" in page
+    readme = (ROOT / "README.md").read_text("utf-8")
+    printed = next(example.shown for example in console.examples(readme) if example.shown)
+    (ours,) = [line for line in printed.splitlines() if line.startswith(" ours ")]
+    assert ours.split()[2] == mean
+    assert ours.split()[6:] == [most, low, "to", high]
+
+
+def test_each_mean_of_which_bench_is_which_stands_on_the_page_it_names():
+    page = ROOT / "docs/explanation/bench.md"
+    text = page.read_text("utf-8")
+    section = text.partition("## Which bench is which")[2].partition("\n## ")[0]
+    rows = [line.split("|") for line in section.splitlines() if re.search(r"\d \[|\+-", line)]
+    assert len(rows) == 6
+    for *_, mean, where, _ in rows:
+        target = re.search(r"\]\(([^)#]*)", where)
+        assert target, where
+        named = (page.parent / target[1] if target[1] else page).read_text("utf-8")
+        shown = re.match(r" ([\d.]+) (?:\[([\d.]+), ([\d.]+)\]|\+- ([\d.]+))", mean)
+        assert shown, mean
+        for number in filter(None, shown.groups()):
+            assert number in named.replace(section, ""), (number, where)
+
+
 @pytest.mark.system
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if any(console.programs(page.read_text("utf-8")))], ids=_name

@@ -18,14 +18,14 @@ def test_tables_hold_what_the_logs_hold(folder):
     assert done.stdout.split() == [f"csv/{name}.csv" for name in names]
     tables = {name: pandas.read_csv(folder / "csv" / f"{name}.csv") for name in names}
     logs = [read_trial(path) for path in sorted((folder / "logs").glob("*.mcap"))]
-    assert all(list(table.columns[:2]) == ["path", "trial"] for table in tables.values())
+    assert all(list(table.columns[:2]) == ["log", "trial"] for table in tables.values())
     assert len(tables["trials"]) == 2
     assert len(tables["steps"]) == sum(len(log.steps) for log in logs)
     assert len(tables["poses"]) == sum(2 * len(log.frames) for log in logs)
     assert len(tables["events"]) == sum(len(log.events) for log in logs)
     for log in logs:
         assert log.result is not None
-        steps = tables["steps"].query(f"path == '{Path(log.path).relative_to(folder)}'")
+        steps = tables["steps"].query(f"log == '{Path(log.path).relative_to(folder)}'")
         sent = [s.command.direction for s in log.steps]
         assert steps["direction_rad"].tolist() == pytest.approx(sent, rel=1e-15)  # read from text
         assert steps["delivered_two"].tolist() == [s.command.delivered[1] for s in log.steps]
@@ -33,6 +33,16 @@ def test_tables_hold_what_the_logs_hold(folder):
         assert poses["x_mm"].tolist() == pytest.approx(log.mocap[:, 1, 0].tolist(), rel=1e-15)
         row = tables["trials"].query(f"trial == {log.start.trial}").iloc[0]
         assert row["total_error_mm"] == log.result.total_error
+
+
+def test_the_names_of_lengths_end_in_their_unit(folder):
+    """Regression: distances of trials and costs of steps had none."""
+    tetractl(folder, "export", "logs", "-o", "named").ok()
+    headers = [path.read_text().partition("\n")[0] for path in (folder / "named").glob("*.csv")]
+    names = set(",".join(headers).split(","))
+    lengths = {"clearance", "edge", "apart", "cost", "target_cost", "total_error", "distance"}
+    assert not names & lengths
+    assert names >= {f"{name}_mm" for name in lengths}
 
 
 def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_path):

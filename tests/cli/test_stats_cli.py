@@ -77,10 +77,10 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     assert "damaged: ten/trial-011.mcap: not an MCAP file" in done.stderr
     assert found["n_trials"] == 10
     assert found["recovered"] == 1
-    assert [trial["path"] for trial in found["trials"] if trial["recovered"]] == [
+    assert [trial["log"] for trial in found["trials"] if trial["recovered"]] == [
         "ten/trial-004.mcap"
     ]
-    assert found["damaged"] == [{"path": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
+    assert found["damaged"] == [{"log": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
 
 
 def test_a_trial_of_a_lab_in_which_a_robot_turns_unlike_in_the_others_is_named(tmp_path):
@@ -96,7 +96,7 @@ def test_a_trial_of_a_lab_in_which_a_robot_turns_unlike_in_the_others_is_named(t
     assert f"less certain: {said}\n" in done.stdout
     flagged = json.loads(stats(".", "--json", cwd=tmp_path).stdout)["flagged"]
     said = "robot 1 turned by +0.30 rad/s unlike in the other trials"
-    assert [one["path"] for one in flagged if said in one["notes"]] == ["trial-005.mcap"]
+    assert [one["log"] for one in flagged if said in one["notes"]] == ["trial-005.mcap"]
 
 
 def test_against_prints_what_several_folders_print(work):

@@ -43,7 +43,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
     found = table(out)
     assert len(found) == 40
     for row in found[::7]:
-        log = out / row["path"]
+        log = out / row["log"]
         assert row["content_digest"] == content_digest(log)
         assert float(row["total_error_mm"]) == read_result(log).result.total_error
     assert found[0]["controller"] == "many"
@@ -135,6 +135,6 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert "4 trials aborted" in done.stderr
     found = table(tmp_path / "out")
     assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
-    read = [read_result(tmp_path / "out" / row["path"]) for row in found]
+    read = [read_result(tmp_path / "out" / row["log"]) for row in found]
     assert [one.brief for one in read] == [False] * 4 + [True] * 4
     assert [one.digest for one in read] == [row["content_digest"] for row in found]

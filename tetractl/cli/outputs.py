@@ -143,7 +143,7 @@ def export(
 ) -> int:
     """Write trials as tidy CSV tables: one row per trial, control step, pose, estimate or event.
 
-    The names of columns end in their units. Each table has the columns `path` and `trial`, by which
+    The names of columns end in their units. Each table has the columns `log` and `trial`, by which
     tables can be joined. Existing files of these names are overwritten.
 
     Example: tetractl export logs/three-m3pi -o tables

@@ -106,7 +106,7 @@ def _groups(
     single = [str(path) for path in paths if not path.is_dir()]
     listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
     batches = [(source.name, source.read(progress)) for source in listed]
-    unread = [f"{log.path}: {log.problem}" for _, batch in batches for log in batch.lost]
+    unread = [f"{log.log}: {log.problem}" for _, batch in batches for log in batch.lost]
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
     unread += [

@@ -92,7 +92,7 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
     """Return the result of a trial by its keys in JSON."""
     result = trial.result
     return {
-        "path": trial.path,
+        "log": trial.path,
         "trial": trial.trial,
         "seed": trial.seed,
         "total_error": result.total_error,
@@ -226,7 +226,7 @@ def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Valu
 class Flagged:
     """A log to be examined: its path, the outcome of its trial, and the reasons."""
 
-    path: str
+    log: str
     outcome: str
     notes: tuple[str, ...]
 
@@ -249,7 +249,7 @@ def flagged(batch: Batch) -> list[Flagged]:
         found.append(Flagged(trial.path, trial.outcome.value, notes))
     for log in batch.lost_attempts:
         notes = ("an earlier attempt, excluded", log.problem)
-        found.append(Flagged(log.path, "cannot be read", notes))
+        found.append(Flagged(log.log, "cannot be read", notes))
     return found
 
 

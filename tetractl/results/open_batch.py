@@ -19,15 +19,15 @@ OnLog = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log without a readable trial: where it is, and what is wrong."""
+    """A log without a readable trial: its path, and what is wrong."""
 
-    path: str
+    log: str
     problem: str
 
     @property
     def set_aside(self) -> bool:
         """Whether the log is an attempt that was set aside."""
-        return is_set_aside(Path(self.path).name)
+        return is_set_aside(Path(self.log).name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ def experiment_of(batch: Batch) -> Experiment:
         if batch.attempts:
             raise UsageError("all logs are earlier attempts", "complete the batch with --resume")
         if batch.lost:
-            raise LogError("no log can be read: {0.path}: {0.problem}".format(batch.lost[0]))
+            raise LogError("no log can be read: {0.log}: {0.problem}".format(batch.lost[0]))
         raise UsageError("no trial to summarise")
     first = batch.trials[0]
     for other in (*batch.trials, *batch.attempts):

@@ -56,7 +56,7 @@ def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, str]]:
             for label, text in value.rows:
                 if shown := text if value.brief is None or not several else value.brief:
                     add(label, shown, group.name)
-        odd = [(Path(t.path).stem, ", ".join(t.notes)) for t in flagged(group.batch)]
+        odd = [(Path(t.log).stem, ", ".join(t.notes)) for t in flagged(group.batch)]
         if several:  # one of each batch: the others are named in full
             more = f" and {len(odd) - 1} more" if odd[1:] else ""
             odd = [(group.name, f"{trial} ({notes}){more}") for trial, notes in odd[:1]]
@@ -75,10 +75,10 @@ def tables(found: BatchComparison) -> list[Table]:
     parts = [slice(i, i + 3) for i in range(0, len(groups), 3)]  # more are too wide
     trials = [_trials(groups[part], names[part]) for part in parts]
     odd = [trial for group in groups for trial in flagged(group.batch)]
-    rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in odd[:LISTED_MAX]]
+    rows = [(trial.log, trial.outcome, ", ".join(trial.notes)) for trial in odd[:LISTED_MAX]]
     if len(odd) > LISTED_MAX:
         rows.append((f"{len(odd) - LISTED_MAX} more", NONE, "in --format json"))
-    listed = Table.of_texts("Flagged trials", ("path", "outcome", "note"), rows)
+    listed = Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
     every = [_errors(groups), *trials, *_contrasts(found.contrasts), listed]
     return [table for table in every if len(table)]
 

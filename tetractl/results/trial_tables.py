@@ -171,7 +171,7 @@ TABLES = ("trials", *OF_TRIAL)
 
 
 def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
-    """Return the named tables of a log, each with the columns `path` and `trial` in front, and
+    """Return the named tables of a log, each with the columns `log` and `trial` in front, and
     its damage. Plans are not decoded, so values of theirs that no table shows are not checked.
 
     Raises LogError if the log cannot be read.
@@ -186,7 +186,7 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
         if name in names:
             with written(contents):
                 rows = table(log, contents)
-            found[name] = rows.with_first(path=str(path), trial=log.start.trial)
+            found[name] = rows.with_first(log=str(path), trial=log.start.trial)
     return found, log.damage
 
 

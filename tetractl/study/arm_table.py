@@ -42,7 +42,7 @@ def origins(loaded: LoadedStudy) -> list[Origin]:
 def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same results give the same `trials.csv`.
 
-    The columns of `trials.csv` are `path` (of the log, from the study's folder), `trial`, `arm`,
+    The columns of `trials.csv` are `log` (its path, from the study's folder), `trial`, `arm`,
     `controller`, the swept fields by their paths, all columns of `tetractl export`,
     `content_digest` and `code`. `times.csv` has the columns that differ from run to run.
     """
@@ -52,7 +52,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     for arm, trial in finished_trials(loaded, store):
         found = _exported(trial)
         log = Path(trial.path).relative_to(store.folder)
-        head = {"path": str(log), "trial": trial.trial, "arm": arm.name}
+        head = {"log": str(log), "trial": trial.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
         tail = {"content_digest": trial.digest, "code": trial.code}
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
@@ -66,9 +66,9 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def _exported(trial: ResultSummary) -> dict[str, Any]:
-    """Return a trial's values by the columns of `tetractl export`, except `path` and `trial`."""
+    """Return a trial's values by the columns of `tetractl export`, except `log` and `trial`."""
     table = trials_table(Batch.of([trial]))
-    return {one.key: one.known[0] for one in table.columns if one.name not in ("path", "trial")}
+    return {one.key: one.known[0] for one in table.columns if one.name not in ("log", "trial")}
 
 
 def _times(trial: ResultSummary) -> dict[str, Any]:

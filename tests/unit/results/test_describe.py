@@ -188,7 +188,7 @@ def test_an_attempt_is_told_apart_whatever_it_is_called(name):
     assert (len(found.batch.trials), found.counted, found.items["aborted"]) == (3, 3, 0)
     assert [attempt.path for attempt in found.batch.attempts] == [name]
     last = flagged(found.batch)[-1]
-    assert (last.path, last.outcome) == (name, "aborted")
+    assert (last.log, last.outcome) == (name, "aborted")
     assert last.notes == ("an earlier attempt, excluded", "the cable came off")
     assert len(found.batch.lost) == 1
     assert not found.batch.whole

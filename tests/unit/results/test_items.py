@@ -44,7 +44,7 @@ def test_json_holds_every_key_scripts_rely_on():
     assert {"n", "mean", "std", "difference", "ci95", "p_value"} <= set(found["reference"])
     low, high = found["total_error"]["ci95"]
     assert low < found["total_error"]["mean"] < high
-    keys = {"path", "seed", "total_error", "robot_errors", "steps", "duration_s", "outcome"}
+    keys = {"log", "seed", "total_error", "robot_errors", "steps", "duration_s", "outcome"}
     assert keys | {"entered_obstacle", "recovered"} <= set(found["trials"][0])
     assert found["trials"][0]["total_error"] == pytest.approx(sum(ERRORS[0]))
     assert found["scaled"]["body_lengths"] == pytest.approx(found["scaled"]["mean"] / 50)
@@ -66,7 +66,7 @@ def test_json_stays_json_where_nothing_is_known():
     assert found["reference"]["difference"] is None
     assert found["solve_ms"] == {"p50": None, "p99": None, "max": None}
     assert found["trials"][0]["robot_errors"] == [None] * 3
-    assert found["damaged"] == [{"path": "torn.mcap", "problem": "no header"}]
+    assert found["damaged"] == [{"log": "torn.mcap", "problem": "no header"}]
 
 
 def test_attempts_are_rows_that_say_so():

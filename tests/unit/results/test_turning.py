@@ -55,7 +55,7 @@ def test_a_trial_in_which_a_robot_turns_unlike_in_the_others_is_marked_and_count
         "trial-009.mcap": ["blue"],
     }
     found = group(trials)
-    assert [one.path for one in flagged(found.batch)] == sorted(marks)
+    assert [one.log for one in flagged(found.batch)] == sorted(marks)
     assert found.items["less_certain"] == 3
     assert found.counted == 20  # only marked: one trial cannot show which of the two it was
     said = printed(found, summary)

@@ -48,7 +48,7 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
         found = list(csv.DictReader(file))
     assert [(row["arm"], int(row["trial"])) for row in found] == list(ran.finished)
     assert list(found[0])[:6] == [
-        "path",
+        "log",
         "trial",
         "arm",
         "controller",

@@ -189,7 +189,7 @@ def test_a_bad_run_costs_its_own_trial_only(tmp_path, contents, changes):
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
     batch = open_batch([tmp_path])
     assert len(batch.trials) == 1
-    assert [Path(log.path).name for log in batch.damaged] == ["bad.mcap"]
+    assert [Path(log.log).name for log in batch.damaged] == ["bad.mcap"]
 
 
 @pytest.mark.parametrize("topic", [RUN, RESULT, HOST_END])

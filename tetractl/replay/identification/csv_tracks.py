@@ -160,7 +160,7 @@ def csv_tracks(
                 raise UsageError(f"{path}: its lengths are in {columns.unit}, others in {unit}")
             unit = columns.unit
         for row in chain([first], rows):
-            trial = row.cells.get("path", ""), row.cells.get("trial", "")
+            trial = row.cells.get("log", row.cells.get("path", "")), row.cells.get("trial", "")
             numbers = trials.setdefault(trial, _Numbers())
             columns.add(numbers, row)
             if len(numbers.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:

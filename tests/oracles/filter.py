@@ -59,7 +59,7 @@ class RobotFilter:
         follows: int = kernel.FOLLOWS,
     ) -> None:
         (self.a, self.v), self.helix, self.lag = model.parameters[i], model.helix_rad_s, model.lag_s
-        self.hold = model.hold_s
+        self.hold = model.hold
         self.watchdog, self.sticks = model.watchdog_s, model.sticks
         self.noise = model.noise[:, i]
         # robots on wheels are cells without a helix
@@ -100,7 +100,7 @@ class RobotFilter:
             rest, towards = z[HEADING] + self.lag * a * z[SWING], one.u + z[TURN_BIAS]
             cos_sin = math.cos(rest), math.sin(rest), math.cos(towards), math.sin(towards)
             rate, slopes = turning(*cos_sin, (a, v, z[SIDE], self.saturation(z)), t)
-            if self.hold:
+            if self.hold[0]:
                 cosine = math.cos(towards - rest)
                 rate, slopes = held(rate, slopes, cosine, math.sin(towards - rest), self.hold)
             step = EXACT.lanes.differentiate(*cos_sin, (rate, v), t)

@@ -433,7 +433,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
     sticks = Sticks(6, 1, 60, 1)
     bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1, sticks=sticks))
     model, made = bank.model, bank.bank
-    model = model._replace(hold_s=0.03 if lag else 0.0)
+    model = model._replace(hold=(0.03, 1.2e-3, 6e-5) if lag else (0.0, 0.0, 0.0))
     if not helix:  # wheels that saturate
         made.state[..., LN_SATURATION] = math.log(0.6)
         made.cov[..., LN_SATURATION, LN_SATURATION] = 0.3**2

@@ -21,6 +21,7 @@ from tetractl.replay.identification.identify import (
     stated,
     tables,
 )
+from tetractl.replay.identification.passes import TrackFrames
 from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
 
 pytestmark = pytest.mark.slow
@@ -176,6 +177,18 @@ def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     assert found.dead_time.value == pytest.approx(0.01, abs=0.005)
     for robot, a in zip(found.robots, EXPECTED, strict=True):
         assert robot.a.value == pytest.approx(a, rel=0.04)
+
+
+def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
+    """Regression: how fast they turned amid their start was guessed, which cost the fit of one log
+    in ten its dead time."""
+    wheels = "plant.drive={rate: 40, lead: 0.0, lag: 0.04}"
+    _, track = drive(2, "plant.camera_rate=120", "wheels.lag=0.04", wheels, steps=5)
+    rolling, lagging = TrackFrames.of(track), TrackFrames.of(replace(track, lag=0.04))
+    assert not rolling.placed[0].any()
+    assert lagging.placed[0].all() and lagging.used[1:].all()
+    assert 0.025 <= lagging.hold[0] <= 0.05  # at 40 Hz and at each new direction
+    assert lagging.hold[1] >= lagging.hold[0] ** 2
 
 
 def test_lost_commands_are_counted():

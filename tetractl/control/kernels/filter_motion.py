@@ -116,10 +116,10 @@ def _step(model, z, drives, cos_u, sin_u, parameters, t):
     c = math.cos(rest_heading)
     s = math.sin(rest_heading)
     a, slopes = turn_rate(c, s, cos_u, sin_u, parameters, t)
-    if model.hold_s > 0:
+    if model.hold[0] > 0:
         cos_phi = cos_u * c + sin_u * s
         sin_phi = sin_u * c - cos_u * s
-        a, slopes = held_turn_rate(a, slopes, cos_phi, sin_phi, model.hold_s)
+        a, slopes = held_turn_rate(a, slopes, cos_phi, sin_phi, model.hold)
     own_step = differentiate(c, s, cos_u, sin_u, (a, parameters[1]), t)
     derivatives = with_turning(own_step, slopes)
     if lag > 0:

@@ -171,8 +171,9 @@ class FilterModel(NamedTuple):
     """Time without a command after which a robot stops [s]; infinity if none does."""
     sticks: Sticks = Sticks()
     """How robots do not do what they are sent."""
-    hold_s: float = 0.0
-    """Time for which wheels keep a turning rate that they were sent [s]."""
+    hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Means over time of the first three powers of how long wheels keep a turning rate that they were
+    sent [s, s2, s3]; 0 if the rate is always that of the present heading."""
     coarse: bool = False
     """Whether poses of robots that drive may be equal."""
 

@@ -59,18 +59,22 @@ def turning(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Any
     return rate_max / middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
 
 
-def held(a: float, slopes: Any, cosine: float, sine: float, hold: float) -> Any:
+def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
     """Return what `turning` does for wheels that are sent the rate of a heading, a sin(phi), and
-    keep it for `hold` [s], which is Euler's method. By its modified equation (Hairer, Lubich and
-    Wanner, Geometric Numerical Integration, section IX.1), phi follows to the second order in
-    x = a hold
+    keep it until they are sent the next, which is Euler's method; c and s are cos and sin of phi.
 
-        phi' = -a sin(phi) (1 + x / 2 cos(phi) + x^2 (cos(phi)^2 / 3 - sin(phi)^2 / 12)).
+    `hold` are the means over time of the first three powers of how long a rate is kept [s, s2, s3].
+    By the modified equation of the method (Hairer, Lubich and Wanner, Geometric Numerical
+    Integration, section IX.1), phi follows to the third order, with x_k = a^k hold_k,
+
+        phi' = -a sin(phi) (1 + x_1 c / 2 + x_2 (c^2 / 3 - s^2 / 12) + x_3 (c^3 / 4 - c s^2 / 6)).
     """
-    x = min(a * hold, 1.0)  # beyond, the series says nothing
-    factor = 1 + x * (0.5 * cosine + x * (cosine * cosine / 3 - sine * sine / 12))
-    slope = -x * sine * (0.5 + x * cosine * 5 / 6) / factor
-    return a * factor, (slopes[0] + slope, slopes[1], slopes[2])
+    rate = min(a, 1.0 / hold[0])  # beyond, the series says nothing
+    first, second, third = rate * hold[0], rate**2 * hold[1], rate**3 * hold[2]
+    factor = 1 + first * c / 2 + second * (c * c / 3 - s * s / 12)
+    factor += third * c * (c * c / 4 - s * s / 6)
+    slope = first / 2 + second * c * 5 / 6 + third * (c * c * 13 / 12 - s * s / 6)
+    return a * factor, (slopes[0] - s * slope / factor, slopes[1], slopes[2])
 
 
 def times(by: Any, factor: float) -> Any:

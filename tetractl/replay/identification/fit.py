@@ -52,9 +52,10 @@ LAGS, DOUBT = 5, 0.001  # lags of the test of residuals, and its level
 # deviations of residuals below which no camera shows that a model does not fit: of positions over
 # the speed [s], and of headings [rad]
 RESOLVED_S, RESOLVED = 5e-4, 1e-3
-WHEELS = 0.005
-"""Standard deviation of ln a by what the model leaves out of lagging wheels, such as dead zones and
-rounded speeds: on the bench, an a of 6 rad/s comes out 0.7 % high."""
+DELAY_S = 7e-4
+"""How far the radio's delay may be from that which a host assumes [s]. Hosts of lagging wheels send
+rates of the headings after that delay, so that robots turn as if a were larger by its share a
+DELAY_S: the bench's host assumes 7 ms of 7.7 (benchmarks/identify_coverage.py --bench)."""
 RESIDUALS = ("along the path", "across the path", "heading")
 
 
@@ -161,7 +162,7 @@ class _Fit:
         misfits, wider = white(watched.residuals, resolved)
         deviations = self.std * wider[:, None]
         if any(track.lag > 0 for track in self.frames):
-            deviations[:, 0] = np.hypot(deviations[:, 0], WHEELS)
+            deviations[:, 0] = np.hypot(deviations[:, 0], np.exp(self.mean[:, 0]) * DELAY_S)
         half = NORMAL * deviations
         half = np.where(half > FAR, np.inf, half)
         motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)

@@ -34,6 +34,7 @@ SHORTEST_S = 0.035  # shortest interval: a frame that follows sooner is left out
 DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usual distance
 DIRECTIONS_MAX = 10_000  # largest number of directions between two frames
 UNSEEN_S = 0.3  # time without a pose after which a row restarts from the camera's next pose [s]
+AT_REST_S = 0.3  # time before it drives at which a robot with lagging wheels certainly stands [s]
 POINTS = np.arange(-2.0, 3.0)  # dead times of a parabola, in standard deviations
 UNKNOWN_S = 0.3  # standard deviation from which a dead time counts as unknown [s]
 GROWTH = 0.2, 5.0  # range of the new standard deviation of the dead time over the one before
@@ -47,7 +48,7 @@ class TrackFrames:
     `time` (M, N) are the times of the poses [s]. `used` (M, N) is which of the poses (M, N, 3) the
     filter is updated by; at those with `placed` (M, N) it starts from the camera's pose. Robots
     that receive nothing for `watchdog` [s] stop; their wheels follow with the time constant `lag`
-    [s], and keep a rate for `hold` [s].
+    [s], and keep a rate for `hold`, as `model.motion.turn_rate.held` has it [s, s2, s3].
     """
 
     time: Floats
@@ -58,14 +59,15 @@ class TrackFrames:
     u: Floats
     watchdog: float
     lag: float
-    hold: float
+    hold: tuple[float, float, float]
 
     @classmethod
     def of(cls, track: Track) -> "TrackFrames":
         """Return the frames at least SHORTEST_S apart, from the first direction to the stop.
 
-        A robot's poses are used from where it drives, and restart it after a gap of UNSEEN_S.
-        UsageError if no direction was sent, or very many between two frames.
+        A robot's poses are used from where it drives, those of one with lagging wheels from where
+        it still stands: how fast it turns amid its start cannot be seen. After a gap of UNSEEN_S
+        they restart it. UsageError if no direction was sent, or very many between two frames.
         """
         if not len(track.sent):
             raise UsageError(f"{track.source}: no direction was sent")
@@ -80,6 +82,9 @@ class TrackFrames:
         pace[~(valid[:-1] & valid[1:])] = np.nan
         driving = np.zeros_like(valid)
         driving[1:] = pace >= DRIVING * _usual(pace)
+        if track.lag > 0:
+            first = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
+            driving |= time[:, None] >= first - AT_REST_S
         seen = valid & np.logical_or.accumulate(driving, axis=0)
         latest = np.maximum.accumulate(np.where(seen, time[:, None], -np.inf), axis=0)
         before = np.vstack([np.full((1, seen.shape[1]), -np.inf), latest])[: len(time)]
@@ -100,13 +105,14 @@ class TrackFrames:
         )
 
 
-def _hold(track: Track) -> float:
-    """Return for how long lagging wheels keep the rate of a heading, in the mean over time [s]: the
-    host sends them a new one with each command."""
-    apart = np.diff(track.sent[track.sent <= track.until])
-    if track.lag == 0 or not apart.any():
-        return 0.0
-    return float(np.sum(apart**2) / np.sum(apart))
+def _hold(track: Track) -> tuple[float, float, float]:
+    """Return the means over time of the first three powers of how long lagging wheels keep the rate
+    of a heading [s, s2, s3]: the host sends them a new one with each command."""
+    apart_s = np.diff(track.sent[track.sent <= track.until])
+    if track.lag == 0 or not apart_s.any():
+        return 0.0, 0.0, 0.0
+    first, second, third = (float(np.average(apart_s**k, weights=apart_s)) for k in (1, 2, 3))
+    return first, second, third
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
@@ -174,13 +180,17 @@ def run(
     for track in tracks:
         bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
         commands = SentCommands(track.when, track.u)
-        bank.direction[...] = track.u[0]  # the first direction also acts before its time
-        bank.coming[:] = 1
+        if track.lag > 0:  # the wheels stand until the first direction acts
+            bank.direction[...] = np.nan
+            bank.coming[:] = 0
+        else:  # the first direction also acts before its time
+            bank.direction[...] = track.u[0]
+            bank.coming[:] = 1
         bank.until_s[...] = bank.dead_time_s[..., None] + track.when[0] + track.watchdog
-        model = first._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold_s=track.hold)
+        model = first._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold=track.hold)
         of_all = track.poses, track.used, track.placed
         poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
-        missed = np.zeros((len(track.u), len(rows)))
+        missed = np.zeros((len(track.u) + 1, len(rows)))  # the last row: before any was sent
         frames, seen = np.full((2, *poses.shape[1:]), np.nan), np.zeros((2, len(rows)), np.bool_)
         last = np.full(len(rows), -np.inf)
         for now, pose, use, fresh in zip(track.time[:, rows], poses, used, placed, strict=True):
@@ -198,7 +208,7 @@ def run(
                 residuals.append(np.where(use[:, None], _residual(pose, z), np.nan))
                 others = np.exp(weight) * (bank.direction[middle] != track.u[latest][:, None])
                 missed[latest, each] = others[:, :-1].sum(axis=1)
-        lost += missed.sum(axis=0)
+        lost += missed[:-1].sum(axis=0)
         best = bank.weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
         bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)

@@ -216,7 +216,7 @@ def test_flagged_trials_are_those_that_ended_oddly():
     trials[2] = replace(trials[2], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
     trials[3] = replace(trials[3], warnings=2)  # of the disturbances that the spec asks for
     found = flagged(Batch.of(trials))
-    assert [(one.path, *one.notes) for one in found] == [
+    assert [(one.log, *one.notes) for one in found] == [
         ("trial-001.mcap", "green, red entered an obstacle"),
         ("trial-002.mcap", "did not end in 31 steps"),
     ]

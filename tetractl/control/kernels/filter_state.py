@@ -172,8 +172,8 @@ class FilterModel(NamedTuple):
     sticks: Sticks = Sticks()
     """How robots do not do what they are sent."""
     hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Means over time of the first three powers of how long wheels keep a turning rate that they were
-    sent [s, s2, s3]; 0 if the rate is always that of the present heading."""
+    """Means over time of the first three powers of how long wheels keep a turning rate [s, s2, s3];
+    0 if it is always that of the present heading."""
     coarse: bool = False
     """Whether poses of robots that drive may be equal."""
 

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from tetractl.core.errors import LogError, printable
-from tetractl.log.format.channels import NUMBERS, SUMMARY, Entry
+from tetractl.log.format.channels import NUMBERS, SUMMARY, WRITER, Entry
 from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_much
 from tetractl.log.read.raw_log import RawLog, read_file
 
@@ -33,6 +33,8 @@ _HEAD = struct.Struct("<BQ")  # opcode and length, before the contents of every 
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
 _TOPICS = {number: topic for topic, number in NUMBERS.items()}
+UNSTATED = 0
+"""What MCAP writes in place of a checksum that is left out."""
 _SUMMARY = {NUMBERS[topic] for topic in SUMMARY}
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _MARKS = (
@@ -89,6 +91,7 @@ class _Scan:
         self._schemas: dict[int, Schema] = {}
         self._size = 0  # bytes of the records found
         self._sealed = False  # the data section has a checksum
+        self._foreign = False  # another program wrote it, and may have left out index and checksums
 
     def whole(self) -> RawLog:
         """Read the file record by record, search it if it is damaged, and sort the records."""
@@ -106,9 +109,9 @@ class _Scan:
         if not (begins or self._found):
             raise LogError(f"{self._result.path}: not an MCAP file")
         result = self._collected()
-        if expected is None:
+        if expected is None and self._problems:
             result.lost.append("the messages of every missing or damaged chunk")
-        elif missing := expected - len(result.entries):
+        elif expected is not None and (missing := expected - len(result.entries)):
             result.lost.append(f"{missing} of {expected} messages")
         return result
 
@@ -149,8 +152,8 @@ class _Scan:
 
     def _read_index(self) -> int | None:
         """Return the number of messages that the index at the file's end states, None if the index
-        is damaged; of a damaged file, read the channels in it, as the chunk with the record of a
-        channel may be lost.
+        is damaged, or left out; of a damaged file, read the channels in it, as the chunk with the
+        record of a channel may be lost.
         """
         footer = len(self._data) - len(MAGIC) - 20
         head = self._data[max(0, footer - len(_FOOTER)) : footer]
@@ -158,7 +161,9 @@ class _Scan:
             self._problems.append("the file breaks off: the index at its end is missing")
             return None
         index, expected = self._number(footer, 8), None
-        if index > footer or self._crc(index, footer + 16) != self._number(footer + 16):
+        if index == 0 and self._foreign:
+            return None
+        if index > footer or not self._matches(index, footer + 16):
             self._problems.append("the index at the end of the file is damaged")
             return None
         for opcode, begin, _ in records(self._data, index) if index else ():
@@ -195,11 +200,11 @@ class _Scan:
     def _keep(self, opcode: int, begin: int) -> None:
         stream = self._stream(begin)
         if opcode == Opcode.CHUNK:
-            self._found[begin] = self._inside(unpack(Chunk.read(stream)))
+            self._found[begin] = self._inside(unpack(Chunk.read(stream), self._foreign))
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
             crc = begin + stream.count - 4
-            if self._number(crc) != self._crc(begin, crc):
+            if not self._matches(begin, crc):
                 raise ValueError("the attachment's checksum does not match")
             self._spend(stream.count)
             self._found[begin] = attachment
@@ -207,6 +212,7 @@ class _Scan:
             self._result.metadata.append(Metadata.read(stream))
         elif opcode == Opcode.HEADER:
             self._result.library = printable(Header.read(stream).library, 200)
+            self._foreign = not self._result.library.startswith(WRITER)
         elif opcode in _IN_CHUNKS or opcode > max(Opcode):
             self._result.strange.add(opcode)
 
@@ -276,14 +282,19 @@ class _Scan:
     def _number(self, begin: int, size: int = 4) -> int:
         return int.from_bytes(self._data[begin : begin + size], "little")
 
+    def _matches(self, begin: int, end: int) -> bool:
+        """Return whether the checksum at `end` is that of the bytes before it."""
+        stated = self._number(end)
+        return stated == self._crc(begin, end) or (self._foreign and stated == UNSTATED)
+
     def _crc(self, begin: int, end: int) -> int:
         with memoryview(self._data) as view:
             return zlib.crc32(view[begin:end])
 
 
-def unpack(chunk: Chunk) -> bytes:
+def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
     """Return the contents of a chunk; an error of ValueError, zstd or lz4 for one that is damaged,
-    too large or without a checksum.
+    too large or, unless it may be `unsealed`, without a checksum.
     """
     data, size, name = chunk.data, chunk.uncompressed_size, chunk.compression
     if name == "zstd":  # zstd ignores a limit if the frame states its size
@@ -296,7 +307,8 @@ def unpack(chunk: Chunk) -> bytes:
         data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     elif name:
         raise ValueError(f"the chunk's compression {name[:20]!r} is not known")
-    # a chunk without a checksum states 0
-    if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
+    stated = chunk.uncompressed_crc
+    sealed = zlib.crc32(data) == stated or (unsealed and stated == UNSTATED)
+    if len(data) != chunk.uncompressed_size or not sealed:
         raise ValueError("the chunk's checksum does not match")
     return data

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, Writer
+from mcap.records import Attachment
+from mcap.writer import CompressionType, IndexType, Writer
 from support.fuzz import Original
 from support.mutate import rewrite, rewritten, stating
 from support.random_trials import trial, write
@@ -193,6 +194,46 @@ def test_an_mcap_file_of_somebody_else_is_refused(tmp_path):
         writer.finish()
     with pytest.raises(LogError, match="an MCAP file, but not a log of tetractl"):
         read_trial(path)
+
+
+LEFT_OUT = {
+    "checksums": {"enable_crcs": False},
+    "summary": {
+        "index_types": IndexType.NONE,
+        "repeat_channels": False,
+        "repeat_schemas": False,
+        "use_statistics": False,
+        "use_summary_offsets": False,
+    },
+}
+
+
+@pytest.mark.parametrize("left_out", LEFT_OUT)
+def test_a_log_that_another_program_wrote_again_without_a_part_is_whole(
+    left_out, log, whole, tmp_path
+):
+    """Regression: without checksums "the record of the run is lost", without a summary "the index
+    is damaged"."""
+    path = tmp_path / "again.mcap"
+    contents = scan(log)
+    with path.open("wb") as file:
+        writer = Writer(file, **LEFT_OUT[left_out])
+        writer.start(library="another 1.0")
+        numbers = {}
+        for topic, (channel, schema) in contents.channels.items():
+            number = writer.register_schema(schema.name, schema.encoding, schema.data)
+            encoding = channel.message_encoding
+            numbers[topic] = writer.register_channel(topic, encoding, number)
+        for one in contents.records:
+            if isinstance(one, Attachment):
+                writer.add_attachment(0, one.log_time, one.name, one.media_type, one.data)
+            else:
+                writer.add_message(numbers[one.topic], one.log_ns, one.data, one.publish_ns)
+        writer.finish()
+    found = read_trial(path)
+    assert found.damage is None
+    assert not first_difference(found.mocap, whole.mocap)
+    assert not first_difference(found.result, whole.result)
 
 
 def test_a_log_of_another_format_is_refused(tmp_path, log):

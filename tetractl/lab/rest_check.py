@@ -14,7 +14,8 @@ REST_NS differ by JUMP_MM at most.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,31 +25,58 @@ from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.rig import Rig
 
-STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots stand still [s]
-REST_NS = SECOND // 4  # shortest time for which the camera must see robots stand still
-LONGER = (1, 2, 4)  # multiples of it, used in turn while the line is not certain
-STILL = np.array([2.0, 2.0, 0.02])  # greatest motion of a robot at rest [mm/s, mm/s, rad/s]
-JUMP_MM = 1.5 * STANDSTILL_MM_S * REST_NS / SECOND  # less than twice, which `verify` allows
-DOUBT = 3e-5  # probability that noise alone exceeds a limit, in each direction
+STANDSTILL_S = 2.0
+"""Longest time after a stop until the camera sees the robots stand still [s]."""
+REST_NS = SECOND // 4
+"""Shortest time for which the camera must see robots stand still."""
+LONGER = (1, 2, 4)
+"""Multiples of it, used in turn while the line is not certain."""
+COVERED = 0.6
+"""Least share of a time that the poses must cover to which a line is fitted."""
+STILL = np.array([2.0, 2.0, 0.02])
+"""Greatest motion of a robot at rest [mm/s, mm/s, rad/s]."""
+JUMP_MM = 1.5 * STANDSTILL_MM_S * REST_NS / SECOND
+"""Greatest distance between two poses at rest [mm]: less than twice, which `verify` allows."""
+DOUBT = 3e-5
+"""Probability that noise alone exceeds a limit, in each direction."""
+LOOK_NS = SECOND // 20
+"""Time between two looks at robots that come to rest."""
 ALIKE = "all robots are seen to move alike ({}), though stopped: do the camera or its origin move?"
 
 
-def moving_robots(rig: Rig, longer: tuple[int, ...] = LONGER) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class RestFinding:
+    """Why a robot does not count as standing still, "" if it stands still; and its motion (3,)
+    [mm/s, mm/s, rad/s], None if it is not seen to move.
+    """
+
+    text: str = ""
+    motion: Floats | None = None
+
+
+STANDS_STILL = RestFinding()
+
+
+def moving_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     """Return one line for each robot that did not stand still during the last `REST_NS`, or the
     multiples `longer` of it; or one line for all, if they move in the same way.
     """
     window = rig.frames.last(longer[-1] * REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
-    found = [_not_at_rest(rig, i, window, longer) for i in rig.left]
-    return _alike(found) or [line for line, _ in found if line] or _jumps(rig, window)
+    findings = [_at_rest(rig, i, window, longer) for i in rig.left]
+    lines = [finding.text for finding in findings if finding.text]
+    return _moving_alike(findings) or lines or _jumped(rig, window)
 
 
-def drifting_robots(rig: Rig, longer: tuple[int, ...] = LONGER) -> list[str]:
+def drifting_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     """Return the lines of `moving_robots` of robots that are seen to move, not of unseen ones."""
     window = rig.frames.last(longer[-1] * REST_NS)
-    found = [_not_at_rest(rig, i, window, longer) for i in rig.left if window]
-    return _alike(found) or [line for line, slope in found if slope is not None]
+    if not window:
+        return []
+    findings = [_at_rest(rig, i, window, longer) for i in rig.left]
+    lines = [finding.text for finding in findings if finding.motion is not None]
+    return _moving_alike(findings) or lines
 
 
 def wait_for_rest(rig: Rig) -> str:
@@ -58,18 +86,24 @@ def wait_for_rest(rig: Rig) -> str:
     Returns a text that names the robots not at rest or not tracked within STANDSTILL_S, ""
     if there are none.
     """
-    halts, began = rig.actuator.halts, rig.clock.now()
+    halts = rig.actuator.halts
+    began_ns = rig.clock.now()
     while True:
-        lines = _stream_lost(rig) or (moving_robots(rig) if halts else _lost(rig))
-        newest, waited = rig.frames.newest, rig.clock.now() - began
-        watched = not halts or (newest and newest.frame.received_ns - began >= REST_NS)
-        if watched and not lines:
+        lines = _stream_lost(rig) or (moving_robots(rig) if halts else _untracked(rig))
+        waited_ns = rig.clock.now() - began_ns
+        if not lines and (not halts or _watched_since(rig, began_ns)):
             return ""
-        if waited >= STANDSTILL_S * SECOND:
+        if waited_ns >= STANDSTILL_S * SECOND:
             return f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
-        if halts and waited >= 2 * REST_NS and moving_robots(rig, LONGER[:1]):
+        if halts and waited_ns >= 2 * REST_NS and moving_robots(rig, LONGER[:1]):
             rig.loop.stop()
-        rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
+        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+
+
+def _watched_since(rig: Rig, began_ns: int) -> bool:
+    """Return whether frames have come for `REST_NS` since a time."""
+    newest = rig.frames.newest
+    return newest is not None and newest.frame.received_ns - began_ns >= REST_NS
 
 
 def _stream_lost(rig: Rig) -> list[str]:
@@ -81,68 +115,90 @@ def _stream_lost(rig: Rig) -> list[str]:
     return []
 
 
-def _lost(rig: Rig) -> list[str]:
-    newest, count = rig.frames.newest, len(rig.setup.names)
-    fresh = newest.fresh if newest is not None else (False,) * count
+def _untracked(rig: Rig) -> list[str]:
+    """Return a line for each robot that is not in the newest frame."""
+    newest = rig.frames.newest
+    fresh = (False,) * len(rig.setup.names) if newest is None else newest.fresh
     return [rig.not_tracked(i) for i in rig.left if not fresh[i]]
 
 
-def _not_at_rest(
-    rig: Rig, i: int, window: list[AcceptedFrame], longer: tuple[int, ...]
-) -> tuple[str, Floats | None]:
-    """Return why robot i does not count as standing still in the frames of `window`, "" if it
-    stands still; and its motion (3,) [mm/s, mm/s, rad/s], None if it is not seen to move.
-    """
+def _at_rest(
+    rig: Rig, i: int, window: Sequence[AcceptedFrame], longer: Sequence[int]
+) -> RestFinding:
+    """Return what the frames of `window` show of robot i."""
     from scipy.special import stdtrit
 
-    name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
-    seen = [
-        ((at - newest) / SECOND, pose.x * rig.mm, pose.y * rig.mm, pose.heading)
-        for at, pose in _seen(window, i)
-    ]
-    if not seen or -seen[-1][0] > UNTRACKED_STOP_S:
-        return f"{rig.not_tracked(i)}, so it is not seen to stand", None
-    rows = np.array(seen)
-    rows[:, 3] = np.unwrap(rows[:, 3])
-    for span_s in (REST_NS / SECOND * times for times in longer):
+    name = rig.setup.names[i]
+    rows = _rows(window, i, rig.mm)
+    if not len(rows) or -rows[-1, 0] > UNTRACKED_STOP_S:
+        return RestFinding(f"{rig.not_tracked(i)}, so it is not seen to stand")
+    for times in longer:
+        span_s = REST_NS / SECOND * times
         part = rows[rows[:, 0] >= -span_s]
-        if len(part) < 3 or part[-1, 0] - part[0, 0] < 0.6 * span_s:
-            return f"{name} has not been watched long enough", None
+        if len(part) < 3 or part[-1, 0] - part[0, 0] < COVERED * span_s:
+            return RestFinding(f"{name} has not been watched long enough")
         slope, error = _line(part)
         noise = stdtrit(len(part) - 2, 1 - DOUBT) * error
         if np.any(abs(slope) > np.maximum(STILL, noise)):
-            return f"{name} still moves ({_rates(slope)})", slope
+            return RestFinding(f"{name} still moves ({_rates(slope)})", slope)
         if np.all(noise <= STILL):
             break
-    return "", None
+    return STANDS_STILL
 
 
-def _seen(window: list[AcceptedFrame], i: int) -> Iterable[tuple[int, Pose]]:
-    """Return the poses of robot i in the frames of `window`, each once, with their times [ns]."""
-    return {f.exposed(i): pose for f in window if (pose := f.pose(i)) is not None}.items()
+def _rows(window: Sequence[AcceptedFrame], i: int, mm: float) -> Floats:
+    """Return the poses of robot i in the frames of `window` (n, 4): time before the newest frame,
+    at most 0 [s], position [mm] and heading, not wrapped [rad].
+    """
+    newest_ns = window[-1].frame.sampled_ns
+    rows = [
+        ((exposed_ns - newest_ns) / SECOND, pose.x * mm, pose.y * mm, pose.heading)
+        for exposed_ns, pose in _timed_poses(window, i).items()
+    ]
+    if not rows:
+        return np.empty((0, 4))
+    array = np.array(rows)
+    array[:, 3] = np.unwrap(array[:, 3])
+    return array
 
 
-def _jumps(rig: Rig, window: list[AcceptedFrame]) -> list[str]:
+def _timed_poses(window: Sequence[AcceptedFrame], i: int) -> dict[int, Pose]:
+    """Return the poses of robot i in the frames of `window`, each once, by their times [ns]."""
+    poses: dict[int, Pose] = {}
+    for frame in window:
+        pose = frame.pose(i)
+        if pose is not None:
+            poses[frame.exposed(i)] = pose
+    return poses
+
+
+def _jumped(rig: Rig, window: Sequence[AcceptedFrame]) -> list[str]:
     """Return one line for each robot whose pose has jumped within the last `REST_NS`."""
-    since, lines = window[-1].frame.sampled_ns - REST_NS, list[str]()
+    since_ns = window[-1].frame.sampled_ns - REST_NS
+    lines: list[str] = []
     for i in rig.left:
-        poses = [pose for at, pose in _seen(window, i) if at >= since]
+        timed = _timed_poses(window, i)
+        poses = [pose for exposed_ns, pose in timed.items() if exposed_ns >= since_ns]
         if not poses:
             continue
-        by_mm = math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm
-        if by_mm > JUMP_MM:
-            lines.append(
-                f"{rig.setup.names[i]} still moves (by {by_mm:.0f} mm in a quarter second)"
-            )
+        first = poses[0]
+        last = poses[-1]
+        jump_mm = math.hypot(last.x - first.x, last.y - first.y) * rig.mm
+        if jump_mm > JUMP_MM:
+            name = rig.setup.names[i]
+            lines.append(f"{name} still moves (by {jump_mm:.0f} mm in a quarter second)")
     return lines
 
 
-def _alike(found: list[tuple[str, Floats | None]]) -> list[str]:
+def _moving_alike(findings: Sequence[RestFinding]) -> list[str]:
     """Return a line that all robots move in the same way; [] if they do not."""
-    slopes = np.array([slope for _, slope in found if slope is not None])
-    if len(slopes) < len(found) or len(found) < 2 or np.any(np.ptp(slopes, axis=0) > 2 * STILL):
+    motions = [finding.motion for finding in findings if finding.motion is not None]
+    if len(motions) < len(findings) or len(findings) < 2:
         return []
-    return [ALIKE.format(_rates(slopes.mean(axis=0)))]
+    array = np.array(motions)
+    if np.any(np.ptp(array, axis=0) > 2 * STILL):
+        return []
+    return [ALIKE.format(_rates(array.mean(axis=0)))]
 
 
 def _line(rows: Floats) -> tuple[Floats, Floats]:
@@ -150,12 +206,14 @@ def _line(rows: Floats) -> tuple[Floats, Floats]:
     their standard errors (3,).
     """
     middle = rows - rows.mean(axis=0)
-    t, values = middle[:, :1], middle[:, 1:]
+    t = middle[:, :1]
+    values = middle[:, 1:]
     squares = float((t**2).sum())
     slope = (t * values).sum(axis=0) / squares
-    left = ((values - t * slope) ** 2).sum(axis=0) / (len(rows) - 2)
-    return slope, np.sqrt(left / squares)
+    residual = ((values - t * slope) ** 2).sum(axis=0) / (len(rows) - 2)
+    return slope, np.sqrt(residual / squares)
 
 
-def _rates(slope: Floats) -> str:
-    return f"{math.hypot(slope[0], slope[1]):.0f} mm/s, {slope[2]:+.2f} rad/s"
+def _rates(motion: Floats) -> str:
+    """Return a motion (3,) [mm/s, mm/s, rad/s] as text."""
+    return f"{math.hypot(motion[0], motion[1]):.0f} mm/s, {motion[2]:+.2f} rad/s"

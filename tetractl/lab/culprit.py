@@ -1,7 +1,7 @@
 """Finds what is at fault when a pose contradicts commands: one robot, the camera, the radio, or the
 numbers of two robots.
 
-What robots have done in the last WINDOW_NS differs from what they were commanded by z_j (3,), in
+What robots have done in the last RECENT_NS differs from what they were commanded by z_j (3,), in
 standard deviations. Of the explanations
 
     one robot i:  the others follow their commands,    sum of |z_j|^2 over j != i
@@ -9,7 +9,7 @@ standard deviations. Of the explanations
     the radio:    all follow their commands later,     sum of |z_j|^2 with delayed commands
 
 one of the last two must be better than the first by CLEAR. G_j g is the motion of pose j if the
-picture moves at g, over LIKELY rates. For the camera, motion is compared as in `drift_check`; for
+picture moves at g, over LIKELY_RATES. For the camera, motion is compared as in `drift_check`; for
 the radio, commands are integrated with each delay up to LATEST_NS, and the first explanation may
 have any delay up to DELAY_NS.
 
@@ -21,155 +21,222 @@ push of some millimetres is as well explained by it. Lengths are mm.
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
 from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS
 
-WINDOW_NS = SECOND // 2
-STEP_NS = SECOND // 40  # of the integration and between delays
-LATEST_NS = SECOND  # the longest delay of a slow radio
-LIKELY = np.array([100.0, 100.0, 0.1, 0.1])  # [mm/s, mm/s, rad/s, 1/s]
-NOISE = np.array([2.0, 2.0, 0.02])  # of a difference: along and across the heading, and around
-SHARE = np.array([0.08, 0.04, 0.1])  # of the way, or the angle, by which it may be wrong besides
+RECENT_NS = SECOND // 2
+"""Time over which motion is compared."""
+STEP_NS = SECOND // 40
+"""Step of the integration, and between two delays."""
+LATEST_NS = SECOND
+"""The longest delay of a slow radio."""
+LIKELY_RATES = np.array([100.0, 100.0, 0.1, 0.1])
+"""Standard deviations of a picture's shift, turn and growth [mm/s, mm/s, rad/s, 1/s]."""
+NOISE = np.array([2.0, 2.0, 0.02])
+"""Error of a difference of poses: along and across the heading, and around [mm, mm, rad]."""
+SHARE = np.array([0.08, 0.04, 0.1])
+"""Share of the way, or the angle, by which it may be wrong in addition."""
 CLEAR = 9.0
-STANDS_NS, STANDS_MM = SECOND // 10, 3.0  # robots that move less in that time stand
+"""Difference of two sums of squares by which one explanation is better."""
+STANDS_NS = SECOND // 10
+"""Time over which it is decided whether robots stand."""
+STANDS_MM = 3.0
+"""Least way of a robot that does not stand."""
 CAMERA = "all robots are seen to move as no command does: has the camera or its origin moved?"
 RADIO = "all robots move as they were commanded {:.1f} s before: is the radio slow?"
 SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
 
 
+@dataclass(frozen=True, slots=True)
+class ShownPoses:
+    """The N robots' poses in a frame, accepted or not, and their times (N,) [ns]."""
+
+    now_ns: int
+    poses: Sequence[Pose | None]
+    times: Sequence[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Explanations:
+    """The sums of squares of a common cause, and of one robot; `delay_ns` is that of the radio."""
+
+    common: float
+    one_robot: float
+    delay_ns: int = 0
+
+
 class Culprit:
     """Keeps what the camera shows of N robots `names`, whose motion `drift` follows; `mm` is the
-    number of millimetres per length unit.
+    number of millimetres per length unit. `suspect` is the robot that a run was aborted for.
     """
 
     def __init__(self, names: Sequence[str], drift: DriftCheck, mm: float) -> None:
-        self._names, self._drift, self._mm = names, drift, mm
-        self._seen: deque[tuple[int, Sequence[Pose | None], Sequence[int]]] = deque()
-        self.suspect: int | None = None  # the robot that a run was aborted for
+        self._names = names
+        self._drift = drift
+        self._mm = mm
+        self._shown: deque[ShownPoses] = deque()  # of the last RECENT_NS, oldest first
+        self.suspect: int | None = None
 
     def see(self, now_ns: int, poses: Sequence[Pose | None], times: Sequence[int]) -> None:
         """Take a frame's poses, accepted or not, and their times (N,) [ns]."""
-        self._seen.append((now_ns, poses, times))
-        while now_ns - self._seen[0][0] > WINDOW_NS:
-            self._seen.popleft()
+        self._shown.append(ShownPoses(now_ns, poses, times))
+        while now_ns - self._shown[0].now_ns > RECENT_NS:
+            self._shown.popleft()
 
     def why(self, reason: str) -> str:
         """Return, once, a text if the camera, the radio or two numbers are at fault, "" if the
         suspect of the abort with this `reason` is. Swapped numbers are only asked for if it moved
         as no command does: swapped wheels have a reason of their own.
         """
-        i, self.suspect = self.suspect, None
-        if i is None:
+        suspect = self.suspect
+        self.suspect = None
+        if suspect is None:
             return ""
-        first, last = self._seen[0][1], self._seen[-1][1]
-        known = [j for j, pair in enumerate(zip(first, last, strict=True)) if None not in pair]
-        if len(known) < 2 or i not in known or self._all_stand(known):
+        robots = self._shown_throughout()
+        if len(robots) < 2 or suspect not in robots or self._all_stand(robots):
             return ""
-        swapped = self._swapped(i, known) if AS_NO_COMMAND in reason else ""
-        return swapped or self._common_cause(i, known)
+        if AS_NO_COMMAND in reason:
+            swapped = self._swapped(suspect, robots)
+            if swapped:
+                return swapped
+        return self._common_cause(suspect, robots)
 
-    def _all_stand(self, known: Sequence[int]) -> bool:
+    def _shown_throughout(self) -> list[int]:
+        """Return the robots that are in the first and in the last frame."""
+        pairs = zip(self._shown[0].poses, self._shown[-1].poses, strict=True)
+        return [i for i, pair in enumerate(pairs) if None not in pair]
+
+    def _all_stand(self, robots: Sequence[int]) -> bool:
         """Return whether all of the robots stand: what is at fault are their link, power or
         wheels."""
-        now_ns, last, _ = self._seen[-1]
-        before = next(p for t, p, _ in self._seen if now_ns - t <= STANDS_NS)
-        if None in [before[j] for j in known]:
+        last = self._shown[-1]
+        before = next(shown for shown in self._shown if last.now_ns - shown.now_ns <= STANDS_NS)
+        if None in [before.poses[i] for i in robots]:
             return False
-        gone = (self._array(last, known) - self._array(before, known))[:, :2]
-        return bool(np.all(np.hypot(*gone.T) < STANDS_MM))
+        ways = (self._array(last.poses, robots) - self._array(before.poses, robots))[:, :2]
+        return bool(np.all(np.hypot(*ways.T) < STANDS_MM))
 
-    def _common_cause(self, i: int, known: Sequence[int]) -> str:
-        """Return a text if camera or radio explain the motion of the robots `known` better than
-        robot i does."""
-        others = np.array(known) != i
-        camera, one = self._camera(known, others)
-        radio, coarse, delay_ns = self._radio(known, others)
-        if radio + CLEAR < max(coarse, min(camera, one)):
-            return RADIO.format(delay_ns / SECOND)
-        return CAMERA if camera + CLEAR < one else ""
+    def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
+        """Return a text if camera or radio explain the motion of the robots better than the
+        suspect does."""
+        others = np.array(robots) != suspect
+        camera = self._camera(robots, others)
+        radio = self._radio(robots, others)
+        if radio.common + CLEAR < max(radio.one_robot, min(camera.common, camera.one_robot)):
+            return RADIO.format(radio.delay_ns / SECOND)
+        return CAMERA if camera.common + CLEAR < camera.one_robot else ""
 
-    def _swapped(self, i: int, known: Sequence[int]) -> str:
-        """Return a text if robot i and another of the robots `known` have exchanged numbers."""
-        as_own = dict(zip(known, self._misfits(known, known), strict=True))
-        for j in known:
-            if j == i:
+    def _swapped(self, suspect: int, robots: Sequence[int]) -> str:
+        """Return a text if the suspect and another of the robots have exchanged numbers."""
+        as_own = dict(zip(robots, self._misfits(robots, robots), strict=True))
+        for other in robots:
+            if other == suspect:
                 continue
-            exchanged = sum(self._misfits([i, j], [j, i]))
-            if exchanged < min(CLEAR, as_own[i] + as_own[j] - CLEAR):
-                first, second = sorted((i, j))
+            exchanged = sum(self._misfits([suspect, other], [other, suspect]))
+            if exchanged < min(CLEAR, as_own[suspect] + as_own[other] - CLEAR):
+                first, second = sorted((suspect, other))
                 return SWAPPED.format(self._names[first], self._names[second])
         return ""
 
     def _misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
         """Return |z|^2 (K,) of robots with the commands of the robots `commanded` (K,), each at the
         delay up to DELAY_NS that fits best."""
-        return self._squares(robots, commanded, DELAY_NS // STEP_NS).min(axis=0)
+        return self._squares_by_delay(robots, commanded, DELAY_NS // STEP_NS).min(axis=0)
 
-    def _camera(self, known: Sequence[int], others: np.ndarray) -> tuple[float, float]:
+    def _camera(self, robots: Sequence[int], others: Bools) -> Explanations:
         """Return the sums of the camera and of one robot."""
-        found = [self._drift.left_over(j, self._blocks(j)) for j in known]
-        z, moves = np.array([z for z, _ in found]), np.vstack([g for _, g in found]) * LIKELY
-        g = np.linalg.solve(moves.T @ moves + np.eye(4), moves.T @ z.ravel())
-        camera = ((z.ravel() - moves @ g) ** 2).sum() + g @ g
-        return camera, (z[others] ** 2).sum()
+        left_over = [self._drift.left_over(i, self._blocks(i)) for i in robots]
+        z = np.array([residual for residual, _ in left_over])
+        moves = np.vstack([picture for _, picture in left_over]) * LIKELY_RATES
+        flat = z.ravel()
+        g = np.linalg.solve(moves.T @ moves + np.eye(4), moves.T @ flat)
+        camera = ((flat - moves @ g) ** 2).sum() + g @ g
+        return Explanations(camera, (z[others] ** 2).sum())
 
-    def _blocks(self, j: int) -> list[tuple[int, Pose]]:
-        """Return the poses of robot j that are at least BLOCK_NS apart, with their times."""
-        found: list[tuple[int, Pose]] = []
-        for _, poses, times in self._seen:
-            pose = poses[j]
-            if pose is not None and (not found or times[j] - found[-1][0] >= BLOCK_NS):
-                found.append((times[j], pose))
-        return found
+    def _blocks(self, i: int) -> list[tuple[int, Pose]]:
+        """Return the poses of robot i that are at least BLOCK_NS apart, with their times."""
+        blocks: list[tuple[int, Pose]] = []
+        for shown in self._shown:
+            pose = shown.poses[i]
+            exposed_ns = shown.times[i]
+            if pose is not None and (not blocks or exposed_ns - blocks[-1][0] >= BLOCK_NS):
+                blocks.append((exposed_ns, pose))
+        return blocks
 
-    def _radio(self, known: Sequence[int], others: np.ndarray) -> tuple[float, float, int]:
-        """Return the sums of the radio and of one robot, and the radio's delay [ns]."""
-        squares = self._squares(known, known, LATEST_NS // STEP_NS)
-        nominal = DELAY_NS // STEP_NS
+    def _radio(self, robots: Sequence[int], others: Bools) -> Explanations:
+        """Return the sums of the radio and of one robot, and the radio's delay."""
+        squares = self._squares_by_delay(robots, robots, LATEST_NS // STEP_NS)
+        nominal = DELAY_NS // STEP_NS  # delays that are usual
         radio = squares.sum(axis=1)
         delay = nominal + int(radio[nominal:].argmin())
-        one = squares[:nominal, others].sum(axis=1).min()
-        return radio[delay], one, delay * STEP_NS
+        one_robot = squares[:nominal, others].sum(axis=1).min()
+        return Explanations(radio[delay], one_robot, delay * STEP_NS)
 
-    def _squares(self, robots: Sequence[int], commanded: Sequence[int], delays: int) -> Floats:
+    def _squares_by_delay(
+        self, robots: Sequence[int], commanded: Sequence[int], delays: int
+    ) -> Floats:
         """Return |z|^2 (delays, K) of robots with the commands of the robots `commanded` (K,),
         which act later by 0, 1, ... steps of STEP_NS."""
-        (_, first, begun), (_, last, ended) = self._seen[0], self._seen[-1]
-        then, now = self._array(first, robots), self._array(last, robots)
-        each = np.array([max(1, round((ended[j] - begun[j]) / STEP_NS)) for j in robots])
-        steps = int(each.max())
-        by_end = {
-            end: [
-                self._drift.commands.mean(end - k * STEP_NS, STEP_NS) for k in range(delays + steps)
-            ]
-            for end in {ended[j] for j in robots}
-        }
-        pairs = zip(robots, commanded, strict=True)
-        sent = np.stack([np.array(by_end[ended[i]])[:, :, j] for i, j in pairs], axis=-1)
-        sent *= STEP_NS / SECOND
-        own = (np.arange(steps)[:, None] < each)[:, None]  # steps between a robot's own two poses
-        return np.array(
-            [_squares(then, now, (sent[k : k + steps] * own)[::-1]) for k in range(delays)]
+        first = self._shown[0]
+        last = self._shown[-1]
+        then = self._array(first.poses, robots)
+        now = self._array(last.poses, robots)
+        # steps between each robot's own two poses
+        own_steps = np.array(
+            [max(1, round((last.times[i] - first.times[i]) / STEP_NS)) for i in robots]
         )
+        steps = int(own_steps.max())
+        in_own = (np.arange(steps)[:, None] < own_steps)[:, None]
+        ends = {last.times[i] for i in robots}
+        sent_before = {end_ns: self._sent_before(end_ns, delays + steps) for end_ns in ends}
+        columns = [
+            sent_before[last.times[i]][:, :, other]
+            for i, other in zip(robots, commanded, strict=True)
+        ]
+        sent = np.stack(columns, axis=-1)
+        sent *= STEP_NS / SECOND
+        rows: list[Floats] = []
+        for delay in range(delays):
+            own = (sent[delay : delay + steps] * in_own)[::-1]  # oldest first
+            rows.append(squares_of(then, now, own))
+        return np.array(rows)
 
-    def _array(self, poses: Sequence[Pose | None], known: Sequence[int]) -> Floats:
-        seen = [pose for j in known if (pose := poses[j]) is not None]
-        return np.array([(p.x * self._mm, p.y * self._mm, p.heading) for p in seen])
+    def _sent_before(self, end_ns: int, steps: int) -> Floats:
+        """Return the speeds and turning rates (steps, 2, N) commanded in steps of STEP_NS before a
+        time, the newest first."""
+        commands = self._drift.commands
+        return np.array([commands.mean(end_ns - k * STEP_NS, STEP_NS) for k in range(steps)])
+
+    def _array(self, poses: Sequence[Pose | None], robots: Sequence[int]) -> Floats:
+        """Return the poses of robots, of which none is None (K, 3) [mm, mm, rad]."""
+        rows: list[tuple[float, float, float]] = []
+        for i in robots:
+            pose = poses[i]
+            if pose is not None:
+                rows.append((pose.x * self._mm, pose.y * self._mm, pose.heading))
+        return np.array(rows)
 
 
-def _squares(then: Floats, now: Floats, sent: Floats) -> Floats:
+def squares_of(then: Floats, now: Floats, sent: Floats) -> Floats:
     """Return |z|^2 (n,) of poses `then` and `now` (n, 3), between which the ways and angles `sent`
     (T, 2, n) were commanded.
     """
-    way, turns = sent[:, 0], sent[:, 1]
+    ways = sent[:, 0]
+    turns = sent[:, 1]
+    way = ways.sum(0)
     course = then[:, 2] + np.cumsum(turns, axis=0) - turns / 2
-    dx, dy = (now - then)[:, :2].T - [(way * np.cos(course)).sum(0), (way * np.sin(course)).sum(0)]
-    cos, sin, around = np.cos(now[:, 2]), np.sin(now[:, 2]), (now - then)[:, 2] - turns.sum(0)
+    moved = now - then
+    dx = moved[:, 0] - (ways * np.cos(course)).sum(0)
+    dy = moved[:, 1] - (ways * np.sin(course)).sum(0)
+    around = moved[:, 2] - turns.sum(0)
+    cos = np.cos(now[:, 2])
+    sin = np.sin(now[:, 2])
     off = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, np.angle(np.exp(1j * around))])
-    size = np.column_stack([way.sum(0), way.sum(0), abs(turns).sum(0)])
+    size = np.column_stack([way, way, abs(turns).sum(0)])
     return ((off / (NOISE + SHARE * size)) ** 2).sum(axis=1)

@@ -24,7 +24,7 @@ a quarter second later. Lengths are mm.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -36,26 +36,65 @@ from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, motion
 from tetractl.model.motion.rolling import rolled
 
 BLOCK_NS = SECOND // 20
-TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)  # delays, the nominal one first
-BEFORE_NS = (*TAPS_NS, 37 * SECOND // 200)  # and one between the last two, which has no weight
-NOISE = np.array([0.4, 0.4, 0.005])  # of a pose [mm, mm, rad]
-LATEST = 3  # taps within which commands differ where a packet is lost
-SLIP = np.array([1.5, 1.5, 0.02])  # random walk of a robot [mm, mm, rad, each per sqrt(s)]
-LOST = np.array([0.15, 0.0, 0.15])  # error of a motion, over how much the commands differ
-LAGS = LOST / 5  # of it, what wheels of a lag of 80 ms leave 0.13 s later: from 0.18 s before on
-CLIP = 1.7  # standard deviations beyond which a residual counts no more
-# standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays
-PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * (2 * len(TAPS_NS) - 2)])
-KNOWN = len(PRIOR)
-ERRORS = np.zeros((3, KNOWN))  # of the left and right wheel and the heading, by these
-ERRORS[:, [0, 2, 3]] = (1, -1, 0), (1, 1, 0), (0, 0, 1)
-LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2  # of motions [mm/s, rad/s]
-LEAST_BLOCKS = 12  # younger changes are left to `motion_check`; lost packets make 7 wrong alike
-SPACING, GRID = 5, 32  # blocks between two moments of the grid, and the most moments
-LIMIT = 16.0  # good trials of the emulated lab reach 13 (docs/decisions/guard.md)
-STEADY = 0.25  # largest error of wheels whose error is constant; a dead zone causes a larger one
-SURE = 3.0  # standard deviations by which a wheel must be beyond its largest error
-LEAST_KNOWN = 0.01  # share of the prior's variance that a trial must have explained
+"""Length of a block."""
+TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)
+"""Delays between which a command acts, the nominal one first."""
+BEFORE_NS = (*TAPS_NS, 37 * SECOND // 200)
+"""These, and one between the last two, which has no weight."""
+NOISE = np.array([0.4, 0.4, 0.005])
+"""Standard deviation of a pose [mm, mm, rad]."""
+LATEST = 3
+"""Number of taps within which commands differ where a packet is lost."""
+SLIP = np.array([1.5, 1.5, 0.02])
+"""Random walk of a robot [mm, mm, rad, each per sqrt(s)]."""
+LOST = np.array([0.15, 0.0, 0.15])
+"""Error of a motion, over how much the commands differ."""
+LAGS = LOST / 5
+"""What wheels of a lag of 80 ms leave of it 0.13 s later: from 0.18 s before on."""
+CLIP = 1.7
+"""Standard deviations beyond which a residual counts no more."""
+
+# columns of the regressors, in the order of the module's equations
+RESIDUAL = 0  # motion that nominal wheels do not explain
+SPEED = 1  # s
+RADIUS = 2  # k
+DIFFERENCE = 3  # d
+HEADING = 4  # b
+FORWARD = 5  # f
+ASIDE = 6  # l
+LATER = len(TAPS_NS) - 1  # number of delays that have a weight
+TAPS_ALONG = slice(7, 7 + LATER)
+TAPS_AROUND = slice(7 + LATER, 7 + 2 * LATER)
+KNOWN = slice(1, 7 + 2 * LATER)  # all that are constant over a trial
+OWN = slice(KNOWN.stop, KNOWN.stop + 3)  # a constant velocity of one robot
+PICTURE = slice(OWN.stop, OWN.stop + 4)  # shift, turn and growth of the picture
+MOTION = slice(OWN.start, PICTURE.stop)
+COLUMNS = PICTURE.stop
+
+PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * (2 * LATER)])
+"""Standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
+ERRORS = np.zeros((3, len(PRIOR)))
+"""Errors of the left and right wheel and of the heading, by the columns KNOWN."""
+ERRORS[:, SPEED - 1] = (1, 1, 0)
+ERRORS[:, DIFFERENCE - 1] = (-1, 1, 0)
+ERRORS[:, HEADING - 1] = (0, 0, 1)
+LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2
+"""Inverse variances of the columns MOTION [mm/s, rad/s, 1/s]."""
+LEAST_BLOCKS = 12
+"""Younger changes are left to `motion_check`: lost packets make 7 blocks wrong alike."""
+SPACING = 5
+"""Blocks between two moments of the grid."""
+GRID = 32
+"""Most moments of the grid."""
+LIMIT = 16.0
+"""Statistic from which on a pose is false: good trials of the emulated lab reach 13
+(docs/decisions/guard.md)."""
+STEADY = 0.25
+"""Largest error of wheels whose error is constant; a dead zone causes a larger one."""
+SURE = 3.0
+"""Standard deviations by which a wheel must be beyond its largest error."""
+LEAST_KNOWN = 0.01
+"""Share of the prior's variance that a trial must have explained."""
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 TURNS = (
     "robots turn by themselves while they drive, by wheels that differ or by poses false since "
@@ -66,13 +105,73 @@ WRONG = (
     "calibrated, or does the camera track another body as this robot?"
 )
 
-Found = tuple[str, tuple[int, ...]]
-NOTHING: Found = "", ()
+
+@dataclass(frozen=True, slots=True)
+class DriftFault:
+    """What is wrong, "" if nothing is, and the robots whose poses are false."""
+
+    text: str = ""
+    false: tuple[int, ...] = ()
+
+
+NO_FAULT = DriftFault()
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPose:
+    """The last accepted pose of a robot, and its time."""
+
+    pose: Pose | None = None
+    exposed_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class BlockStart:
+    """Where a block of a robot begins: its pose, its motion since its rest (3,) [mm, mm, rad], and
+    the time of the pose."""
+
+    pose: Pose
+    travelled: Floats
+    exposed_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class MotionBlock:
+    """The motion (3,) [mm, mm, rad] of a robot from a pose on, over `dt_ns` until a time."""
+
+    robot: int
+    before: Pose
+    motion: Floats
+    until_ns: int
+    dt_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class GridMoment:
+    """A moment since which a change is looked for: how many blocks were before it, and the sums of
+    products up to it (N, COLUMNS, COLUMNS)."""
+
+    blocks: int
+    sums: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What is left of the motion since each of G moments of the grid, but for the constants: the
+    motions that no wheel explains, as sums of products with themselves, `squares` (G, N, 7, 7), and
+    with what is left, `pulls` (G, N, 7); and each robot's share of noise, at least 1 (N, 1).
+    """
+
+    squares: Floats
+    pulls: Floats
+    noise: Floats
 
 
 class DriftCheck:
     """Checks N robots of wheel distance `radius` and wheels that are wrong by up to `share`; `mm`
     is the number of millimetres per length unit of what it is given, `sight` what the camera sees.
+
+    `worst` is the statistic at the worst moment of the grid, `blocks` how many have been fitted.
     """
 
     def __init__(
@@ -83,32 +182,36 @@ class DriftCheck:
         share: float,
         sight: Sight = UNSTATED,
     ) -> None:
-        self._noise = np.hypot(NOISE, sight.spread)
-        self._names, self._mm, self._share = names, mm, share
+        robots = len(names)
+        self._names = names
+        self._mm = mm
+        self._share = share
         self._radius = radius * mm
-        self.commands = CommandHistory(2, len(names))  # speeds [mm/s] and turning rates [rad/s]
-        n, size = len(names), 1 + KNOWN + len(LARGEST)
-        self._sums = np.zeros((n, size, size))  # of products of residual, regressors and motions
-        self._grid: list[tuple[int, Floats]] = [(0, self._sums.copy())]
-        self._blocks = 0
-        self._fastest = np.zeros(n)  # greatest speeds commanded [mm/s]
-        self._spread = np.array([np.diag(PRIOR**2)] * n)  # covariance of the fit
-        self._fit = np.zeros((n, KNOWN))
-        # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
-        self._carried = np.zeros((n, 3))
-        self._last: list[tuple[Pose | None, int]] = [(None, 0)] * n
+        self._noise = np.hypot(NOISE, sight.spread)
         self._coarse = sight.coarse
-        self.worst = 0.0  # the statistic, at the worst moment of the grid
+        self.commands = CommandHistory(2, robots)  # speeds [mm/s] and turning rates [rad/s]
+        self.worst = 0.0
+        self.blocks = 0
+        self._fastest = np.zeros(robots)  # greatest speeds commanded [mm/s]
+        # the fit: sums of products of the columns, the constants KNOWN and their covariance
+        self._sums = np.zeros((robots, COLUMNS, COLUMNS))
+        self._fit = np.zeros((robots, len(PRIOR)))
+        self._spread = np.array([np.diag(PRIOR**2)] * robots)
+        self._grid = [GridMoment(0, self._sums.copy())]
+        # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
+        self._carried = np.zeros((robots, 3))
+        self._last = [MeasuredPose()] * robots
         self.rest()
+
+    # ---- what is taken ----
 
     def rest(self) -> None:
         """Leave out the motion from the last pose to the next, but keep the fit; called when robots
         start from rest.
         """
-        self._then_ns = 0
+        self._began_ns = 0  # when the block began
+        self._starts: list[BlockStart | None] = [None] * len(self._names)
         self._carried[:] = 0.0
-        # each robot's pose, motion and time [ns] at the begin of the block
-        self._then: list[tuple[Pose, Floats, int] | None] = [None] * len(self._names)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
@@ -117,55 +220,72 @@ class DriftCheck:
         self.commands.sent(now_ns, np.array([speeds, turning]))
 
     def frame(
-        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None], seen: Floats
-    ) -> Found:
+        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None], travelled: Floats
+    ) -> DriftFault:
         """Take the last accepted poses (N,) at a frame, their `times` (N,) [ns], and the robots'
-        motion `seen` (N, 3) since their rest. Return what is wrong: a text, "" if nothing is, and
-        the robots whose poses are false. Poses that repeat are left out. Wheels that may be wrong
-        by more than STEADY, as before they are calibrated, would explain any drift.
+        motion (N, 3) since their rest. Return what is wrong. Poses that repeat are left out. Wheels
+        that may be wrong by more than STEADY, as before they are calibrated, would explain any
+        drift.
         """
-        dt_ns = now_ns - self._then_ns
-        last, self._last = self._last, [*zip(poses, times, strict=True)]
-        pairs = zip(self._last, last, strict=True)
-        poses = [None if self._repeats(*pair) else pair[0][0] for pair in pairs]
+        new_poses = self._new_poses(times, poses)
+        dt_ns = now_ns - self._began_ns
         if dt_ns < BLOCK_NS or self._share > STEADY:
-            return NOTHING
-        moved = seen * (self._mm, self._mm, 1.0)
+            return NO_FAULT
+        ways = travelled * (self._mm, self._mm, 1.0)
         if dt_ns < WATCHDOG_NS:
-            blocks: list[tuple[int, Pose, Floats, tuple[int, int]]] = []
-            for i, (then, pose) in enumerate(zip(self._then, poses, strict=True)):
-                if then is not None and pose is not None and times[i] > then[2]:
-                    before, was, then_ns = then
-                    blocks.append((i, before, moved[i] - was, (times[i], times[i] - then_ns)))
-            if blocks:
-                self._add(*zip(*blocks, strict=True))
-            self._blocks += 1
-        self._then_ns = now_ns
-        self._then = [p and (p, way, at) for p, way, at in zip(poses, moved, times, strict=True)]
-        return self._fault() if self._blocks % 2 == 0 else NOTHING
+            self._add(self._ended_blocks(times, new_poses, ways))
+            self.blocks += 1
+        self._began_ns = now_ns
+        self._starts = [
+            None if pose is None else BlockStart(pose, way, exposed_ns)
+            for pose, way, exposed_ns in zip(new_poses, ways, times, strict=True)
+        ]
+        return self._fault() if self.blocks % 2 == 0 else NO_FAULT
+
+    def _new_poses(self, times: Sequence[int], poses: Sequence[Pose | None]) -> list[Pose | None]:
+        """Take the poses of a frame; return those that are new measurements, None for others."""
+        before = self._last
+        self._last = [MeasuredPose(*pair) for pair in zip(poses, times, strict=True)]
+        pairs = zip(self._last, before, strict=True)
+        return [None if self._repeats(now, last) else now.pose for now, last in pairs]
+
+    def _repeats(self, now: MeasuredPose, last: MeasuredPose) -> bool:
+        """Return whether a pose is no new measurement, though it has another time."""
+        return now.pose == last.pose and now.exposed_ns != last.exposed_ns and not self._coarse
+
+    def _ended_blocks(
+        self, times: Sequence[int], poses: Sequence[Pose | None], ways: Floats
+    ) -> list[MotionBlock]:
+        """Return the blocks of the robots that have poses at both ends."""
+        blocks: list[MotionBlock] = []
+        for i, (start, pose) in enumerate(zip(self._starts, poses, strict=True)):
+            if start is not None and pose is not None and times[i] > start.exposed_ns:
+                way = ways[i] - start.travelled
+                dt_ns = times[i] - start.exposed_ns
+                blocks.append(MotionBlock(i, start.pose, way, times[i], dt_ns))
+        return blocks
+
+    # ---- what is known ----
 
     def carried(self, i: int, pose: Pose, then_ns: int, late_ns: int) -> Pose:
         """Return a pose of robot i as it will be `late_ns` later, by the commands sent."""
         v, w = self.commands.mean(then_ns + late_ns - TAPS_NS[0], late_ns)[:, i]
-        way, turned = v / self._mm * late_ns / SECOND, w * late_ns / SECOND
+        way = v / self._mm * late_ns / SECOND
+        turned = w * late_ns / SECOND
         dx, dy = rolled(pose.heading, turned, way)
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
-
-    def _repeats(self, now: tuple[Pose | None, int], last: tuple[Pose | None, int]) -> bool:
-        """Return whether a pose, with its time, is no new measurement."""
-        return now[0] == last[0] and now[1] != last[1] and not self._coarse
 
     def turns(self) -> str:
         """Return a text about robots that turn by themselves while they drive, by more than SURE
         standard deviations; "" if none does. Their wheels differ, or their poses are false since
         the start: one trial cannot distinguish them.
         """
-        found = [
+        texts = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
             for name, rate, error in zip(self._names, *self.turning(), strict=False)
             if abs(rate) > SURE * error
         ]
-        return TURNS.format(", ".join(found)) if found else ""
+        return TURNS.format(", ".join(texts)) if texts else ""
 
     def turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the rates (N,) at which the robots turn by themselves when they drive as fast as
@@ -176,149 +296,209 @@ class DriftCheck:
         m with the variance q, of which the prior is p, has the rate v / r m / (1 - q / p) and the
         variance (v / r)^2 q / (1 - q / p).
         """
+        d = DIFFERENCE - 1
         per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
-        variance = self._spread[:, 2, 2]
-        share = 1.0 - variance / PRIOR[2] ** 2
-        known = (share > LEAST_KNOWN) & (per > 0.0)
-        share = np.where(known, share, 1.0)
-        rates = np.where(known, per * self._fit[:, 2] / share, 0.0)
-        errors = np.where(known, per * np.sqrt(variance / share), np.inf)
-        return (tuple(rates.tolist()), tuple(errors.tolist())) if known.any() else ((), ())
+        variance = self._spread[:, d, d]
+        explained = 1.0 - variance / PRIOR[d] ** 2
+        known = (explained > LEAST_KNOWN) & (per > 0.0)
+        if not known.any():
+            return (), ()
+        explained = np.where(known, explained, 1.0)
+        rates = np.where(known, per * self._fit[:, d] / explained, 0.0)
+        errors = np.where(known, per * np.sqrt(variance / explained), np.inf)
+        return tuple(rates.tolist()), tuple(errors.tolist())
 
     def left_over(self, i: int, seen: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
         """Return what commands and wheels do not explain of the motion of robot i over its poses
         `seen`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
         and growth of the picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
-        total, variance = np.zeros((3, 1 + KNOWN + len(LARGEST))), 2 * self._noise**2
+        total = np.zeros((3, COLUMNS))
+        variance = 2 * self._noise**2
         for (then_ns, then), (now_ns, now) in pairwise(seen):
-            moved = motion(then, now) * (self._mm, self._mm, 1.0)
-            x, walk = self._regressors([i], [then], moved[None], [(now_ns, now_ns - then_ns)])
-            total, variance = total + x[0], variance + walk[0]
-        known = total[:, 1 : 1 + KNOWN]
+            way = motion(then, now) * (self._mm, self._mm, 1.0)
+            block = MotionBlock(i, then, way, now_ns, now_ns - then_ns)
+            x, walk = self._regressors([block], way[None])
+            total = total + x[0]
+            variance = variance + walk[0]
+        known = total[:, KNOWN]
         variance = variance + np.einsum("rp,pq,rq->r", known, self._spread[i], known)
-        off, spread = total[:, 0] - known @ self._fit[i], np.sqrt(variance)
-        return off / spread, total[:, 4 + KNOWN :] / spread[:, None]
+        spread = np.sqrt(variance)
+        residual = total[:, RESIDUAL] - known @ self._fit[i]
+        return residual / spread, total[:, PICTURE] / spread[:, None]
 
-    def _commanded(self, robots: Sequence[int], spans: Sequence[tuple[int, int]]) -> Floats:
-        """Return what was commanded to robots over the `spans` that end at a time and are so long,
-        [ns], with each delay: (K, TAPS + 1, 2)."""
-        taps = {
-            (until_ns, dt_ns): [self.commands.mean(until_ns - tap, dt_ns) for tap in BEFORE_NS]
-            for until_ns, dt_ns in set(spans)
-        }
-        every = np.array([taps[span] for span in spans])
-        return every[np.arange(len(robots)), :, :, robots]
+    # ---- the fit ----
 
-    def _regressors(
-        self,
-        robots: Sequence[int],
-        then: Sequence[Pose],
-        moved: Floats,
-        spans: Sequence[tuple[int, int]],
-    ) -> tuple[Floats, Floats]:
-        """Return residuals and regressors (K, 3, 1 + KNOWN + 7) of blocks that began at the poses
-        `then` (K,), in which robots `moved` (K, 3) over `spans`; and the variances (K, 3) of those
-        motions.
-        """
-        every = self._commanded(robots, spans)
-        sent = every[:, : len(TAPS_NS)]
-        dt = np.array([dt_ns / SECOND for _, dt_ns in spans])
-        r, (v, w) = self._radius, sent[:, 0].T * dt
-        x = np.zeros((len(robots), 3, 1 + KNOWN + len(LARGEST)))
-        x[:, :, 0] = moved
-        x[:, 0, 0] -= v
-        x[:, 2, 0] -= w
-        others, taps = (sent[:, 1:] - sent[:, :1]) * dt[:, None, None], 1 + 6 + len(TAPS_NS) - 1
-        x[:, 0, 1], x[:, 0, 3], x[:, 0, 6], x[:, 0, 7:taps] = v, w * r, w, others[:, :, 0]
-        x[:, 1, 4], x[:, 1, 5] = v, w
-        x[:, 2, 1] = x[:, 2, 2] = w
-        x[:, 2, 3], x[:, 2, taps : 1 + KNOWN] = v / r if r else 0.0, others[:, :, 1]
-        px, py, heading = np.array([(one.x, one.y, one.heading) for one in then]).T
-        cos, sin, px, py = np.cos(heading), np.sin(heading), px * self._mm, py * self._mm
-        shift = np.array([[1.0 + 0 * px, 0 * px, -py, px], [0 * px, 1.0 + 0 * px, px, py]])
+    def _commanded(self, blocks: Sequence[MotionBlock]) -> Floats:
+        """Return what was commanded over each of K blocks, with each delay of BEFORE_NS: speed and
+        turning rate (K, 5, 2)."""
+        means: dict[tuple[int, int], list[Floats]] = {}
+        for until_ns, dt_ns in {(block.until_ns, block.dt_ns) for block in blocks}:
+            delayed = [self.commands.mean(until_ns - tap_ns, dt_ns) for tap_ns in BEFORE_NS]
+            means[until_ns, dt_ns] = delayed
+        every = np.array([means[block.until_ns, block.dt_ns] for block in blocks])
+        robots = [block.robot for block in blocks]
+        return every[np.arange(len(blocks)), :, :, robots]
+
+    def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
+        """Return residuals and regressors (K, 3, COLUMNS) of blocks with the `motions` (K, 3), and
+        the variances (K, 3) of those motions."""
+        commanded = self._commanded(blocks)
+        sent = commanded[:, : len(TAPS_NS)]
+        dt_s = np.array([block.dt_ns / SECOND for block in blocks])
+        v, w = sent[:, 0].T * dt_s
+        r = self._radius
+        later = (sent[:, 1:] - sent[:, :1]) * dt_s[:, None, None]
+        along, across, around = 0, 1, 2
+        x = np.zeros((len(blocks), 3, COLUMNS))
+        x[:, :, RESIDUAL] = motions
+        x[:, along, RESIDUAL] -= v
+        x[:, around, RESIDUAL] -= w
+        x[:, along, SPEED] = v
+        x[:, along, DIFFERENCE] = w * r
+        x[:, along, ASIDE] = w
+        x[:, along, TAPS_ALONG] = later[:, :, 0]
+        x[:, across, HEADING] = v
+        x[:, across, FORWARD] = w
+        x[:, around, SPEED] = w
+        x[:, around, RADIUS] = w
+        x[:, around, DIFFERENCE] = v / r if r else 0.0
+        x[:, around, TAPS_AROUND] = later[:, :, 1]
+        x[:, :, OWN] = np.eye(3) * dt_s[:, None, None]
+        x[:, :2, PICTURE] = self._picture_moves([block.before for block in blocks], dt_s)
+        x[:, around, PICTURE.start + 2] = dt_s
+        unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
+        before = np.abs(commanded[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]]
+        before = before * dt_s[:, None]
+        walk = SLIP**2 * dt_s[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
+        return x, walk
+
+    def _picture_moves(self, poses: Sequence[Pose], dt_s: Floats) -> Floats:
+        """Return how poses move along and across their headings if the picture shifts, turns and
+        grows (K, 2, 4)."""
+        px, py, heading = np.array([(pose.x, pose.y, pose.heading) for pose in poses]).T
+        px = px * self._mm
+        py = py * self._mm
+        cos = np.cos(heading)
+        sin = np.sin(heading)
+        one = np.ones_like(px)
+        zero = np.zeros_like(px)
+        moves = np.array([[one, zero, -py, px], [zero, one, px, py]])
         axes = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
-        x[:, :, 1 + KNOWN : 4 + KNOWN] = np.eye(3) * dt[:, None, None]
-        x[:, :2, 4 + KNOWN :] = axes @ shift.transpose(2, 0, 1) * dt[:, None, None]
-        x[:, 2, 6 + KNOWN] = dt
-        unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt[:, None]
-        before = np.abs(every[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]] * dt[:, None]
-        return x, SLIP**2 * dt[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
+        return axes @ moves.transpose(2, 0, 1) * dt_s[:, None, None]
 
-    def _add(
-        self,
-        robots: Sequence[int],
-        then: Sequence[Pose],
-        moved: Sequence[Floats],
-        spans: Sequence[tuple[int, int]],
-    ) -> None:
-        """Add blocks of robots, which `moved` (K, 3) from the poses `then`, over `spans` [ns]."""
-        rows = list(robots)
-        x, walk = self._regressors(robots, then, np.array(moved) + self._carried[rows], spans)
+    def _add(self, blocks: Sequence[MotionBlock]) -> None:
+        """Add blocks of different robots to the sums, each clipped to what is expected of it."""
+        if not blocks:
+            return
+        robots = [block.robot for block in blocks]
+        motions = np.array([block.motion for block in blocks]) + self._carried[robots]
+        x, walk = self._regressors(blocks, motions)
         spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, :, None]
-        known, covariance = x[:, :, 1 : 1 + KNOWN], self._spread[rows]
-        expected = (known @ self._fit[rows, :, None])[..., 0]
-        bound = CLIP * np.sqrt(1 + ((known @ covariance) * known).sum(axis=2))
-        whole = x[:, :, 0].copy()
-        x[:, :, 0] = np.clip(whole, expected - bound, expected + bound)
-        self._carried[rows, :2] = ((whole - x[:, :, 0]) * spread)[:, :2]
-        self._sums[rows] += x.swapaxes(1, 2) @ x
+        known = x[:, :, KNOWN]
+        expected = (known @ self._fit[robots, :, None])[..., 0]
+        bound = CLIP * np.sqrt(1 + ((known @ self._spread[robots]) * known).sum(axis=2))
+        residual = x[:, :, RESIDUAL].copy()
+        x[:, :, RESIDUAL] = np.clip(residual, expected - bound, expected + bound)
+        self._carried[robots, :2] = ((residual - x[:, :, RESIDUAL]) * spread)[:, :2]
+        self._sums[robots] += x.swapaxes(1, 2) @ x
 
-    def _fault(self) -> Found:
-        sums, known, motion = self._sums, slice(1, 1 + KNOWN), slice(1 + KNOWN, None)
-        self._spread = np.linalg.inv(sums[:, known, known] + np.diag(PRIOR**-2.0))
-        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, known, 0])
-        squares = sums[:, 0, 0] - np.einsum("np,np->n", self._fit, sums[:, known, 0])
-        count = 3.0 * max(self._blocks, 1)
+    def _fault(self) -> DriftFault:
+        """Fit the constants again; return what is wrong."""
+        sums = self._sums
+        self._spread = np.linalg.inv(sums[:, KNOWN, KNOWN] + np.diag(PRIOR**-2.0))
+        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, KNOWN, RESIDUAL])
         self.worst = 0.0
-        old = [then for block, then in self._grid if self._blocks - block >= LEAST_BLOCKS]
+        fault = self._worst_change()
+        self._extend_grid()
+        return fault if self.worst > LIMIT else self._wrong_wheels()
+
+    # ---- changes ----
+
+    def _worst_change(self) -> DriftFault:
+        """Return the motion since a moment of the grid that gains most, of one robot or of the
+        whole picture; set `worst` to its gain."""
+        old = [moment.sums for moment in self._grid if self.blocks - moment.blocks >= LEAST_BLOCKS]
         if not old:
-            return self._next(sums, NOTHING)
-        since = sums - np.array(old)  # (G, N, ...), as all that follows
-        mixed = since[..., known, motion]
-        left = since[..., motion, motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
-        pull = since[..., motion, 0] - (self._fit[:, None] @ mixed)[..., 0, :]
-        one = np.linalg.solve(left[..., :3, :3] + np.diag(LARGEST[:3]), pull[..., :3, None])[..., 0]
-        gain = (pull[..., :3] * one).sum(axis=2)
+            return NO_FAULT
+        sums = self._sums
+        fitted = np.einsum("np,np->n", self._fit, sums[:, KNOWN, RESIDUAL])
+        squares = sums[:, RESIDUAL, RESIDUAL] - fitted  # (N,) what is left over in all
+        count = 3.0 * max(self.blocks, 1)
+        changes = self._changes(np.array(old), squares, count)
+        own = slice(0, 3)
+        pulls = changes.pulls[..., own]
+        own_squares = changes.squares[..., own, own] + np.diag(LARGEST[own])
+        velocity = np.linalg.solve(own_squares, pulls[..., None])[..., 0]
+        gain = (pulls * velocity).sum(axis=2)  # (G, N)
         gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
+        shift, gain_together = self._shift_of_all(changes)
+        gain_alone = gain.max(axis=1)
+        g = int(np.maximum(gain_alone, gain_together).argmax())
+        self.worst = float(max(gain_alone[g], gain_together[g]))
+        if gain_together[g] <= gain_alone[g]:
+            i = int(gain[g].argmax())
+            return self._of_one(i, pulls[g, i] * velocity[g, i])
+        gains = self._gains_of_shift(changes, g, shift[g])
+        i = int(gains.argmax())
+        if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
+            return DriftFault(TOGETHER, tuple(range(len(self._names))))
+        return self._of_one(i, pulls[g, i] * velocity[g, i])
+
+    def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
+        """Return what is left of the motion since moments with the sums `old` (G, N, ...), if
+        `squares` (N,) of `count` residuals are left over in all."""
+        since = self._sums - old
+        mixed = since[..., KNOWN, MOTION]
+        left = since[..., MOTION, MOTION] - mixed.swapaxes(2, 3) @ self._spread @ mixed
+        pulls = since[..., MOTION, RESIDUAL] - (self._fit[:, None] @ mixed)[..., 0, :]
         noise = np.maximum(1.0, squares / count)[:, None]
-        total = (pull[..., 3:] / noise).sum(axis=1)
-        every = (left[..., 3:, 3:] / noise[..., None]).sum(axis=1) + np.diag(LARGEST[3:])
-        shift = np.linalg.solve(every, total[..., None])[..., 0]
-        together = (total * shift).sum(axis=1) if len(squares) > 1 else np.zeros(len(old))
-        alone = gain.max(axis=1)
-        g = int(np.maximum(alone, together).argmax())
-        i, self.worst = int(gain[g].argmax()), float(max(alone[g], together[g]))
-        found = self._of_one(i, pull[g, i, :3] * one[g, i])
-        if together[g] > alone[g]:
-            each = (2 * pull[g, :, 3:] - left[g, :, 3:, 3:] @ shift[g]) @ shift[g] / noise[:, 0]
-            i = int(each.argmax())
-            found = self._of_one(i, pull[g, i, :3] * one[g, i])
-            if each.sum() - each[i] > LIMIT / 4:  # it explains the others' motion as well
-                found = TOGETHER, tuple(range(len(squares)))
-        return self._next(sums, found)
+        return Changes(left, pulls, noise)
 
-    def _of_one(self, i: int, gains: Floats) -> Found:
+    def _shift_of_all(self, changes: Changes) -> tuple[Floats, Floats]:
+        """Return the motion of the picture (G, 4) since each moment that explains most of all
+        robots' motion, and what it gains (G,), nothing with one robot."""
+        picture = slice(3, 7)
+        total = (changes.pulls[..., picture] / changes.noise).sum(axis=1)
+        squares = (changes.squares[..., picture, picture] / changes.noise[..., None]).sum(axis=1)
+        squares = squares + np.diag(LARGEST[picture])
+        shift = np.linalg.solve(squares, total[..., None])[..., 0]
+        if len(self._names) == 1:
+            return shift, np.zeros(len(shift))
+        return shift, (total * shift).sum(axis=1)
+
+    def _gains_of_shift(self, changes: Changes, g: int, shift: Floats) -> Floats:
+        """Return what a motion of the picture (4,) since moment g gains of each robot (N,)."""
+        picture = slice(3, 7)
+        pulls = changes.pulls[g][:, picture]
+        squares = changes.squares[g][:, picture, picture]
+        return (2 * pulls - squares @ shift) @ shift / changes.noise[:, 0]
+
+    def _of_one(self, i: int, gains: Floats) -> DriftFault:
         """Return that robot i moves by itself, in the way that has the greatest of `gains` (3,)."""
-        return f"{self._names[i]} {ANOTHER.format(KINDS[int(gains.argmax())])}", (i,)
+        kind = KINDS[int(gains.argmax())]
+        return DriftFault(f"{self._names[i]} {ANOTHER.format(kind)}", (i,))
 
-    def _next(self, sums: Floats, found: Found) -> Found:
-        """Keep the moment, if it is one of the grid; return what was found, if it is enough."""
-        if self._blocks - self._grid[-1][0] >= SPACING:
-            self._grid.append((self._blocks, sums.copy()))
-            if len(self._grid) > GRID:  # old moments are kept less densely
+    def _extend_grid(self) -> None:
+        """Keep this moment, if it is one of the grid; old moments are kept less densely."""
+        if self.blocks - self._grid[-1].blocks >= SPACING:
+            self._grid.append(GridMoment(self.blocks, self._sums.copy()))
+            if len(self._grid) > GRID:
                 del self._grid[1 : 3 * GRID // 4 : 2]
-        return found if self.worst > LIMIT else self._wheels()
 
-    def _wheels(self) -> Found:
+    # ---- wheels ----
+
+    def _wrong_wheels(self) -> DriftFault:
         """Return which robot's wheels or heading are wrong by more than allowed."""
-        wrong = self._fit @ ERRORS.T  # (N, 3)
-        spread = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
-        sure = np.abs(wrong) - SURE * np.sqrt(spread) > self._share
-        for name, each, far in zip(self._names, wrong, sure, strict=True):
-            if far[2]:
-                return f"{name} {ANOTHER.format(KINDS[1])}", ()
-            if far.any():
-                return WRONG.format(name, *each), ()
-        return NOTHING
+        errors = self._fit @ ERRORS.T  # (N, 3)
+        variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
+        beyond = np.abs(errors) - SURE * np.sqrt(variances) > self._share
+        for i, name in enumerate(self._names):
+            left_is_wrong, right_is_wrong, heading_is_wrong = beyond[i]
+            if heading_is_wrong:
+                return DriftFault(f"{name} {ANOTHER.format(KINDS[1])}")
+            if left_is_wrong or right_is_wrong:
+                left, right, _ = errors[i]
+                return DriftFault(WRONG.format(name, left, right))
+        return NO_FAULT

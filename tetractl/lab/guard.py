@@ -312,7 +312,7 @@ class Guard:
         in_run = self._in_run  # all poses were exposed in the run, even if it ends by one of them
         readings = self._readings(frame)
         times = tuple(reading.exposed_ns for reading in readings)
-        self._checks.motion.frame(times)
+        self._checks.motion.take_frame(times)
         self.culprit.see(frame.sampled_ns, frame.poses, times)
         if in_run:
             self._count_absence()
@@ -398,7 +398,7 @@ class Guard:
         if pose != before:
             return self._compare_in_run(i, before, pose)
         # a robot may stand, or a picture is frozen: this is not a motion to compare
-        if robot.refused == REPEATS or self._checks.motion.stays(i):
+        if robot.refused == REPEATS or self._checks.motion.must_have_moved(i):
             return PoseDecision(PoseStatus.REFUSED, REPEATS)
         return PoseDecision(PoseStatus.ACCEPTED)
 

@@ -114,7 +114,7 @@ class Obeys(Check):
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Check a pose in a run."""
-        fault = self._motion.disagrees(robot, before, pose)
+        fault = self._motion.take_pose(robot, before, pose)
         if fault:
             yield Refuse(robot, fault)
 
@@ -142,7 +142,7 @@ class StandsInPauses(Check):
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterator[Finding]:
         """Check a pose in a pause."""
         straying = self._straying.get(robot, Straying(now_ns, before))
-        fault = self._motion.disagrees(robot, straying.before, pose)
+        fault = self._motion.take_pose(robot, straying.before, pose)
         if not fault:
             self._straying.pop(robot, None)
             return
@@ -170,9 +170,10 @@ class DrivesSteadily(Check):
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
         """Check the accepted poses of a frame."""
-        text, false = self._drift.frame(now_ns, times, poses, self._motion.seen)
-        if text:
-            yield Abort(text, false, suspect=false[0] if len(false) == 1 else None)
+        fault = self._drift.frame(now_ns, times, poses, self._motion.travelled)
+        if fault.text:
+            suspect = fault.false[0] if len(fault.false) == 1 else None
+            yield Abort(fault.text, fault.false, suspect)
 
 
 class Keeps(Check):

@@ -8,7 +8,7 @@ is wrong by up to a fraction g:
 
     e = g max(|v|, |w| r),    v in [v - e, v + e],    w in [w - e / r, w + e / r].
 
-From any time in the last WINDOW_NS until now, the displacement along the heading and the angle
+From any time in the last COMPARED_NS until now, the displacement along the heading and the angle
 turned must lie between the integrals of these bounds; the displacement across the heading must lie
 within plus or minus the integral of e, as a rolling robot does not move sideways. A slack is added
 to each bound. Each robot's integrals go to the time of its own pose.
@@ -21,6 +21,7 @@ Lengths are in the spec's length unit.
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -29,23 +30,32 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
 from tetractl.lab.command_history import CommandHistory
 
-DELAY_NS = 3 * SECOND // 10  # delay by radio, wheels and some lost commands
-WATCHDOG_NS = SECOND // 4  # robots that received nothing for this time have stopped themselves
-WINDOW_NS = SECOND
-SLACK_S = 0.03  # time of driving at full speed that is allowed as slack
+DELAY_NS = 3 * SECOND // 10
+"""Longest delay by radio, wheels and some lost commands."""
+WATCHDOG_NS = SECOND // 4
+"""Robots that received nothing for this time have stopped themselves."""
+COMPARED_NS = SECOND
+"""Longest time over which motion is compared."""
+SPACING_NS = SECOND // 20
+"""Least time between two moments since which it is compared."""
+SLACK_S = 0.03
+"""Time of driving at full speed that is allowed as slack."""
 SLACK_RAD = 0.08
-NEAR = 1e-9  # share of the slack within which a bound is compared again, exactly
-STANDS = 0.3  # a robot that makes less than this fraction of the commanded motion stands still
+"""Angle that is allowed as slack."""
+ROUNDING = 1e-9
+"""Share of the slack within which a bound is compared again, exactly."""
+STANDS = 0.3
+"""A robot that makes less than this fraction of the commanded motion stands still."""
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
-STILL = (
+DOES_NOT_MOVE = (
     "does not move though commanded to: is a wheel stuck, is the robot on its back or "
     "without power or link, or is the camera frozen?"
 )
 BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
 WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
 OF_CELLS = {
-    STILL: "does not swim: is it stuck or dead, or is the camera frozen?",
+    DOES_NOT_MOVE: "does not swim: is it stuck or dead, or is the camera frozen?",
     BACKWARD: "moves backward: is its heading reversed, or another cell tracked in its place?",
     WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
 }
@@ -58,11 +68,54 @@ ANOTHER = (
 KINDS = ("along its heading", "sideways", "around")
 
 
+@dataclass(frozen=True, slots=True)
+class MotionMoment:
+    """A moment since which a robot's motion is compared.
+
+    `ways` (3, 3) are, since the start: its motion by consistent poses, and the integrals of the
+    least and of the greatest bounds; each along, across and around its heading.
+    """
+
+    at_ns: int
+    ways: Floats
+
+
+@dataclass(slots=True)
+class MotionWindow:
+    """The moments of the last COMPARED_NS of one robot, oldest first.
+
+    `over_least` (3,) is by how much the motion up to a moment exceeds its least bound at most,
+    `over_most` (3,) its greatest bound at least: no moment needs to be compared while these two do
+    not contradict a pose.
+    """
+
+    moments: deque[MotionMoment] = field(default_factory=deque)
+    over_least: list[float] = field(default_factory=list)
+    over_most: list[float] = field(default_factory=list)
+
+    def add(self, now_ns: int, ways: Floats) -> None:
+        """Add a moment unless the last is too young, and drop those that are too old."""
+        moments = self.moments
+        changed = False
+        if not moments or now_ns - moments[-1].at_ns >= SPACING_NS:
+            moments.append(MotionMoment(now_ns, ways))
+            changed = True
+        while len(moments) > 1 and now_ns - moments[0].at_ns > COMPARED_NS:
+            moments.popleft()
+            changed = True
+        if changed:
+            rows = np.array([moment.ways for moment in moments])  # (K, 3, 3)
+            self.over_least = (rows[:, 0] - rows[:, 1]).max(axis=0).tolist()
+            self.over_most = (rows[:, 0] - rows[:, 2]).min(axis=0).tolist()
+
+
 class MotionCheck:
     """Compares the motion of N robots, with the speeds `speeds` (N,), with their commands.
 
     `radius` is r, 0 for robots without wheels; `noise` is the largest error of a position. Both are
     in the spec's length unit, which has `mm` millimetres. `sight` is what the camera can see.
+
+    For each frame call `take_frame`, then `take_pose` for each pose to compare.
     """
 
     def __init__(
@@ -73,36 +126,35 @@ class MotionCheck:
         sight: Sight = UNSTATED,
         mm: float = 1.0,
     ) -> None:
-        n = len(speeds)
+        robots = len(speeds)
+        drive = SLACK_S * np.array(speeds)
+        way = drive + noise
+        angle = np.full(robots, SLACK_RAD + 2 * sight.largest[1])
+        step = math.sqrt(2) * sight.grid_mm / mm
+        grid = np.array([step, step, sight.grid_rad])
         self._radius = radius
-        way = SLACK_S * np.array(speeds) + noise
-        around = np.full(n, SLACK_RAD + 2 * sight.largest[1])
-        self._slack = np.array([way, way, around]).T  # (N, 3)
-        steps = np.array([math.sqrt(2) * sight.grid_mm / mm] * 2 + [sight.grid_rad])
-        late = np.column_stack([SLACK_S * np.array(speeds)] * 2 + [np.full(n, SLACK_RAD)])
-        self._coarse, self._step = sight.coarse, steps + late  # (N, 3)
-        self._nearly = ((1.0 - NEAR) * self._slack).tolist()
-        # least and most of each transmission: along, across, around
-        self._sent = CommandHistory(2, n, 3)
-        self.times = (0,) * n  # of the newest poses [ns]
-        self._bounds = np.zeros((2, n, 3))  # bounds in force now
+        self._slack = np.array([way, way, angle]).T  # (N, 3)
+        self._less_slack = ((1.0 - ROUNDING) * self._slack).tolist()
+        self._coarse = sight.coarse
+        # way after which a pose on a grid must have changed (N, 3)
+        self._visible = grid + np.column_stack([drive, drive, np.full(robots, SLACK_RAD)])
+        # least and greatest rates of each transmission (2, N, 3): along, across, around
+        self._commanded = CommandHistory(2, robots, 3)
+        self.times = (0,) * robots  # of the newest poses [ns]
+        self._bounds = np.zeros((2, robots, 3))  # bounds in force now
         self.restart()
 
     def restart(self) -> None:
         """Forget all motion; called when robots start from rest."""
-        n = len(self._slack)
-        self.seen = np.zeros((n, 3))  # motion since the start, by consistent poses
-        self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start
-        # per robot: times [ns], and the motion and integrals of both bounds up to then, (3, 3)
-        self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
-        # per robot: by how much the motion up to a kept time exceeds its least bound at most, and
-        # its greatest bound at least, (2, 3)
-        self._beyond: list[list[list[float]]] = [[] for _ in range(n)]
-        self._changed = self._allowed.copy()  # at each robot's last pose that differs
+        robots = len(self._slack)
+        self.travelled = np.zeros((robots, 3))  # motion since the start, by consistent poses
+        self._allowed = np.zeros((2, robots, 3))  # integrals of the bounds since the start
+        self._at_change = self._allowed.copy()  # of them, those at the last pose that differs
+        self._windows = [MotionWindow() for _ in range(robots)]
 
     def forget(self, i: int) -> None:
         """Forget the motion of robot i, which is compared again from its next pose on."""
-        self._past[i].clear()
+        self._windows[i].moments.clear()
 
     def sent(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
@@ -110,80 +162,92 @@ class MotionCheck:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s], and
         the relative error g of the wheels as `share`.
         """
-        v, w = np.array(speed), np.array(turning)
-        off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
-        around = off / self._radius if self._radius else share * np.abs(w)
-        middle, spread = np.array([v, 0 * v, w]).T, np.array([off, off, around]).T
-        self._sent.sent(now_ns, np.array([middle - spread, middle + spread]))
+        v = np.array(speed)
+        w = np.array(turning)
+        error = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
+        error_w = error / self._radius if self._radius else share * np.abs(w)
+        middle = np.array([v, np.zeros_like(v), w]).T
+        spread = np.array([error, error, error_w]).T
+        self._commanded.sent(now_ns, np.array([middle - spread, middle + spread]))
 
-    def frame(self, times: tuple[int, ...]) -> None:
-        """Take the times (N,) of a frame's poses, before `disagrees` is called for these."""
+    def take_frame(self, times: tuple[int, ...]) -> None:
+        """Take the times (N,) of a frame's poses, before `take_pose` is called for these."""
         spans = list(zip(self.times, times, strict=True))
         self._allowed = self._allowed.copy()
         for span in set(spans):
-            bounds, robots = self._between(*span), [one == span for one in spans]
-            own = slice(None) if all(robots) else robots  # which is faster
-            self._bounds[:, own] = bounds[:, own]
-            self._allowed[:, own] += bounds[:, own] * ((span[1] - span[0]) / SECOND)
+            since_ns, until_ns = span
+            robots = [i for i, own in enumerate(spans) if own == span]
+            own = slice(None) if len(robots) == len(spans) else robots  # which is faster
+            bounds = self._bounds_between(since_ns, until_ns)[:, own]
+            self._bounds[:, own] = bounds
+            self._allowed[:, own] += bounds * ((until_ns - since_ns) / SECOND)
         self.times = times
 
-    def _between(self, since_ns: int, now_ns: int) -> Floats:
+    def _bounds_between(self, since_ns: int, now_ns: int) -> Floats:
         """Return the bounds (2, N, 3) by all commands that may act between two times."""
-        since_ns -= DELAY_NS
-        times, sent = self._sent.acting(since_ns, now_ns)
+        earliest_ns = since_ns - DELAY_NS
+        times, rates = self._commanded.acting(earliest_ns, now_ns)
         gaps = (after - before for before, after in pairwise([*times, now_ns]))
-        if not times or times[0] > since_ns or max(gaps) > WATCHDOG_NS:
-            # before the first transmission, and after a silence
-            sent = np.concatenate([sent, np.zeros((1, *self._bounds.shape))])
-        return np.array([sent[:, 0].min(axis=0), sent[:, 1].max(axis=0)])
+        if not times or times[0] > earliest_ns or max(gaps) > WATCHDOG_NS:
+            # before the first transmission, and after a silence, robots stand
+            rates = np.concatenate([rates, np.zeros((1, *self._bounds.shape))])
+        return np.array([rates[:, 0].min(axis=0), rates[:, 1].max(axis=0)])
 
-    def stays(self, i: int) -> bool:
+    def must_have_moved(self, i: int) -> bool:
         """Return whether robot i, whose pose repeats, must have moved: every command that may act
         now moves it, and since its pose changed it has gone further than a step of the grid and
         the slack."""
         least, most = self._bounds[:, i]
-        gone, most_gone = self._allowed[:, i] - self._changed[:, i]
-        moves = np.any((least > 0.0) | (most < 0.0))
-        step = self._step[i]
-        far = not self._coarse or np.any((gone > step) | (most_gone < -step))
-        return bool(moves and far)
+        if not np.any((least > 0.0) | (most < 0.0)):
+            return False
+        least_way, most_way = self._allowed[:, i] - self._at_change[:, i]
+        visible = self._visible[i]
+        return not self._coarse or bool(np.any((least_way > visible) | (most_way < -visible)))
 
-    def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
-        """Return how robot i disobeyed its commands since its last consistent pose; "" if it
-        obeyed, and the new pose is then the last consistent one.
+    def take_pose(self, i: int, before: Pose, pose: Pose) -> str:
+        """Take a pose of robot i that differs from the last consistent one, `before`. Return how it
+        contradicts the commands since then; "" if it does not: it is then the last consistent one.
         """
-        past, allowed, now_ns = self._past[i], self._allowed[:, i], self.times[i]
-        self._changed[:, i] = allowed
-        seen = self.seen[i] + motion(before, pose) if past else self.seen[i]
-        if past and self._may_disagree(i, seen, allowed):
-            moved = np.array([seen, *allowed]) - np.array([row for _, row in past])  # (K, 3, 3)
-            slack = self._slack[i]
-            below, above = moved[:, 1] - slack, moved[:, 2] + slack
-            wrong = (moved[:, 0] < below) | (moved[:, 0] > above)
-            if len(found := np.flatnonzero(wrong)):
-                way, least, most = moved[found[-1] // 3]
-                why = _diagnosis(way, least, most, slack)
-                return why if self._radius else OF_CELLS.get(why, why)
-        self.seen[i] = seen
-        kept = len(past)
-        if not past or now_ns - past[-1][0] >= SECOND // 20:
-            past.append((now_ns, np.array([seen, *allowed])))
-            kept = -1
-        while len(past) > 1 and now_ns - past[0][0] > WINDOW_NS:
-            past.popleft()
-        if len(past) != kept:
-            rows = np.array([row for _, row in past])  # (K, 3, 3)
-            over = rows[:, :1] - rows[:, 1:]
-            self._beyond[i] = [over[:, 0].max(axis=0).tolist(), over[:, 1].min(axis=0).tolist()]
+        window = self._windows[i]
+        allowed = self._allowed[:, i]
+        self._at_change[:, i] = allowed
+        travelled = self.travelled[i]
+        if window.moments:
+            travelled = travelled + motion(before, pose)
+            fault = self._contradiction(i, np.array([travelled, *allowed]))
+            if fault:
+                return fault
+        self.travelled[i] = travelled
+        window.add(self.times[i], np.array([travelled, *allowed]))
         return ""
 
-    def _may_disagree(self, i: int, seen: Floats, allowed: Floats) -> bool:
-        """Return whether motion since any kept time may be out of its bounds, but for rounding."""
-        ways = zip(seen.tolist(), *allowed.tolist(), *self._beyond[i], self._nearly[i], strict=True)
-        return any(
-            way - least - over_least < -slack or way - most - over_most > slack
-            for way, least, most, over_least, over_most, slack in ways
-        )
+    def _contradiction(self, i: int, ways: Floats) -> str:
+        """Return how motion and bounds since the start, `ways` (3, 3), contradict each other since
+        any moment; "" if they do not.
+        """
+        if not self._may_contradict(i, ways):
+            return ""
+        slack = self._slack[i]
+        since = ways - np.array([moment.ways for moment in self._windows[i].moments])  # (K, 3, 3)
+        way, least, most = since[:, 0], since[:, 1], since[:, 2]
+        wrong = (way < least - slack) | (way > most + slack)
+        moments = np.flatnonzero(wrong.any(axis=1))
+        if not len(moments):
+            return ""
+        k = moments[-1]
+        fault = _diagnosis(way[k], least[k], most[k], slack)
+        return fault if self._radius else OF_CELLS.get(fault, fault)
+
+    def _may_contradict(self, i: int, ways: Floats) -> bool:
+        """Return whether motion since any moment may be out of its bounds, but for rounding."""
+        window = self._windows[i]
+        travelled, least, most = ways.tolist()
+        for axis, slack in enumerate(self._less_slack[i]):
+            over_least = travelled[axis] - least[axis] - window.over_least[axis]
+            over_most = travelled[axis] - most[axis] - window.over_most[axis]
+            if over_least < -slack or over_most > slack:
+                return True
+        return False
 
 
 def motion(before: Pose, pose: Pose) -> Floats:
@@ -191,11 +255,11 @@ def motion(before: Pose, pose: Pose) -> Floats:
     heading, and angle turned.
     """
     turned = math.remainder(pose.heading - before.heading, math.tau)
-    dx, dy, middle = pose.x - before.x, pose.y - before.y, before.heading + turned / 2
-    along, across = (
-        dx * math.cos(middle) + dy * math.sin(middle),
-        dy * math.cos(middle) - dx * math.sin(middle),
-    )
+    middle = before.heading + turned / 2
+    dx = pose.x - before.x
+    dy = pose.y - before.y
+    along = dx * math.cos(middle) + dy * math.sin(middle)
+    across = dy * math.cos(middle) - dx * math.sin(middle)
     return np.array([along / chord(turned), across, turned])
 
 
@@ -212,10 +276,12 @@ def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):
-        return STILL
+        return DOES_NOT_MOVE
     opposite = (way * meant < 0.0) & (abs(meant) > STANDS * abs(way))
     if along and opposite[0]:
         return BACKWARD
     if around and opposite[2]:
         return WRONG_WAY
-    return ANOTHER.format(KINDS[0 if along else 1 if across else 2])
+    if along:
+        return ANOTHER.format(KINDS[0])
+    return ANOTHER.format(KINDS[1] if across else KINDS[2])

@@ -11,7 +11,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose
 from tetractl.lab.camera_stream import Outdated, no_frame_text, with_outdated
 from tetractl.lab.guard_records import GuardRules
-from tetractl.lab.motion_check import STILL
+from tetractl.lab.motion_check import DOES_NOT_MOVE
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
@@ -78,7 +78,7 @@ def untracked_robots(now: Situation) -> Iterator[Finding]:
     for i, robot in enumerate(now.robots):
         if robot.lost:
             continue
-        stuck = now.rules.goes_on and robot.refused == STILL
+        stuck = now.rules.goes_on and robot.refused == DOES_NOT_MOVE
         if robot.disobeys and robot.hidden and not stuck:
             yield Abort(f"{robot.name} {robot.refused}", suspect=i)
         elif robot.untracked_ns >= limit_ns:

@@ -49,7 +49,8 @@ class Swims(Check):
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Check a pose in a run."""
-        if fault := self._motion.disagrees(robot, before, pose):
+        fault = self._motion.take_pose(robot, before, pose)
+        if fault:
             self._motion.forget(robot)
             yield Warn(f"{self._names[robot]} {fault}")
 

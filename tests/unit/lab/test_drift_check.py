@@ -51,7 +51,7 @@ def drifting(
         poses = [Pose(*map(float, row)) for row in rows]
         if before:
             way += np.array([motion(then, pose) for then, pose in zip(before, poses, strict=True)])
-            said, _ = check.frame(now, [now] * len(poses), poses, way)
+            said = check.frame(now, [now] * len(poses), poses, way).text
             if said:
                 return said, now / SECOND
         before = poses

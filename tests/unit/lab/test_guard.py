@@ -163,7 +163,7 @@ def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_
             course.guard.end_run()
             course.frames(30)
             course.guard.start_run(course.at)
-            fits.append(course.guard.drift._blocks)
+            fits.append(course.guard.drift.blocks)
     assert "green is seen too rarely" in course.guard.reason
     assert course.at - began < 4 * SECOND
     assert fits == sorted(set(fits))  # each stretch adds to the fit

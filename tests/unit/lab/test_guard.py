@@ -35,13 +35,26 @@ PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))
 
 
 class Course:
-    """A guard fed frames at 125 Hz; `at` is the time of the last one."""
+    """A guard fed frames at 125 Hz; `at` is the time of the last one.
+
+    Its stages: `pass_preflight`, `start_run`, then `frame` and `frames`, which let it decide after
+    each frame.
+    """
 
     def __init__(self, rules=RULES, checks_of=robot_checks):
         self.guard = Guard(rules, checks_of)
         self.at = 0
         self.number = 0
         self.bad = 0
+
+    def pass_preflight(self, poses=PLACES):
+        self.frames(3, poses)
+        self.guard.pass_preflight()
+        return self
+
+    def start_run(self):
+        self.guard.start_run(self.at)
+        return self
 
     def frame(self, poses=PLACES, fault="", step=FRAME):
         self.at += step
@@ -66,9 +79,7 @@ def stopped(rules, together):
 
 def running(rules=RULES, poses=PLACES, checks_of=robot_checks):
     course = Course(rules, checks_of)
-    course.frames(3, poses)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course.pass_preflight(poses).start_run()
     assert course.frames(2, poses).moving == (True, True)
     return course
 
@@ -221,10 +232,7 @@ def test_the_pose_in_the_frame_whose_loss_ends_the_run_is_compared_with_its_comm
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(writes,))
 
-    course = Course(replace(RULES, goes_on=True), checks_of)
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
     course.frames(40, (None, PLACES[1]))  # 0.32 s: green is lost
     assert list(course.guard.lost) == [0]
     writes.asked.clear()
@@ -329,32 +337,44 @@ class Drive:
     """
 
     def __init__(
-        self, told=200.0, done=(200.0, 0.0, 0.0), turning=0.0, noise=0.3, blue=PLACES[1], **rules
+        self,
+        commanded=200.0,
+        done=(200.0, 0.0, 0.0),
+        turning=0.0,
+        noise=0.3,
+        blue=PLACES[1],
+        **rules,
     ):
         rules = replace(RULES, wheel_radius=40.0, **rules)
-        self.course, self.random = running(rules, (PLACES[0], blue)), random.Random(1)
+        self.course = running(rules, (PLACES[0], blue))
+        self.random = random.Random(1)
         self.blue = blue
-        self.told, self.done, self.turning, self.noise = told, done, turning, noise
-        self.x, self.y, self.heading = 500.0, 500.0, 0.3
+        self.commanded = commanded
+        self.done = done
+        self.turning = turning
+        self.noise = noise
+        self.x = 500.0
+        self.y = 500.0
+        self.heading = 0.3
 
     def go(self, seconds, see=lambda pose: pose):
         guard = self.course.guard
         for _ in range(round(seconds * 1e9 / FRAME)):
             stopped = guard.state is not GuardState.RUN
-            told, done = (0.0, (0.0,) * 3) if stopped else (self.told, self.done)
-            guard.note_transmission(
-                self.course.at, (told, 0.0), (self.turning if told else 0.0, 0.0)
-            )
-            along, across, around = (each * FRAME / 1e9 for each in done)
+            speed = 0.0 if stopped else self.commanded
+            turning = self.turning if speed else 0.0
+            done = (0.0, 0.0, 0.0) if stopped else self.done
+            guard.note_transmission(self.course.at, (speed, 0.0), (turning, 0.0))
+            along, across, around = (rate * FRAME / 1e9 for rate in done)
             self.heading += around
             self.x += along * math.cos(self.heading) - across * math.sin(self.heading)
             self.y += along * math.sin(self.heading) + across * math.cos(self.heading)
-            green = see(self._noisy(Pose(self.x, self.y, self.heading)))
-            self.course.frame((green, self.blue and self._noisy(self.blue)))
+            green = see(self.noisy(Pose(self.x, self.y, self.heading)))
+            self.course.frame((green, self.blue and self.noisy(self.blue)))
             guard.note_direction(self.course.at)
         return guard
 
-    def _noisy(self, pose):
+    def noisy(self, pose):
         err = self.random.gauss
         return Pose(
             pose.x + err(0, self.noise),
@@ -394,9 +414,9 @@ def test_a_run_that_goes_on_leaves_out_a_robot_that_does_not_move():
 @pytest.mark.parametrize("frozen", [0.07, 0.2])
 def test_a_pose_that_is_frozen_for_a_moment_is_let_pass_at_any_time(frozen, after):
     """Regression: within 0.3 s of the start, when robots may still stand, 70 ms aborted."""
-    drive = Drive(told=180.0, done=(180.0, 0.0, 0.0))
+    drive = Drive(commanded=180.0, done=(180.0, 0.0, 0.0))
     drive.go(after)
-    held = drive._noisy(Pose(drive.x, drive.y, drive.heading))
+    held = drive.noisy(Pose(drive.x, drive.y, drive.heading))
     drive.go(frozen, lambda pose: held)
     assert drive.go(1.0).state is GuardState.RUN
 
@@ -465,7 +485,7 @@ def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():
 
 
 def test_robots_that_stand_as_commanded_may_be_seen_so_to_the_last_bit():
-    drive = Drive(told=0.0, done=(0.0, 0.0, 0.0), noise=0.0)
+    drive = Drive(commanded=0.0, done=(0.0, 0.0, 0.0), noise=0.0)
     assert drive.go(2.0).state is GuardState.RUN
 
 
@@ -510,10 +530,7 @@ def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost,
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(Finds(finding),))
 
-    course = Course(replace(RULES, goes_on=True), checks_of)
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
     ruling = course.frame()
     assert (ruling.state, ruling.reason, list(course.guard.lost)) == (state, reason, lost)
     assert ruling.warnings == warnings
@@ -547,10 +564,7 @@ def test_a_body_in_place_of_a_ghost_is_no_ghost():
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(Finds(Abort("green drifts", (0,))),))
 
-    course = Course(replace(RULES, goes_on=True), checks_of)
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
     course.frames(2)
     assert course.guard.refused == ("green drifts", "")
     course.guard.lose_robot(0, "green has divided")
@@ -575,10 +589,7 @@ def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(FindsInFrames(Warn("green wanders")),))
 
-    course = Course(RULES, checks_of)
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course = Course(RULES, checks_of).pass_preflight().start_run()
     course.bad = 21
     ruling = course.frame()
     assert ruling.reason == "21 damaged camera frames within a second"
@@ -589,10 +600,7 @@ def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
     def checks_of(rules):
         return replace(robot_checks(rules), checks=(Finds(Lose(1, "it is gone")),))
 
-    course = Course(replace(RULES, goes_on=True), checks_of)
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
     assert course.frame().moving == (True, False)
 
 
@@ -603,10 +611,7 @@ def test_after_an_abort_no_robot_is_lost_any_more():
         checks = Finds(Abort("the first"), Lose(1, "the second")), Finds(Lose(0, "the third"))
         return replace(robot_checks(rules), checks=checks)
 
-    course = Course(replace(RULES, goes_on=True), checks_of)
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
     ruling = course.frame()
     assert (ruling.reason, ruling.warnings) == ("the first", ())
     assert course.guard.lost == {}

@@ -1,6 +1,7 @@
 """The inner loop where its other thread hangs; all else is tested through the plant."""
 
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +19,28 @@ from tetractl.lab.guard_records import GuardState
 
 @pytest.fixture
 def hung(monkeypatch):
-    """A running lab whose loop's lock is held by somebody who never gives it back."""
+    """A running lab whose loop hangs in a step of its own thread: the camera returns no frames."""
     monkeypatch.setattr(inner_loop, "STOP_S", 0.01)
     lab = fake_lab(experiment().setup)
     lab.plant.open()
     lab.plant.send(Steer(0.5))
-    lab.clock.steps.remove(lab.plant.rig.loop.step)
-    assert lab.plant.rig.loop._lock.acquire()
-    return lab
+    loop = lab.plant.rig.loop
+    lab.clock.steps.remove(loop.step)
+    entered = threading.Event()
+    given_back = threading.Event()
+
+    def hang():
+        entered.set()
+        given_back.wait(60)
+        return []
+
+    lab.camera.frames = hang
+    thread = threading.Thread(target=loop.step, daemon=True)
+    thread.start()
+    assert entered.wait(60)
+    yield lab
+    given_back.set()
+    thread.join(60)
 
 
 def test_steering_past_a_loop_that_hangs_aborts(hung):

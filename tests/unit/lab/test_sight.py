@@ -39,16 +39,26 @@ def on_grid(value, step):
 
 
 class Mat:
-    """Two robots that do what they are sent 60 ms later and measure their own poses, `late` [ns]
-    before the frame, on the grid of `sight`. Their turning rates swing up to `swing` [rad/s]."""
+    """Stands for two robots that do what they are sent 60 ms later and measure their own poses,
+    `late` [ns] before the frame, on the grid of `sight`. Their turning rates swing up to `swing`
+    [rad/s]. They begin to move after 200 ms.
+    """
 
     def __init__(self, rules=RULES, late=(0, 0), sight=MAT, swing=6.0, speed=100.0):
-        self.guard, self.late, self.sight = Guard(rules), late, sight
-        self.swing, self.speed, self.now, self.number = swing, speed, 0, 0
-        self.x, self.y, self.heading = [500.0, 1500.0], [500.0, 500.0], [0.3, -2.0]
-        self.seen: list[list[tuple[int, Pose]]] = [[], []]
-        self.frozen, self.repeats = False, 0
-        self.held: list[tuple[int, Pose]] = []
+        self.guard = Guard(rules)
+        self.late = late
+        self.sight = sight
+        self.swing = swing
+        self.speed = speed
+        self.now = 0
+        self.number = 0
+        self.x = [500.0, 1500.0]
+        self.y = [500.0, 500.0]
+        self.heading = [0.3, -2.0]
+        self.seen: list[list[tuple[int, Pose]]] = [[], []]  # all that each has measured
+        self.held: list[tuple[int, Pose]] = []  # what the last frame shows
+        self.frozen = False
+        self.repeats = 0
 
     def rates(self, at):
         t = at / SECOND
@@ -60,10 +70,10 @@ class Mat:
             self.now += MS
             for i in range(2):
                 v, w = self.rates(self.now - 60 * MS)
-                moves = self.now > 200 * MS
-                self.heading[i] += w[i] * moves / 1000
-                self.x[i] += v * moves * math.cos(self.heading[i]) / 1000
-                self.y[i] += v * moves * math.sin(self.heading[i]) / 1000
+                if self.now > 200 * MS:
+                    self.heading[i] += w[i] / 1000
+                    self.x[i] += v * math.cos(self.heading[i]) / 1000
+                    self.y[i] += v * math.sin(self.heading[i]) / 1000
                 step, turn = self.sight.grid_mm, self.sight.grid_rad
                 place = on_grid(self.x[i], step), on_grid(self.y[i], step)
                 self.seen[i].append((self.now, Pose(*place, on_grid(self.heading[i], turn))))
@@ -72,19 +82,20 @@ class Mat:
         return self.guard
 
     def frame(self):
-        found = []
-        for seen, late in zip(self.seen, self.late, strict=True):
-            now = [one for one in seen if one[0] <= self.now - late] or seen[:1]
-            found.append(now[-1])
+        shown = []
+        for measured, late in zip(self.seen, self.late, strict=True):
+            arrived = [row for row in measured if row[0] <= self.now - late] or measured[:1]
+            shown.append(arrived[-1])
         if self.frozen:
-            found = [(at, pose) for (at, _), (_, pose) in zip(found, self.held, strict=True)]
+            shown = [(at, pose) for (at, _), (_, pose) in zip(shown, self.held, strict=True)]
         else:
-            self.repeats += bool(self.held) and self.held[0][1] == found[0][1]
-            self.held = found
+            if self.held and self.held[0][1] == shown[0][1]:
+                self.repeats += 1
+            self.held = shown
         self.number += 1
-        times = tuple(at for at, _ in found)
+        times = tuple(at for at, _ in shown)
         own = times if any(self.late) else ()
-        poses = tuple(pose for _, pose in found)
+        poses = tuple(pose for _, pose in shown)
         self.guard.check_frame(CameraFrame(self.number, self.now, self.now, poses, exposed_ns=own))
         if self.guard.state is GuardState.PREFLIGHT and self.number == 10:
             self.guard.pass_preflight()

@@ -19,31 +19,31 @@ class BugError(Exception):
     pass
 
 
-def assert_ended_well(made, outcome):
+def assert_ended_well(fakes, outcome):
     """Robots stopped before anything else, once; plant closed; every observer notified."""
-    names = made.happenings.names
+    names = fakes.happenings.names
     assert names.count("stop") == names.count("settle") == names.count("close") == 1
     assert names.index("stop") < names.index("settle") < names.index("close")
-    for observer in made.observers:
+    for observer in fakes.observers:
         assert len(observer.stops) == 1
         stop, result = observer.stops[0]
         assert stop.direction is None
         assert result.outcome is outcome
         assert names.index("close") < names.index(f"{observer.name}.stop")
-    return made.observers[0].stops[0][1] if made.observers else None
+    return fakes.observers[0].stops[0][1] if fakes.observers else None
 
 
-def twice(made):
-    made.interrupt.request()
-    made.interrupt.request()
+def twice(fakes):
+    fakes.interrupt.request()
+    fakes.interrupt.request()
 
 
 @pytest.mark.parametrize("outcome", DECIDED)
 @pytest.mark.parametrize("steps", [0, 1, 3])
 def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
-    made = bench(steps, outcome)
-    result = made.run()
-    assert result == assert_ended_well(made, outcome)
+    fakes = bench(steps, outcome)
+    result = fakes.run()
+    assert result == assert_ended_well(fakes, outcome)
     assert (result.outcome, result.reason, result.steps) == (outcome, "", steps)
     assert result.duration_s == pytest.approx(steps * 0.2)
     assert len(result.solve_ns) == steps
@@ -54,33 +54,33 @@ def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
 
 def test_a_trial_lasts_from_its_first_direction():
     """Not from the moment the lab was opened: the first plan may take a while."""
-    made = bench(2)
-    made.happenings.actions["plan", 1] = lambda: made.trial.clock.sleep_until(20 * SECOND)
-    assert made.run().duration_s == pytest.approx(0.4)
-    assert made.plant.steered[0][0] == 20 * SECOND
+    fakes = bench(2)
+    fakes.happenings.actions["plan", 1] = lambda: fakes.trial.clock.sleep_until(20 * SECOND)
+    assert fakes.run().duration_s == pytest.approx(0.4)
+    assert fakes.plant.steered[0][0] == 20 * SECOND
 
 
 def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
-    made = bench(2)
-    made.run()
+    fakes = bench(2)
+    fakes.run()
     step = ["observe", "plan", "send", "log.samples", "log.step"]
-    assert made.happenings.names == [
+    assert fakes.happenings.names == [
         *("open", "log.start", *step, *step, "observe", "plan"),
         *("stop", "settle", "close", "log.samples", "log.stop"),
     ]
-    assert made.plant.steered == [(0, 0.1), (PERIOD, 0.0)]
-    assert [seen.sampled_ns for seen in made.controller.seen] == [0, PERIOD, 2 * PERIOD]
-    log = made.observers[0]
+    assert fakes.plant.steered == [(0, 0.1), (PERIOD, 0.0)]
+    assert [seen.sampled_ns for seen in fakes.controller.seen] == [0, PERIOD, 2 * PERIOD]
+    log = fakes.observers[0]
     assert [(step.k, step.command.sent_ns) for step in log.steps] == [(0, 0), (1, PERIOD)]
-    assert [step.observation for step in log.steps] == made.controller.seen[:2]
+    assert [step.observation for step in log.steps] == fakes.controller.seen[:2]
     assert (log.start.plant.kind, log.start.plant.facts) == ("fake", {"bench": "left"})
     assert log.start.trial == 4
 
 
 def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
-    made = bench(4)
-    made.run()
-    frames = [sample.observation.frame for sample in made.observers[0].samples]
+    fakes = bench(4)
+    fakes.run()
+    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
     assert frames == list(range(8 + 10 + 1))  # 0.8 s of steps, 1 s to settle
 
 
@@ -93,14 +93,14 @@ def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
     ],
 )
 def test_a_fault_stops_the_robots_and_is_the_reason_and_a_bug_is_raised_again(where, nth, error):
-    made = bench(observers=("log", "view"))
-    made.happenings.faults[where, nth] = error
+    fakes = bench(observers=("log", "view"))
+    fakes.happenings.faults[where, nth] = error
     bug = isinstance(error, BugError)
     with pytest.raises(BugError, match="off by one") if bug else nullcontext():
-        made.run()
-    result = assert_ended_well(made, Outcome.ABORTED)
+        fakes.run()
+    result = assert_ended_well(fakes, Outcome.ABORTED)
     assert result.reason == ("BugError: off by one" if bug else "no finite cost")
-    names = made.happenings.names
+    names = fakes.happenings.names
     fault = [i for i, name in enumerate(names) if name == where][nth - 1]
     assert names[fault + 1] == "stop"
 
@@ -108,46 +108,46 @@ def test_a_fault_stops_the_robots_and_is_the_reason_and_a_bug_is_raised_again(wh
 @pytest.mark.parametrize("error", [LogError("the disk is full"), BugError("in the view")])
 @pytest.mark.parametrize("where", ["log.samples", "log.stop"])
 def test_an_observer_that_fails_at_the_end_keeps_nothing_from_the_others(where, error):
-    made = bench(2, observers=("log", "view"))
-    made.happenings.faults[where, 3 if where == "log.samples" else 1] = error
+    fakes = bench(2, observers=("log", "view"))
+    fakes.happenings.faults[where, 3 if where == "log.samples" else 1] = error
     if isinstance(error, TetractlError):
-        result = made.run()
+        result = fakes.run()
         assert (result.outcome, result.reason) == (Outcome.ABORTED, str(error))
     else:
         with pytest.raises(BugError):
-            made.run()
-    assert len(made.observers[0].stops) == len(made.observers[1].stops) == 1
-    assert made.observers[1].samples[-1].observation.frame == 14
+            fakes.run()
+    assert len(fakes.observers[0].stops) == len(fakes.observers[1].stops) == 1
+    assert fakes.observers[1].samples[-1].observation.frame == 14
 
 
 @pytest.mark.parametrize(("kind", "raises"), [(ControlError, nullcontext()), (BugError, None)])
 def test_the_first_fault_is_the_one_reported(kind, raises):
-    made = bench(observers=("log", "view"))
-    made.happenings.faults["plan", 2], made.happenings.faults["log.stop", 1] = (
+    fakes = bench(observers=("log", "view"))
+    fakes.happenings.faults["plan", 2], fakes.happenings.faults["log.stop", 1] = (
         kind("1st"),
         kind("2nd"),
     )
     with raises or pytest.raises(BugError, match="1st"):
-        result = made.run()
+        result = fakes.run()
         assert (result.outcome, result.reason) == (Outcome.ABORTED, "1st")
 
 
 @pytest.mark.parametrize("error", [AbortError("no robot answers"), BugError("typo")])
 def test_a_plant_that_does_not_open_is_stopped_closed_and_nobody_is_told(error):
-    made = bench()
-    made.happenings.faults["open", 1] = error
+    fakes = bench()
+    fakes.happenings.faults["open", 1] = error
     with pytest.raises(type(error)):
-        made.run()
-    assert made.happenings.names == ["open", "stop", "close"]
+        fakes.run()
+    assert fakes.happenings.names == ["open", "stop", "close"]
 
 
 def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
-    made = bench()
-    made.happenings.faults["open", 1] = BugError("the reason")
-    made.happenings.faults["stop", 1] = AssertionError("never opened")
+    fakes = bench()
+    fakes.happenings.faults["open", 1] = BugError("the reason")
+    fakes.happenings.faults["stop", 1] = AssertionError("never opened")
     with pytest.raises(BugError, match="the reason"):
-        made.run()
-    assert made.happenings.names == ["open", "stop", "close"]
+        fakes.run()
+    assert fakes.happenings.names == ["open", "stop", "close"]
 
 
 class MuteError(Exception):
@@ -157,20 +157,20 @@ class MuteError(Exception):
 
 @pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), MuteError()])
 def test_robots_stop_whatever_a_controller_raises(error):
-    made = bench()
-    made.happenings.faults["plan", 2] = error
+    fakes = bench()
+    fakes.happenings.faults["plan", 2] = error
     with pytest.raises(type(error)):
-        made.run()
-    result = assert_ended_well(made, Outcome.ABORTED)
+        fakes.run()
+    result = assert_ended_well(fakes, Outcome.ABORTED)
     assert result.reason.startswith(type(error).__name__)
 
 
 def test_a_plant_that_cannot_settle_is_closed_and_its_log_ends():
-    made = bench()
-    made.happenings.faults["settle", 1] = BugError("lost")
+    fakes = bench()
+    fakes.happenings.faults["settle", 1] = BugError("lost")
     with pytest.raises(BugError):
-        made.run()
-    names = made.happenings.names
+        fakes.run()
+    names = fakes.happenings.names
     assert names[names.index("stop") :][:3] == ["stop", "settle", "close"]
     assert names[-1] == "log.stop"
 
@@ -178,109 +178,109 @@ def test_a_plant_that_cannot_settle_is_closed_and_its_log_ends():
 def test_a_plant_that_fails_at_the_end_has_its_last_frames_in_the_log():
     """Regression: once it could not say what it had sent, the frames since the last step, of the
     robots' coming to rest, were in no log."""
-    made = bench(2)
+    fakes = bench(2)
 
     def fail_after_the_stop():
-        if "settle" in made.happenings.names:
+        if "settle" in fakes.happenings.names:
             raise AbortError("the radio is gone")
         return []
 
-    made.plant.news = fail_after_the_stop
-    result = made.run()
+    fakes.plant.news = fail_after_the_stop
+    result = fakes.run()
     assert (result.outcome, result.reason) == (Outcome.ABORTED, "the radio is gone")
-    frames = [sample.observation.frame for sample in made.observers[0].samples]
+    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
     assert frames == list(range(4 + 10 + 1))  # ten a second: 0.4 s of steps, 1 s to settle
 
 
 def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
     """Regression: those taken in the step in which it could not say what it had sent were lost."""
-    made = bench(3)
+    fakes = bench(3)
 
     def fail_in_the_second_step():
-        if made.happenings.names.count("send") == 2:
+        if fakes.happenings.names.count("send") == 2:
             raise AbortError("the radio is gone")
         return []
 
-    made.plant.news = fail_in_the_second_step
-    assert made.run().reason == "the radio is gone"
-    frames = [sample.observation.frame for sample in made.observers[0].samples]
+    fakes.plant.news = fail_in_the_second_step
+    assert fakes.run().reason == "the radio is gone"
+    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
     assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
 
 
 @pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step"])
 def test_a_first_interruption_finishes_the_step(where):
-    made = bench(5)
-    made.happenings.actions[where, 2] = made.interrupt.request
-    result = made.run()
-    assert_ended_well(made, Outcome.INTERRUPTED)
+    fakes = bench(5)
+    fakes.happenings.actions[where, 2] = fakes.interrupt.request
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.steps == 2  # the step in which it came was recorded, and no other was begun
     assert result.reason == "interrupted; the step was finished"
-    assert made.happenings.names.count("plan") == 2
+    assert fakes.happenings.names.count("plan") == 2
 
 
 @pytest.mark.parametrize("where", ["plan", "send", "log.step"])
 def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
-    made = bench(5)
+    fakes = bench(5)
 
-    made.happenings.actions[where, 2] = lambda: twice(made)
-    result = made.run()
-    assert_ended_well(made, Outcome.INTERRUPTED)
+    fakes.happenings.actions[where, 2] = lambda: twice(fakes)
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.INTERRUPTED)
     planning = where == "plan"  # steering and recording are never torn
     assert result.steps == (1 if planning else 2)
     at_once, finished = "stopped at once by a second interruption", "interrupted; the step was"
     assert result.reason.startswith(at_once if planning else finished)
-    made.interrupt.request()  # raises nothing: no code is breakable any more
+    fakes.interrupt.request()  # raises nothing: no code is breakable any more
 
 
 @pytest.mark.parametrize("error", [AttributeError("no 'misc'"), ControlError("no finite cost")])
 def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
     """Regression: torn in an import or a compilation, numba raises errors of other kinds."""
-    made = bench(5)
+    fakes = bench(5)
 
     def torn():
-        made.interrupt.request()
+        fakes.interrupt.request()
         with suppress(KeyboardInterrupt):
-            made.interrupt.request()
+            fakes.interrupt.request()
         raise error
 
-    made.happenings.actions["plan", 2] = torn
-    result = made.run()
-    assert_ended_well(made, Outcome.INTERRUPTED)
+    fakes.happenings.actions["plan", 2] = torn
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.reason == "stopped at once by a second interruption"
 
 
 def test_each_turn_on_the_spot_after_driving_is_reported():
     """Regression: after turn, drive, turn only the first turn was in the log."""
-    made = bench(6)
-    made.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
-    made.run()
-    turns = [note for note in made.observers[0].notes if "turn on the spot" in note.text]
-    sent = {step.k: step.command.sent_ns for step in made.observers[0].steps}
+    fakes = bench(6)
+    fakes.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
+    fakes.run()
+    turns = [note for note in fakes.observers[0].notes if "turn on the spot" in note.text]
+    sent = {step.k: step.command.sent_ns for step in fakes.observers[0].steps}
     assert [note.t_ns for note in turns] == [sent[1], sent[4]]
 
 
 def test_interruptions_while_the_robots_stop_tear_nothing():
-    made = bench(2)
+    fakes = bench(2)
     for where in ("stop", "settle", "log.stop"):
-        made.happenings.actions[where, 1] = made.interrupt.request
-    assert made.run().outcome is Outcome.SEQUENCE_COMPLETED
-    assert_ended_well(made, Outcome.SEQUENCE_COMPLETED)
+        fakes.happenings.actions[where, 1] = fakes.interrupt.request
+    assert fakes.run().outcome is Outcome.SEQUENCE_COMPLETED
+    assert_ended_well(fakes, Outcome.SEQUENCE_COMPLETED)
 
 
 @pytest.mark.parametrize("where", ["log.step", "stop"])
 def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raised(where):
     """Regression: one in the loop was taken for what a library makes of an interruption."""
-    made = bench(5)
+    fakes = bench(5)
 
     def catch():
         with suppress(KeyboardInterrupt):
-            twice(made)
+            twice(fakes)
 
-    made.happenings.actions["plan", 2] = catch
-    made.happenings.faults[where, 2 if where == "log.step" else 1] = BugError("off by one")
+    fakes.happenings.actions["plan", 2] = catch
+    fakes.happenings.faults[where, 2 if where == "log.step" else 1] = BugError("off by one")
     with pytest.raises(BugError):
-        made.run()
-    ended = made.observers[0].stops[0][1]
+        fakes.run()
+    ended = fakes.observers[0].stops[0][1]
     assert (ended.outcome, ended.reason) == (Outcome.ABORTED, "BugError: off by one")
 
 
@@ -302,11 +302,11 @@ def watch(monkeypatch):
 
 def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(watch):
     watch += [9 * PERIOD, PERIOD, PERIOD + 1, 5]
-    made = bench(4)
-    result = made.run()
+    fakes = bench(4)
+    result = fakes.run()
     assert result.solve_ns == (9 * PERIOD, PERIOD, PERIOD + 1, 5)
     assert result.deadline_misses == 1  # the first plan has no deadline
-    missed = [step.deadline_missed for step in made.observers[0].steps]
+    missed = [step.deadline_missed for step in fakes.observers[0].steps]
     assert missed == [False, False, True, False]
 
 
@@ -314,15 +314,15 @@ SQUARE = {"type": "square", "side": 2.0}
 
 
 def test_the_square_is_driven_while_the_first_plan_is_made():
-    made = bench(2, first_plan=SQUARE)
-    result = made.run()
-    assert_ended_well(made, Outcome.SEQUENCE_COMPLETED)
-    driven = made.plant.steered[:40]  # 4 sides of 2 s, sent again each control period
+    fakes = bench(2, first_plan=SQUARE)
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.SEQUENCE_COMPLETED)
+    driven = fakes.plant.steered[:40]  # 4 sides of 2 s, sent again each control period
     assert [when for when, _ in driven] == [k * PERIOD for k in range(40)]
     turns = [direction for _, direction in driven]
     assert turns[::10] == pytest.approx([1.5707963, 3.1415927, -1.5707963, 0])
     assert turns == [turn for turn in turns[::10] for _ in range(10)]
-    log = made.observers[0]
+    log = fakes.observers[0]
     assert [command.direction for command in log.commands] == turns
     assert [step.command.sent_ns for step in log.steps] == [8 * SECOND, 8 * SECOND + PERIOD]
     assert log.steps[0].observation.sampled_ns == 0  # planned from before the square
@@ -332,32 +332,32 @@ def test_the_square_is_driven_while_the_first_plan_is_made():
 
 
 def test_in_the_lab_squares_go_on_until_the_plan_is_there():
-    made = bench(1, simulated=False, first_plan=SQUARE)
+    fakes = bench(1, simulated=False, first_plan=SQUARE)
     enough = threading.Event()
-    made.happenings.actions["plan", 1] = enough.wait
-    made.happenings.actions["send", 101] = enough.set  # in the third square of 40 commands
-    made.run()
-    commands = len(made.observers[0].commands)
+    fakes.happenings.actions["plan", 1] = enough.wait
+    fakes.happenings.actions["send", 101] = enough.set  # in the third square of 40 commands
+    fakes.run()
+    commands = len(fakes.observers[0].commands)
     assert commands >= 120
     assert commands % 40 == 0
 
 
 def test_one_interruption_ends_the_square_after_its_side():
-    made = bench(first_plan=SQUARE)
-    made.happenings.actions["send", 2] = made.interrupt.request
-    result = made.run()
-    assert_ended_well(made, Outcome.INTERRUPTED)
+    fakes = bench(first_plan=SQUARE)
+    fakes.happenings.actions["send", 2] = fakes.interrupt.request
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.reason == "interrupted before the first step"
-    assert (len(made.plant.steered), result.steps) == (2, 0)
-    assert len(made.observers[0].commands) == 2
+    assert (len(fakes.plant.steered), result.steps) == (2, 0)
+    assert len(fakes.observers[0].commands) == 2
 
 
 def test_two_interruptions_end_the_square_at_once():
-    made = bench(first_plan=SQUARE)
+    fakes = bench(first_plan=SQUARE)
 
-    made.happenings.actions["log.command", 12] = lambda: twice(made)
-    result = made.run()
-    assert_ended_well(made, Outcome.INTERRUPTED)
+    fakes.happenings.actions["log.command", 12] = lambda: twice(fakes)
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.reason == "stopped at once by a second interruption"
     assert result.duration_s == 2.2  # the second side was not driven to its end
 
@@ -368,27 +368,27 @@ def test_after_an_overrun_the_steps_keep_their_distance(slow):
 
     Regression: after a period to the nanosecond two steps were sent at once.
     """
-    made = bench(5)
-    clock = made.trial.clock
-    made.happenings.actions["plan", 2] = lambda: clock.sleep_until(clock.now() + slow)
-    made.run()
-    sent = [when for when, _ in made.plant.steered]
+    fakes = bench(5)
+    clock = fakes.trial.clock
+    fakes.happenings.actions["plan", 2] = lambda: clock.sleep_until(clock.now() + slow)
+    fakes.run()
+    sent = [when for when, _ in fakes.plant.steered]
     gaps = [later - earlier for earlier, later in pairwise(sent)]
     assert gaps == [PERIOD + slow, *[PERIOD] * 3]
 
 
 def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     """They are in the log then, should the program be killed before the first step."""
-    made = bench(steps=1, simulated=False)
+    fakes = bench(steps=1, simulated=False)
     told = threading.Event()
-    made.happenings.actions["log.samples", 1] = told.set
-    plan = made.controller.plan
+    fakes.happenings.actions["log.samples", 1] = told.set
+    plan = fakes.controller.plan
 
     def slow(*seen):
         assert told.wait(60), "nothing was reported before the plan was there"
         return plan(*seen)
 
-    made.controller.plan = slow
-    assert made.run().outcome is Outcome.SEQUENCE_COMPLETED
-    names = made.happenings.names
+    fakes.controller.plan = slow
+    assert fakes.run().outcome is Outcome.SEQUENCE_COMPLETED
+    names = fakes.happenings.names
     assert names.index("log.samples") < names.index("plan") < names.index("send")

@@ -318,7 +318,7 @@ def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
     lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
     back = lab.clock.now() + SECOND // 2
     assert lab.plant.settle().not_at_rest == ""
-    assert lab.plant._newest.valid.all()
+    assert lab.plant.samples()[-1].observation.valid.all()
     lab.clock.steps.pop()
     lab.camera.hidden = {"blue"}
     wait(lab, 0.1)

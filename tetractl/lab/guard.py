@@ -2,11 +2,12 @@
 
 What its words mean:
 
-- a pose is *refused* if it cannot be its robot's, else *accepted*;
+- a pose is *refused* if it cannot be its robot's, else *accepted*: its robot is *tracked*;
 - a robot is *hidden* if its last accepted pose is over 0.05 s older than the newest frame; it must
   stop until it is seen again;
 - a robot *disobeys* if its newest pose was refused because it moves as no command does;
-- a robot is *lost* if the run goes on without it, until another body replaces it;
+- a robot is *lost* if the run goes on without it, until another body replaces it; a run that may
+  lose none, or that loses its last robot, is aborted instead;
 - a *ghost* is a robot whose poses are refused for good: what the camera shows is another body;
 - robots drive *ahead*, or turn on the spot and wait for a plan;
 - the *rules* are the limits of the spec; the *checks* depend on what robots a device has.
@@ -25,7 +26,7 @@ Why a run is aborted. The first reason stays; in one step of the inner loop they
 
      1  this program stood still                               check_awake
      2  the camera says that a frame's poses are wrong         check_frame, for each frame
-     3  the last robot is lost, since it is not tracked        check_frame, if a run may lose robots
+     3  a robot is lost, since it was not tracked              check_frame, if a run may lose robots
      4  a check finds it in the poses: they drift              check_frame, in the order of checks
      5  the operator stops all robots                          abort
      6  the actuator cannot send any more                      decide
@@ -35,12 +36,13 @@ Why a run is aborted. The first reason stays; in one step of the inner loop they
     10  a robot disobeys, is not tracked or seen too rarely    decide: untracked_robots
     11  a check finds it in the places: robots come too near   decide, in the order of checks
 
-and between two steps, control steps that are late (note_step) and, by `abort`, what only others can
-know: a robot that moves in a pause, a device or inner loop that fails.
+and between two steps, control steps that are late (note_step), a loss that others report
+(lose_robot) and, by `abort`, what only others can know: a robot that moves in a pause, a device or
+an inner loop that fails.
 
-The inner loop's thread makes all calls but `note_step`, `abort`, `lose_robot` and `replace_robot`,
-which the controller's thread may make at any time. Lengths are in the spec's length unit, times ns
-on the run's clock.
+The inner loop makes the calls of a run, one at a time. `note_step`, `abort`, `lose_robot` and
+`replace_robot` may come from the controller's thread meanwhile. Lengths are in the spec's length
+unit, times ns on the run's clock.
 """
 
 from collections.abc import Iterable, Sequence
@@ -184,7 +186,8 @@ class Guard:
 
     @property
     def _in_run(self) -> bool:
-        return self.state in (GuardState.RUN, GuardState.HOLD)
+        state = self._status.state
+        return state is GuardState.RUN or state is GuardState.HOLD
 
     def why_no_frame(self, silent_ns: int) -> str:
         """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
@@ -318,7 +321,7 @@ class Guard:
             self._count_absence()
         if self.rules.goes_on:
             self._lose_unseen()
-        decisions = [self._decide_pose(i, read, in_run) for i, read in enumerate(readings)]
+        decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(readings)]
         for robot, reading, decision in zip(self._robots, readings, decisions, strict=True):
             self._record_pose(robot, reading, decision)
         for decision in decisions:

@@ -32,17 +32,23 @@ class Happenings:
     def note(self, name: str) -> None:
         self.names.append(name)
         nth = self.names.count(name)
-        if action := self.actions.get((name, nth)):
+        action = self.actions.get((name, nth))
+        if action:
             action()
-        if fault := self.faults.get((name, nth)):
+        fault = self.faults.get((name, nth))
+        if fault:
             raise fault
 
 
 class FakePlant:
-    """A camera frame every 100 ms; the robots jump to FINAL when stopped."""
+    """Stands for a plant with a camera frame every 100 ms, whose robots jump to FINAL when they are
+    stopped, and take a second to come to rest. `steered` are the directions sent, with their times.
+    """
 
     def __init__(self, happenings, clock, simulated=True):
-        self.happenings, self.clock, self.simulated = happenings, clock, simulated
+        self.happenings = happenings
+        self.clock = clock
+        self.simulated = simulated
         self.verdict = Verdict(Poses.of(FINAL), (False,) * 3, (40.0, 12.0, 300.0))
         self.frames = 0
         self.steered: list[tuple[int, float]] = []
@@ -62,8 +68,9 @@ class FakePlant:
         return Command(action, self.clock.now(), (True,) * 3)
 
     def samples(self):
-        first, self.frames = self.frames, self.clock.now() * 10 // SECOND + 1
-        return [Sample(self._frame(n), None) for n in range(first, self.frames)]
+        first = self.frames
+        self.frames = self.clock.now() * 10 // SECOND + 1
+        return [Sample(self._frame(number), None) for number in range(first, self.frames)]
 
     def news(self):
         return []
@@ -86,32 +93,38 @@ class FakePlant:
 
 
 class FakeController:
-    """Plans as many steps as it is given, then says how the trial ended. `instead` maps the number
-    of a step to what it sends in place of a direction."""
+    """Stands for a controller of as many steps as it is given, which then ends the trial.
+
+    `instead` maps the number of a step to what it sends in place of a direction.
+    """
 
     def __init__(self, happenings, steps=3, outcome=Outcome.SEQUENCE_COMPLETED):
-        self.happenings, self.left, self.outcome = happenings, steps, outcome
+        self.happenings = happenings
+        self.steps_left = steps
+        self.outcome = outcome
         self.seen: list[Observation] = []
         self.instead: dict[int, Turn | Stop] = {}
 
     def plan(self, observation, last_command=None, earlier=()):
         self.happenings.note("plan")
         self.seen.append(observation)
-        if self.left == 0:
+        if self.steps_left == 0:
             return self.outcome
-        self.left -= 1
-        signals = np.array([self.left / 10, 0.5])
+        self.steps_left -= 1
+        signals = np.array([self.steps_left / 10, 0.5])
         search = Search(2, signals, 1.0, np.array([1.0]), 5, "iterations")
         instead = self.instead.get(len(self.seen) - 1)
         return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7, instead=instead)
 
 
 class FakeObserver(Recorder):
-    """Keeps what it is given, and writes down each call."""
+    """Stands for a log or a view: keeps what it is given, and writes down each call."""
 
     def __init__(self, happenings, name="log"):
         super().__init__()
-        self.happenings, self.name, self.stops = happenings, name, []
+        self.happenings = happenings
+        self.name = name
+        self.stops = []  # the stop and the result of each call of `on_stop`
         for event in ("start", "samples", "step", "command", "note", "stop"):
             setattr(self, f"on_{event}", partial(self._call, event))
 
@@ -119,7 +132,8 @@ class FakeObserver(Recorder):
         getattr(super(), f"on_{event}")(*what)
         if event in ("step", "stop"):
             self.commands.pop()  # `commands` are those besides
-        self.stops += [what] * (event == "stop")
+        if event == "stop":
+            self.stops.append(what)
         self.happenings.note(f"{self.name}.{event}")
 
 
@@ -143,7 +157,9 @@ def bench(
 ) -> Bench:
     """Make a trial; `fields` are the controller's part of the spec."""
     spec = experiment(controller=fields)
-    happenings, clock, interrupt = Happenings(), VirtualClock(), Interrupt()
+    happenings = Happenings()
+    clock = VirtualClock()
+    interrupt = Interrupt()
     plant = FakePlant(happenings, clock, simulated)
     controller = FakeController(happenings, steps, outcome)
     watchers = [FakeObserver(happenings, name) for name in observers]

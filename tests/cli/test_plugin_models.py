@@ -24,7 +24,7 @@ import numpy as np
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.multistart import STEPS, search, workspace
+from tetractl.control.kernels.multistart import ITERATIONS, search, workspace
 from tetractl.control.kernels.rollout import lay_out
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
@@ -39,7 +39,7 @@ found = workspace(0, 1, 1, 1, 24, 5, 0)
 found.begin(start[None])
 laid = lay_out_polish(problem, 24), lay_out(problem, 1)
 search(*laid, np.uint64(0), np.empty(0), 0, 1e-3, 0.5, 6, 2**62, 0, found)
-z = int(found.at[STEPS])
+z = int(found.counts[ITERATIONS])
 best = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
 x, y = predict(problem, best.signals)[..., :2].T
 print(json.dumps({

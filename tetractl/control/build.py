@@ -23,7 +23,8 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     objects that searching them takes a fifth of its time.
     """
     collects = gc.isenabled()
-    began_s, said_s = time.monotonic(), list[float]()
+    began_s = time.monotonic()
+    said_s = list[float]()
 
     def say() -> None:
         now_s = time.monotonic()

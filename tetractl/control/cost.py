@@ -66,11 +66,13 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
     path[0] = problem.poses.array()
-    x, y = path[..., 0], path[..., 1]
+    x = path[..., 0]
+    y = path[..., 1]
     every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same signals for every robot
     if problem.bias is not None:
         every = every + problem.bias
-    own, turns = all_in_rows(problem), problem.side is not None or problem.saturation is not None
+    own = all_in_rows(problem)
+    turns = problem.side is not None or problem.saturation is not None
     for j, u in enumerate(every):
         held = problem.first_period if j == 0 else problem.period
         start = x[j], y[j], path[j, ..., 2]
@@ -86,7 +88,10 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 def _rates(heading: Floats, u: Floats, own: Floats, seconds: float) -> Floats:
     """Return the rates a (..., N) of a step, by `turning`."""
-    c, s, cu, su = np.cos(heading), np.sin(heading), np.cos(u), np.sin(u)
+    c = np.cos(heading)
+    s = np.sin(heading)
+    cu = np.cos(u)
+    su = np.sin(u)
     found = np.vectorize(lambda c, s, cu, su, *each: turning(c, s, cu, su, each, seconds)[0])
     return found(c, s, cu, su, *own.T)
 
@@ -102,7 +107,8 @@ def evaluate(problem: Problem, signals: Floats) -> Costs:
 def costs_along(problem: Problem, path: Floats) -> Costs:
     """Evaluate equations (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); ControlError if a
     cost is not finite."""
-    x, y = path[..., 0], path[..., 1]
+    x = path[..., 0]
+    y = path[..., 1]
     if problem.within is None:
         miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
     else:
@@ -117,7 +123,8 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
     obstacle = hits.sum(axis=(0, 2)).astype(np.float64)  # (9)
     if problem.separation > 0:
         one, other = np.triu_indices(x.shape[-1], 1)
-        dx, dy = x[1:, :, one] - x[1:, :, other], y[1:, :, one] - y[1:, :, other]
+        dx = x[1:, :, one] - x[1:, :, other]
+        dy = y[1:, :, one] - y[1:, :, other]
         obstacle += (dx * dx + dy * dy <= problem.separation**2).sum(axis=(0, 2))
     total = target + problem.obstacle_weight * obstacle  # (7)
     require_finite(total)

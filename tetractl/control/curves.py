@@ -19,5 +19,6 @@ def interpolate(knots: Floats, length: int) -> Floats:
     """
     at = np.linspace(0, len(knots) - 1, length)
     below = np.minimum(at.astype(np.int64), max(len(knots) - 2, 0))
-    share, after = (at - below)[:, None], np.minimum(below + 1, len(knots) - 1)
+    share = (at - below)[:, None]
+    after = np.minimum(below + 1, len(knots) - 1)
     return knots[below] * (1 - share) + knots[after] * share

@@ -87,7 +87,8 @@ class Ensemble(PlainController):
         driving = self._phase is None and self.k > 0  # the field stays off until V would rise
         least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
         if fall > least:
-            self._phase, self._turned = None, 0.0
+            self._phase = None
+            self._turned = 0.0
             plan = self._decide(problem, np.zeros(1), straight)
         else:
             self._turn(problem)
@@ -127,7 +128,8 @@ class Ensemble(PlainController):
 
     def _when_acting(self, observation: Observation) -> Poses:
         """Return the poses one dead time after the frame's exposure, when the decision acts."""
-        now, poses = observation.sampled_ns, observation.poses
+        now = observation.sampled_ns
+        poses = observation.poses
         until = now + self._delay_ns
         while len(self._acting) > 1 and self._acting[1][0] <= now:
             self._acting.popleft()

@@ -39,8 +39,11 @@ def compiled_branches(
     from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import predict
 
-    copies, robots, of = len(towards), len(problem.a), flat(problem)
-    path, drift = np.empty((len(turns) + 1, copies * robots, 3)), np.tile(of.drift, copies)
+    copies = len(towards)
+    robots = len(problem.a)
+    of = flat(problem)
+    path = np.empty((len(turns) + 1, copies * robots, 3))
+    drift = np.tile(of.drift, copies)
     path[0] = start.reshape(-1, 3)
     bias = np.zeros(robots) if problem.bias is None else problem.bias
     each = (towards[:, None] + bias).ravel()
@@ -55,7 +58,8 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import foresee
 
-    of, path = flat(problem), np.empty((signals.size + 1, problem.a.size, 3))
+    of = flat(problem)
+    path = np.empty((signals.size + 1, problem.a.size, 3))
     path[0] = of.start
     motion = of.parameters, of.drift, problem.first_period, problem.period, of.rest
     around = problem.obstacles.rows, problem.obstacles.walls, problem.swept
@@ -72,6 +76,7 @@ def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats
     from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import drive
 
-    of, path = flat(problem), np.empty((len(seconds), len(towards), 3))
+    of = flat(problem)
+    path = np.empty((len(seconds), len(towards), 3))
     drive(of.start, towards, of.parameters, of.drift, of.rest, seconds, path)
     return path

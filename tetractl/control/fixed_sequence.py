@@ -73,7 +73,8 @@ def best_stop(
     follow `direction` (N,) [rad], NaN for a robot that stands still.
     """
     delays = np.arange(moments, dtype=np.float64) * (period_s / moments)
-    path, targets = compiled_drive(problem, direction, delays), problem.targets
+    path = compiled_drive(problem, direction, delays)
+    targets = problem.targets
     errors = np.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))

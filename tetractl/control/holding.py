@@ -57,7 +57,8 @@ class CircleSearch(OptimizerSection):
     ) -> Search:
         """Search sequences of `length` signals; the previous plan `warm` is extended to that
         length by repeating its last change of direction."""
-        progress, times = Progress(length, limits), problem.period * np.arange(length)
+        progress = Progress(length, limits)
+        times = problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
         known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)
         if warm is not None and len(warm):

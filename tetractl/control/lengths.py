@@ -38,7 +38,8 @@ def least_length(problem: Problem) -> int:
 def longer(count: int, most: int, after: int) -> Iterator[int]:
     """Yield growing lengths [signals] from `count` + 2 to `most`, beginning with those above
     `after`; `count` is the length of the plan under way."""
-    lengths, length = list[int](), count + 2
+    lengths = list[int]()
+    length = count + 2
     while length <= most:
         lengths.append(length)
         length = max(length + 1, round(GROWTH * length))
@@ -59,7 +60,9 @@ class Searcher:
         step_key: int,
         expired: Callable[[int], bool] = never,
     ) -> None:
-        self._optimizer, self.problem, self._key = optimizer, problem, step_key
+        self._optimizer = optimizer
+        self.problem = problem
+        self._key = step_key
         self._expired = expired
         self.found: list[Search] = []
 

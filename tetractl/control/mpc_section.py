@@ -126,7 +126,8 @@ class SearchFields(PlainSection):
         """Return the number of floats that the longest search stores: positions, velocities, bests
         and poses of particles, and the Jacobian of a polish.
         """
-        robots, length = len(setup.names), self.horizon_max
+        robots = len(setup.names)
+        length = self.horizon_max
         swarm = 4 * self.optimizer.evaluations_min * (length + robots)
         residuals = robots * (2 + robots // 2 + len(setup.obstacles))
         return swarm + residuals * length
@@ -236,7 +237,8 @@ class RecommendedMpc(SearchFields):
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
         """Return the problem with the robots at `poses`, or at their starts."""
-        collision, walls = self.collision, setup.arena if self.collision.walls else None
+        collision = self.collision
+        walls = setup.arena if self.collision.walls else None
         margin = collision.margin + collision.radius
         return replace(
             super().problem(setup, poses),
@@ -268,7 +270,8 @@ class RecommendedMpc(SearchFields):
         from tetractl.control.passage import ways
 
         super().warm_up(setup)
-        problem, margins = self.problem(setup), Margins(setup.obstacles, setup.arena, setup.targets)
+        problem = self.problem(setup)
+        margins = Margins(setup.obstacles, setup.arena, setup.targets)
         path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
         compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load

@@ -102,7 +102,8 @@ class Tree:
 
     def apart(self, x: Floats, y: Floats) -> Bools:
         """Return along which branches robots at x, y (T, B, N) keep the separation."""
-        one, other = self._one, self._other
+        one = self._one
+        other = self._other
         gaps = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
         return np.asarray((gaps > self._problem.separation).all(axis=(0, 2)))
 
@@ -152,7 +153,8 @@ class Squares:
         ends = zip(*beside, *across, strict=True)
         one, other = (np.concatenate([cells.ravel() for cells in end]) for end in ends)
         both = free[one] & free[other]
-        one, other = one[both], other[both]
+        one = one[both]
+        other = other[both]
         length = np.hypot(*(self.centres[one] - self.centres[other]).T)
         graph = coo_array((length, (one, other)), shape=(len(free), len(free))).tocsr()
         return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
@@ -162,7 +164,8 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     """Yield up to TRIED_IN_ALL sequences of up to `most` signals that lead all robots near their
     targets, about the shortest first, and at last the one that leads nearest. `key` seeds the first
     direction of each level."""
-    grid, count = Squares(arena), len(problem.a)
+    grid = Squares(arena)
+    count = len(problem.a)
     gaps = np.empty((problem.obstacles.count, len(grid.centres)))
     x, y = grid.centres.T.copy()
     clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x, y, gaps)
@@ -170,8 +173,11 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     left = grid.ways(free, problem.targets)
     own = np.arange(count) * len(grid.centres)
     near = NEAR * float((problem.speed / problem.a).sum())
-    held, kept = max(1, round(HELD_S / problem.period)), max(1, KEPT // count)
-    tree, tried, nearest = Tree(problem, key, held), 0, (np.inf, 0)
+    held = max(1, round(HELD_S / problem.period))
+    kept = max(1, KEPT // count)
+    tree = Tree(problem, key, held)
+    tried = 0
+    nearest = (np.inf, 0)
     for level in range(most // held):
         path = tree.grow()
         ways_left = left[grid.cells(path[..., :2]) + own]

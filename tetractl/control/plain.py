@@ -64,7 +64,9 @@ class PlainController:
     its random numbers."""
 
     def __init__(self, section: PlainSection, setup: Setup, key: int) -> None:
-        self.key, self.k, self._ends = key, 0, section
+        self.key = key
+        self.k = 0
+        self._ends = section
         self.problem = section.problem(setup)
         self._known = section.known(setup)
         self._time = TrialTime(section.time_limit, section.period)

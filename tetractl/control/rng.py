@@ -12,7 +12,8 @@ from tetractl.core.poses import Floats
 
 Bits = NDArray[np.uint64]
 
-GOLDEN, FACTORS = 0x9E3779B97F4A7C15, (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+GOLDEN = 0x9E3779B97F4A7C15
+FACTORS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 MASK = 0xFFFF_FFFF_FFFF_FFFF
 
 
@@ -42,7 +43,8 @@ def uniform(key: int, first: int, count: int) -> Floats:
 def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
     """Return two independent numbers uniform in [0, 1) from each draw, 31 random bits each."""
     z = bits(key, first, count)
-    high, low = z >> np.uint64(33), z & np.uint64(0x7FFF_FFFF)
+    high = z >> np.uint64(33)
+    low = z & np.uint64(0x7FFF_FFFF)
     return high.astype(np.float64) * 2.0**-31, low.astype(np.float64) * 2.0**-31
 
 

@@ -99,7 +99,8 @@ class Rrt(PlainController):
         A robot too near to its target to turn towards it would circle it for ever; it drives
         straight on until it is far enough away.
         """
-        here, region = problem.poses.xy[0], problem.obstacles
+        here = problem.poses.xy[0]
+        region = problem.obstacles
         while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:
             self._path = self._path[1:]
         blocked = bool(region.cross(here[0], here[1], self._path[0, 0], self._path[0, 1]))
@@ -109,7 +110,8 @@ class Rrt(PlainController):
             found = grow(region, self._arena, here, target, self._edge, draws)
             self._path = target[None] if found is None else found
         corner = self._path[0] - here
-        u, heading = float(np.arctan2(corner[1], corner[0])), float(problem.poses.heading[0])
+        u = float(np.arctan2(corner[1], corner[0]))
+        heading = float(problem.poses.heading[0])
         beside = len(self._path) == 1 and np.hypot(*corner) <= self._reach
         return heading if beside and np.cos(u - heading) < self.section.ahead else u
 
@@ -143,22 +145,27 @@ def grow(
     """
     nodes = np.empty((len(draws) + 1, 2))
     before = np.zeros(len(draws) + 1, dtype=np.int64)
-    nodes[0], count = start, 1
-    low, size = np.array([arena.left, arena.bottom]), np.array([arena.width, arena.height])
+    nodes[0] = start
+    count = 1
+    low = np.array([arena.left, arena.bottom])
+    size = np.array([arena.width, arena.height])
     for share, *at in draws.tolist():
         point = target if share < RrtSection.goal_bias else low + size * at
         ways = point - nodes[:count]
         far = np.hypot(ways[:, 0], ways[:, 1])
         nearest = int(np.argmin(far))
-        root, long = nodes[nearest], float(far[nearest])
+        root = nodes[nearest]
+        long = float(far[nearest])
         node = point if long <= edge else root + ways[nearest] * (edge / long)
         if long == 0 or region.cross(root[0], root[1], node[0], node[1]):
             continue
-        nodes[count], before[count] = node, nearest
+        nodes[count] = node
+        before[count] = nearest
         count += 1
         left = float(np.hypot(*(target - node)))
         if left <= edge and not region.cross(node[0], node[1], target[0], target[1]):
-            path, i = [target], count - 1
+            path = [target]
+            i = count - 1
             while i > 0:
                 path.append(nodes[i])
                 i = int(before[i])

@@ -14,7 +14,8 @@ class TrialTime:
     """
 
     def __init__(self, limit_s: float, period_s: float) -> None:
-        self.limit_s, self._period_s = limit_s, period_s
+        self.limit_s = limit_s
+        self._period_s = period_s
         self._period_ns = round(period_s * SECOND)
         self._began_ns: int | None = None
         self.passed_s = 0.0

@@ -3,7 +3,7 @@
 import math
 from copy import deepcopy
 from dataclasses import asdict, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
@@ -32,7 +32,8 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.poses import Poses, Sight, wrap
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Observation, Poses, Sight, wrap
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -45,167 +46,231 @@ NOISY = ("plant.measurement_noise={position: 0.3, heading: 0.004}", "plant.headi
 
 
 class Late(Disturbance):
-    """From a time [s] on, commands act later on each robot by a time of its own (N,) [s]."""
+    """Stands for radio and wheels that answer late: from a time [s] on, commands act later on each
+    robot by a time of its own (N,) [s]."""
 
     def __init__(self, late_s, since_s=0.0):
         self.late_ns = (np.array(late_s) * SECOND).astype(np.int64)
         self.since_ns = since_s * SECOND
 
     def sent(self, command):
-        return replace(command, late_ns=self.late_ns * (command.sent_ns >= self.since_ns))
+        if command.sent_ns < self.since_ns:
+            return command
+        return replace(command, late_ns=self.late_ns)
 
 
-class Built(DisturbanceSection):
-    """The section of a disturbance that is built already."""
+class Turns(Disturbance):
+    """Stands for uneven wheels and weak motors: robots turn by `more` (N,) of it farther to the
+    left, and not faster than `most` [rad/s]."""
+
+    def __init__(self, more=0.0, most=100.0):
+        self.more = more
+        self.most = most
+        self.before = None
+
+    def moved(self, poses, moving, seconds, time_s):
+        before = poses.heading if self.before is None else self.before
+        turn = wrap(poses.heading - before)
+        turn = turn + self.more * np.abs(turn)
+        most = self.most * seconds
+        self.before = before + np.clip(turn, -most, most)
+        return replace(poses, heading=self.before)
+
+
+class Resting(Disturbance):
+    """Stands for cells that rest: all of them, for 1 s from 4 s on."""
+
+    def varied(self, a, speed, time_s):
+        rests = 4 <= time_s < 5
+        return a, 0.0 * speed if rests else speed
+
+
+class Backing(Disturbance):
+    """Stands for cells that avoid something: all swim backwards for 0.5 s from 4 s on, and then
+    turn on the spot by 2 rad/s for 0.5 s."""
+
+    def varied(self, a, speed, time_s):
+        if 4 <= time_s < 4.5:
+            return a, -speed
+        if 4.5 <= time_s < 5:
+            return a, 0.0 * speed
+        return a, speed
+
+    def moved(self, poses, moving, seconds, time_s):
+        rate = 2.0 if 4.5 <= time_s < 5 else 0.0
+        return Poses(poses.x, poses.y, poses.heading + rate * seconds)
+
+
+class BuiltSection(DisturbanceSection):
+    """Stands for the section of a disturbance that is built already."""
 
     type: Literal["built"] = "built"
     disturbance: Any
+
+    @classmethod
+    def holding(cls, disturbance):
+        return cls.model_construct(disturbance=disturbance)
 
     def build(self, setup, rng):
         return self.disturbance
 
 
-class Turns(Disturbance):
-    """Robots turn by `more` (N,) of it farther to the left, and not faster than `most` [rad/s]."""
+class Driven(NamedTuple):
+    """What is known of robots at the end of a drive, their plant, and the estimator."""
 
-    def __init__(self, more=0.0, most=100.0):
-        self.more, self.most, self.before = more, most, None
+    estimate: Estimate
+    plant: SimPlant
+    estimator: StateEstimator
 
-    def moved(self, poses, moving, seconds, time_s):
-        before = poses.heading if self.before is None else self.before
-        by = wrap(poses.heading - before)
-        by, most = by + self.more * np.abs(by), self.most * seconds
-        self.before = before + np.maximum(np.minimum(by, most), -most)
-        return replace(poses, heading=self.before)
+    @property
+    def filters(self):
+        return self.estimator.filter
 
 
-def know(
+def drive(
     settings=(),
     seconds=6,
     rate=5,
     spec=EXPERIMENT,
     altered=None,
-    until=None,
+    watch=None,
     seed=3,
-    late=None,
+    disturbance=None,
     stop_s=math.inf,
-    more=(),
 ):
-    """Drive simulated robots in smoothly varying directions until they are stopped at `stop_s`;
-    what is known of them, and the plant.
+    """Drive simulated robots in smoothly varying directions until they are stopped at `stop_s`,
+    with `rate` directions a second, and a `disturbance` in addition to those of the spec.
 
-    `altered` changes each frame that the estimator is given; `until` is called at each step with
-    the problem predicted, and the plant when a direction sent then acts.
+    `altered` changes each frame that the estimator is given; `watch` is called at each step with
+    its number, the estimator, and the plant at the moment when a direction sent then acts.
     """
     experiment = load_spec(spec, settings).experiment
-    clock, section = VirtualClock(), experiment.controller
-    every = (*experiment.plant.disturbances, *more)
-    if late is not None:
-        every = (*every, Built.model_construct(disturbance=late))
-    simulated = experiment.plant.model_copy(update={"disturbances": every})
-    plant = SimPlant(simulated, experiment.setup, clock, np.random.SeedSequence(seed))
-    plant.open()
-    problem = section.problem(experiment.setup)
-    estimator = StateEstimator(problem, 1 / rate, section.prior.of(problem, 0.0, experiment.setup))
+    plant = open_plant(experiment, seed, disturbance)
+    estimator = estimator_of(experiment, rate)
     knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
-    last, command = None, None
+    last_ns = -1
+    command = None
     for k in range(seconds * rate):
-        clock.sleep_until(k * SECOND // rate)
-        seen = plant.observe()
-        frames = [one.observation for one in plant.samples()]
-        frames = [*(one for one in frames if one.sampled_ns < seen.sampled_ns), seen]
-        frames = [one for one in frames if last is None or one.sampled_ns > last]
-        last = seen.sampled_ns
+        plant.clock.sleep_until(k * SECOND // rate)
+        newest, earlier = new_frames(plant, last_ns)
+        last_ns = newest.sampled_ns
         if altered:
-            frames = [altered(one) for one in frames]
-        problem = estimator.seen(frames[-1] if frames else seen, command, frames[:-1])
-        if until:
-            until(k, problem, estimator, plant)
+            earlier = [altered(frame) for frame in earlier]
+            newest = altered(newest)
+        estimator.seen(newest, command, earlier)
+        if watch:
+            watch(k, estimator, plant)
         direction = float(np.interp(2 * k / rate, np.arange(len(knots)), knots))
         command = plant.send(Steer(direction) if k < stop_s * rate else Stop())
     assert estimator.estimate is not None
-    return estimator.estimate, plant, estimator
+    return Driven(estimator.estimate, plant, estimator)
+
+
+def open_plant(experiment, seed, disturbance):
+    disturbances = experiment.plant.disturbances
+    if disturbance is not None:
+        disturbances = (*disturbances, BuiltSection.holding(disturbance))
+    section = experiment.plant.model_copy(update={"disturbances": disturbances})
+    plant = SimPlant(section, experiment.setup, VirtualClock(), np.random.SeedSequence(seed))
+    plant.open()
+    return plant
+
+
+def estimator_of(experiment, rate):
+    section = experiment.controller
+    problem = section.problem(experiment.setup)
+    prior = section.prior.of(problem, 0.0, experiment.setup)
+    return StateEstimator(problem, 1 / rate, prior)
+
+
+def new_frames(plant, last_ns):
+    """The newest frame of a plant, and those before it that are newer than `last_ns`."""
+    newest = plant.observe()
+    frames = [sample.observation for sample in plant.samples()]
+    return newest, [f for f in frames if last_ns < f.sampled_ns < newest.sampled_ns]
 
 
 def likely(filters):
-    """The state of each robot's likeliest hypothesis (N, STATE) at the last frame."""
+    """The state of each robot's likeliest hypothesis (N, STATES) at the last frame."""
     return filters.bank.state[filters.likeliest()]
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.14, 0.26])
 @pytest.mark.parametrize("rate", [5, 20])
 def test_the_dead_time_is_found_from_nothing(dead_time, rate):
-    found, *_ = know([f"plant.dead_time={dead_time}", "plant.a_error=0.2"], rate=rate)
-    assert found.dead_time == pytest.approx(dead_time, abs=0.005)
+    estimate, *_ = drive([f"plant.dead_time={dead_time}", "plant.a_error=0.2"], rate=rate)
+    assert estimate.dead_time == pytest.approx(dead_time, abs=0.005)
 
 
 def test_each_robot_may_have_a_dead_time_of_its_own():
     late_s = [0.0, 0.06, 0.12]
-    found, plant, estimator = know([*NOISY, "plant.dead_time=0.1"], 8, 20, late=Late(late_s))
+    settings = [*NOISY, "plant.dead_time=0.1"]
+    estimate, plant, estimator = drive(settings, 8, 20, disturbance=Late(late_s))
     assert estimator.filter.shared.mean_s == pytest.approx(np.add(0.1, late_s), abs=0.006)
-    assert found.dead_time_std > 0.04
-    assert found.a == pytest.approx(plant.a, rel=0.03)
+    assert estimate.dead_time_std > 0.04
+    assert estimate.a == pytest.approx(plant.a, rel=0.03)
 
 
 def test_a_dead_time_that_changes_is_found_again():
     """Regression: the dead times around 0.26 s had been dropped by then: 0.25 s, and a misfit."""
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
-    found, _, estimator = know(settings, 24, 20, late=Late([0.15] * 3, since_s=12.0))
-    assert found.dead_time == pytest.approx(0.26, abs=0.004)
-    assert found.misfit.max() < 1
+    estimate, _, estimator = drive(settings, 24, 20, disturbance=Late([0.15] * 3, since_s=12.0))
+    assert estimate.dead_time == pytest.approx(0.26, abs=0.004)
+    assert estimate.misfit.max() < 1
     assert estimator.filter.reopened_ns > 12 * SECOND
 
 
 def test_the_side_to_which_a_robot_turns_faster_is_found():
     more = np.array([0.2, -0.2, 0.1])
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
-    found, plant, _ = know(settings, 15, 20, late=Turns(more))
-    assert found.side == pytest.approx(np.arctanh(more), abs=0.03)
-    assert found.a == pytest.approx(plant.a * np.sqrt(1 - more**2), rel=0.04)
-    assert found.misfit.max() < 1
+    estimate, plant, _ = drive(settings, 15, 20, disturbance=Turns(more))
+    assert estimate.side == pytest.approx(np.arctanh(more), abs=0.03)
+    assert estimate.a == pytest.approx(plant.a * np.sqrt(1 - more**2), rel=0.04)
+    assert estimate.misfit.max() < 1
 
 
 def test_motors_that_saturate_are_found_by_the_misfit():
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
-    found, *_ = know(settings, 24, 20, late=Turns(most=1.5))
-    most = found.a * np.exp(np.abs(found.side)) * found.saturation
+    estimate, *_ = drive(settings, 24, 20, disturbance=Turns(most=1.5))
+    most = estimate.a * np.exp(np.abs(estimate.side)) * estimate.saturation
     assert most == pytest.approx(1.5, rel=0.1)
-    assert found.dead_time == pytest.approx(0.11, abs=0.02)
-    free, *_ = know(settings, 12, 20)
+    assert estimate.dead_time == pytest.approx(0.11, abs=0.02)
+    free, *_ = drive(settings, 12, 20)
     assert (free.saturation == 1).all()
 
 
 def test_the_turning_rates_of_motors_that_saturate_are_found():
     """Regression: the small a that had explained the turns stayed, 29 to 34 % too small."""
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
-    found, plant, _ = know(settings, 24, 20, late=Turns(most=1.5))
-    assert found.a == pytest.approx(plant.a, rel=0.15)
+    estimate, plant, _ = drive(settings, 24, 20, disturbance=Turns(most=1.5))
+    assert estimate.a == pytest.approx(plant.a, rel=0.15)
 
 
 def test_a_bank_is_not_opened_again_while_the_model_fits():
-    _, _, estimator = know(["plant.dead_time=0.11", "plant.a_error=0.2", *NOISY], 20, 20)
-    assert estimator.filter.reopened_ns == 0
+    driven = drive(["plant.dead_time=0.11", "plant.a_error=0.2", *NOISY], 20, 20)
+    assert driven.filters.reopened_ns == 0
 
 
 def test_a_motion_that_the_model_leaves_out_is_noticed():
     """Robots slide, and are taken not to."""
-    names, seconds = ["green", "blue", "red"], 15
-    found, *_ = know(NOISY, seconds, 20)
-    assert found.unfit(names) == set()
+    names = ["green", "blue", "red"]
+    seconds = 15
+    estimate, *_ = drive(NOISY, seconds, 20)
+    assert estimate.unfit(names) == set()
     slide = "plant.disturbances=[{type: flow, speed: 30}]"
-    wrong, *_ = know([*NOISY, slide, "controller.prior.flow=0"], seconds, 20)
+    wrong, *_ = drive([*NOISY, slide, "controller.prior.flow=0"], seconds, 20)
     assert any("along" in part or "across" in part for part in wrong.unfit(names))
-    assert (wrong.speed_std > found.speed_std).all()
-    right, *_ = know([*NOISY, slide, "controller.prior.flow=30"], seconds, 20)
+    assert (wrong.speed_std > estimate.speed_std).all()
+    right, *_ = drive([*NOISY, slide, "controller.prior.flow=30"], seconds, 20)
     assert right.unfit(names) == set()
 
 
 @pytest.mark.parametrize("error", [0.0, 0.1, 0.25])
 def test_a_and_speed_are_found_while_the_robots_move(error):
     settings = [f"plant.a_error={error}", f"plant.speed_error={error}", "plant.dead_time=0.1"]
-    found, plant, _ = know(settings)
-    assert found.a == pytest.approx(plant.a, rel=0.02)
-    assert found.speed == pytest.approx(plant.speed, rel=0.005)
+    estimate, plant, _ = drive(settings)
+    assert estimate.a == pytest.approx(plant.a, rel=0.02)
+    assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
 
 
 @pytest.mark.parametrize("rate", [5, 20])
@@ -217,10 +282,10 @@ def test_lost_commands_and_noise_do_not_lead_the_estimate_astray(rate):
         "plant.dead_time=0.14",
         "plant.a_error=0.2",
     ]
-    found, plant, _ = know(settings, 10, rate)
-    assert found.dead_time == pytest.approx(0.14, abs=0.01)
-    assert found.a == pytest.approx(plant.a, rel=0.06)
-    assert found.speed == pytest.approx(plant.speed, rel=0.005)
+    estimate, plant, _ = drive(settings, 10, rate)
+    assert estimate.dead_time == pytest.approx(0.14, abs=0.01)
+    assert estimate.a == pytest.approx(plant.a, rel=0.06)
+    assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
 
 
 def test_a_lost_command_is_seen_by_how_a_robot_turns():
@@ -228,20 +293,20 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
     settings = ["plant.lost_commands=0.3", "plant.dead_time=0.05", "wheels.watchdog=null"]
     right = []
 
-    def compare(k, problem, estimator, plant):
+    def compare(k, estimator, plant):
         if k > 4:
             held = estimator.filter.ahead(0).held
             right.append(np.abs(held - plant.drive.held.direction) < 1e-9)
 
-    know(settings, 40, 2, until=compare)
+    drive(settings, 40, 2, watch=compare)
     assert np.mean(right) > 0.9
 
 
 def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     off = "plant.disturbances=[{type: marker-off, heading: 0.1}]"
-    found, plant, estimator = know([*NOISY, off, "plant.dead_time=0.1"], 10)
+    estimate, plant, estimator = drive([*NOISY, off, "plant.dead_time=0.1"], 10)
     sides = plant.disturbances[0].offsets
-    assert found.heading_bias == pytest.approx(sides, abs=0.03)
+    assert estimate.heading_bias == pytest.approx(sides, abs=0.03)
     state = likely(estimator.filter)
     assert state[:, TURN_BIAS] == pytest.approx([0.0] * 3, abs=0.03)
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.03)
@@ -249,12 +314,12 @@ def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
 
 def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
     """With the lag given, the dead time is that of the radio and a the true one."""
-    drive = "{rate: 400, lead: 0.01, lag: 0.04}"
+    wheels = "{rate: 400, lead: 0.01, lag: 0.04}"
     radio = "[{type: radio, delay: 0.01, jitter: 0, loss: 0}]"
-    settings = (f"plant.drive={drive}", "wheels.lag=0.04", f"plant.disturbances={radio}")
-    found, plant, estimator = know(settings, 6, 20)
-    assert found.dead_time == pytest.approx(0.01, abs=0.01)
-    assert found.a == pytest.approx(plant.a, rel=0.03)
+    settings = (f"plant.drive={wheels}", "wheels.lag=0.04", f"plant.disturbances={radio}")
+    estimate, plant, estimator = drive(settings, 6, 20)
+    assert estimate.dead_time == pytest.approx(0.01, abs=0.01)
+    assert estimate.a == pytest.approx(plant.a, rel=0.03)
     rests = estimator.filter.ahead(plant.clock.now()).poses
     plant.stop()
     assert plant.settle().final.array() == pytest.approx(rests.array(), abs=1.5)
@@ -268,10 +333,10 @@ WOBBLE = (  # points that weave, seen by a camera that measures the body's axis
 
 @pytest.mark.parametrize("settings", [(), WOBBLE], ids=["cells", "wobble"])
 def test_cells_are_followed_through_helix_noise_and_flow(settings):
-    found, plant, estimator = know(settings, 12, spec=CELLS)
+    estimate, plant, estimator = drive(settings, 12, spec=CELLS)
     state = likely(estimator.filter)
-    assert found.a == pytest.approx(plant.a, rel=0.1)
-    assert found.speed == pytest.approx(plant.speed, rel=0.02)
+    assert estimate.a == pytest.approx(plant.a, rel=0.1)
+    assert estimate.speed == pytest.approx(plant.speed, rel=0.02)
     flow = np.tile(plant.disturbances[0].velocity, (3, 1))
     assert state[:, [FLOW_X, FLOW_Y]] == pytest.approx(flow, abs=8)
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.15)
@@ -281,77 +346,59 @@ def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_said_to_stand():
     stuck = "plant.disturbances=[{type: sticking, every: 2, duration: 0.5}]"
     agree = []
 
-    def compare(k, problem, estimator, plant):
+    def compare(k, estimator, plant):
         if k > 4:
-            stands = estimator.estimate.stands > 0.5
-            agree.append(stands == (plant.disturbances[0]._free.well(k / 5) == 0))
+            _, speed = plant.disturbances[0].varied(np.ones(3), np.ones(3), k / 5)
+            is_stuck = speed == 0
+            agree.append((estimator.estimate.stands > 0.5) == is_stuck)
 
-    found, plant, _ = know([*NOISY, stuck], 20, until=compare)
+    estimate, plant, _ = drive([*NOISY, stuck], 20, watch=compare)
     assert np.mean(agree) > 0.9
-    assert found.speed == pytest.approx(plant.setup.speed, rel=0.02)
-
-
-class Resting(Disturbance):
-    """All cells rest for 1 s from 4 s on."""
-
-    def varied(self, a, speed, time_s):
-        return a, speed * (not 4 <= time_s < 5)
+    assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.02)
 
 
 def test_a_cell_that_rests_is_said_to_stand_within_three_to_five_pictures():
-    said, rate = {}, 30  # by the number of pictures since the rest began
+    rate = 30
+    said = {}  # by the number of pictures since the rest began
 
-    def compare(k, problem, estimator, plant):
+    def compare(k, estimator, plant):
         since = round((estimator.filter.last.sampled_ns / SECOND - 4) * rate)
         said.setdefault(since, []).append(estimator.estimate.stands > 0.5)
 
     for seed in range(3):
-        know([], 6, rate, CELLS, until=compare, more=[OwnSection(type="resting")], seed=seed)
+        drive([], 6, rate, CELLS, watch=compare, disturbance=Resting(), seed=seed)
     shares = {since: np.mean(stands) for since, stands in said.items()}
     assert max(share for since, share in shares.items() if -60 <= since < 3) == 0
     assert shares[3] > 0.4 and min(shares[n] for n in range(5, 12)) == 1
 
 
-class Backing(Disturbance):
-    """All cells swim backwards for 0.5 s from 4 s on, and then turn on the spot for 0.5 s."""
-
-    def varied(self, a, speed, time_s):
-        return a, speed * (1.0 if not 4 <= time_s < 5 else 0.0 if time_s >= 4.5 else -1.0)
-
-    def moved(self, poses, moving, seconds, time_s):
-        turned = 2.0 * seconds * (4.5 <= time_s < 5)
-        return Poses(poses.x, poses.y, poses.heading + turned)
-
-
-class OwnSection(DisturbanceSection):
-    type: str
-
-    def build(self, setup, rng):
-        return {"backing": Backing, "resting": Resting}[self.type]()
-
-
 def test_a_cell_that_backs_off_and_turns_is_followed():
     away = []
 
-    def compare(k, problem, estimator, plant):
-        state, poses = likely(estimator.filter), plant.poses
+    def compare(k, estimator, plant):
+        state = likely(estimator.filter)
+        poses = plant.poses
         far = np.hypot(state[:, X] - poses.x, state[:, Y] - poses.y)
         away.append((far.max(), np.abs(state[:, HEADING] - poses.heading).max()))
 
-    know([], 6, until=compare, spec=CELLS, more=[OwnSection(type="backing")])
+    drive([], 6, watch=compare, spec=CELLS, disturbance=Backing())
     far, turned = np.array(away[20:]).T
     assert far.max() < 50  # um; a filter that has only cells at rest is off by more than 100
     assert turned.max() < 0.5
 
 
 def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
-    *_, estimator = know(rate=20, seconds=2)
-    filters = estimator.filter
-    now = filters.last.sampled_ns
+    filters = drive(rate=20, seconds=2).filters
+    let_all_be_stuck(filters)
+    now_ns = filters.last.sampled_ns
+    filters.sent(Command(Steer(1.0), now_ns + 1, (True,) * 3))
+    assert np.isnan(filters.ahead(now_ns + 1).held).all()  # as it would act
+
+
+def let_all_be_stuck(filters):
+    """Make the hypothesis that a robot is stuck, the last slot, the only one of each filter."""
     filters.bank.weight[...] = -np.inf
     filters.bank.weight[..., -1] = 0.0
-    filters.sent(Command(Steer(1.0), now + 1, (True,) * 3))
-    assert np.isnan(filters.ahead(now + 1).held).all()  # as it would act
 
 
 def frozen(frames):
@@ -370,13 +417,13 @@ def frozen(frames):
 def test_a_picture_that_is_shown_again_is_no_measurement():
     off = []
 
-    def compare(k, problem, estimator, plant):
+    def compare(k, estimator, plant):
         off.append(np.abs(likely(estimator.filter)[:, X] - plant.poses.x).max())
 
-    found, plant, _ = know(NOISY, rate=20, altered=frozen(400), until=compare)
+    estimate, plant, _ = drive(NOISY, rate=20, altered=frozen(400), watch=compare)
     assert max(off) < 10
-    assert found.speed == pytest.approx(plant.setup.speed, rel=0.01)
-    assert found.a == pytest.approx(plant.setup.a, rel=0.06)
+    assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.01)
+    assert estimate.a == pytest.approx(plant.setup.a, rel=0.06)
 
 
 def test_equal_poses_of_robots_that_were_commanded_to_stand_are_measurements():
@@ -386,8 +433,9 @@ def test_equal_poses_of_robots_that_were_commanded_to_stand_are_measurements():
         off = 30.0 * (frame.frame >= 250)
         return replace(frame, poses=replace(frame.poses, x=frame.poses.x + off))
 
-    _, plant, estimator = know(seconds=3, rate=20, altered=slid, stop_s=2.0)
-    assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 30, abs=1)
+    driven = drive(seconds=3, rate=20, altered=slid, stop_s=2.0)
+    plant = driven.plant
+    assert likely(driven.filters)[:, X] == pytest.approx(plant.poses.x + 30, abs=1)
 
 
 def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
@@ -396,8 +444,8 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
         p = frame.poses
         return replace(frame, poses=Poses(p.x + 150.0 * far, p.y, p.heading)) if far else frame
 
-    found, plant, estimator = know(NOISY, altered=jump)
-    assert found.speed == pytest.approx(plant.setup.speed, rel=0.01)
+    estimate, plant, estimator = drive(NOISY, altered=jump)
+    assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.01)
     assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 150, abs=5)
 
 
@@ -487,10 +535,11 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
 
 @pytest.mark.parametrize("spec", [EXPERIMENT, CELLS])
 def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
-    sizes, dead_time = set(), ["plant.dead_time=0.07"]
+    sizes = set()
+    dead_time = ["plant.dead_time=0.07"]
 
-    def compare(k, problem, estimator, plant):
-        filters, found = estimator.filter, estimator.estimate
+    def compare(k, estimator, plant):
+        filters = estimator.filter
         sizes.add(filters.bank.dead_time_s.shape)
         score, *dead_times = oracle.share(filters)
         assert filters.shared.score == pytest.approx(score, rel=1e-9)
@@ -498,9 +547,11 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
             np.array(dead_times), rel=1e-9
         )
         for name, value in asdict(oracle.estimate(filters)).items():
-            assert getattr(found, name) == pytest.approx(value, rel=1e-9, abs=1e-12), name
+            assert getattr(estimator.estimate, name) == pytest.approx(value, rel=1e-9, abs=1e-12), (
+                name
+            )
 
-    know([*NOISY, *dead_time] if spec is EXPERIMENT else dead_time, 4, until=compare, spec=spec)
+    drive([*NOISY, *dead_time] if spec is EXPERIMENT else dead_time, 4, watch=compare, spec=spec)
     assert len(sizes) > 2
 
 
@@ -508,18 +559,18 @@ def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
     """At 5 Hz, a robot that misses one direction stands after 0.25 s, until it hears the next."""
     unfit = []
 
-    def compare(k, problem, estimator, plant):
-        bank, best = estimator.filter.bank, np.argmax(estimator.filter.shared.score, axis=0)
-        unfit.append(bank.unfit_s[best, np.arange(len(best))].max() if k > 15 else 0.0)
+    def compare(k, estimator, plant):
+        if k > 15:
+            filters, robots, _ = estimator.filter.likeliest()
+            unfit.append(estimator.filter.bank.unfit_s[filters, robots].max())
 
     settings = [*NOISY, "plant.dead_time=0.12", "plant.lost_commands=0.15"]
-    know(settings, seconds=30, until=compare, seed=4)
+    drive(settings, seconds=30, watch=compare, seed=4)
     assert max(unfit) < 0.1
 
 
 def test_a_covariance_of_many_orders_stays_a_covariance():
-    *_, estimator = know(rate=20, seconds=2)
-    filters = estimator.filter
+    filters = drive(rate=20, seconds=2).filters
     filters.bank.cov[...] *= 1e16
     for _ in range(3):
         last = filters.last
@@ -535,17 +586,19 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
 
 def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
     """Regression: commands that had acted were forgotten at once, 65 at a time."""
-    stand = []
+    directions = []
 
-    def replaced(k, problem, estimator, plant):
-        bank = deepcopy(estimator.filter)
-        bank.restart([0])
+    def replaced(k, estimator, plant):
+        filters = deepcopy(estimator.filter)
+        filters.restart([0])
         if k > 10:
-            stand.append(bool(np.isnan(bank.bank.direction[:, 0, 0]).any()))
-            assert np.isnan(bank.bank.direction[:, 0, -1]).all()  # one that is stuck follows none
+            directions.append(filters.bank.direction[:, 0, 0])
+            assert np.isnan(
+                filters.bank.direction[:, 0, -1]
+            ).all()  # one that is stuck follows none
 
-    know(["plant.dead_time=0.1"], seconds=4, rate=20, until=replaced)
-    assert not any(stand)
+    drive(["plant.dead_time=0.1"], seconds=4, rate=20, watch=replaced)
+    assert not np.isnan(np.concatenate(directions)).any()
 
 
 def test_poses_are_followed_at_their_own_times():
@@ -555,23 +608,61 @@ def test_poses_are_followed_at_their_own_times():
         own = (frame.sampled_ns,) * len(frame.valid)
         return replace(frame, sampled_ns=frame.sampled_ns + late_ns, exposed_ns=own)
 
-    how = {"settings": (*NOISY, "plant.dead_time=0.1"), "seconds": 3, "rate": 20}
-    known, apart = know(**how)[0], know(**how, altered=stated)[0]
-    for name, value in asdict(known).items():
-        assert np.array_equal(value, getattr(apart, name), equal_nan=True), name
-    taken = know(**how, altered=lambda one: replace(stated(one), exposed_ns=()))[0]
-    assert taken.dead_time - known.dead_time == pytest.approx(0.03, abs=0.01)
+    ways = {"settings": (*NOISY, "plant.dead_time=0.1"), "seconds": 3, "rate": 20}
+    usual = drive(**ways).estimate
+    own = drive(**ways, altered=stated).estimate
+    for name, value in asdict(usual).items():
+        assert np.array_equal(value, getattr(own, name), equal_nan=True), name
+    unstated = drive(**ways, altered=lambda frame: replace(stated(frame), exposed_ns=())).estimate
+    assert unstated.dead_time - usual.dead_time == pytest.approx(0.03, abs=0.01)
 
 
 def test_a_grid_is_noise_and_its_poses_may_repeat():
-    step_mm, step_rad, experiment = 1.36, math.radians(1.0), load_spec(EXPERIMENT).experiment
-    setup = replace(experiment.setup, sight=Sight(grid_mm=step_mm, grid_rad=step_rad))
+    """A value that is rounded to steps of d is off by up to d / 2, with a variance of d^2 / 12."""
+    step_mm = 1.36
+    step_rad = math.radians(1.0)
+    experiment = load_spec(EXPERIMENT).experiment
+    sight = Sight(grid_mm=step_mm, grid_rad=step_rad)
+    setup = replace(experiment.setup, sight=sight)
     section = experiment.controller
-    found = section.prior.of(section.problem(setup), 0.0, setup)
-    bank = FilterBank(found)
-    usual = FilterBank(found._replace(spread=(0.0, 0.0, 0.0), coarse=False))
-    more = bank.model.noise**2 - usual.model.noise**2
+    prior = section.prior.of(section.problem(setup), 0.0, setup)
+    model = FilterBank(prior).model
+    usual = FilterBank(prior._replace(spread=(0.0, 0.0, 0.0), coarse=False)).model
+    more = model.noise**2 - usual.noise**2
     assert more[0] == pytest.approx(step_mm**2 / 12)
     assert more[2] == pytest.approx(step_rad**2 / 12)
-    assert bank.model.coarse
-    assert not usual.model.coarse
+    assert model.coarse
+    assert not usual.coarse
+
+
+def test_frames_of_one_robot_alone_may_repeat():
+    """One robot may stand, and be measured without noise: its equal poses are measurements."""
+    filters = FilterBank(Prior(np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 0.05, 0.05))
+    poses = Poses(np.zeros(1), np.zeros(1), np.zeros(1))
+    for k in range(20):
+        now_ns = k * SECOND // 25
+        filters.seen(Observation(k, now_ns, now_ns, poses, np.array([True])))
+    first_var = filters.model.noise[0, 0] ** 2
+    filter_row, robot, slot = (index[0] for index in filters.likeliest())
+    assert filters.bank.cov[filter_row, robot, slot, X, X] < first_var
+
+
+def test_where_robots_will_be_can_be_asked_any_number_of_times():
+    """`ahead` is a query: what it returns, and what later frames bring, does not depend on it."""
+
+    def ask(k, estimator, plant):
+        for later_ns in (0, SECOND):
+            estimator.filter.ahead(plant.clock.now() + later_ns)
+
+    settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
+    quiet = drive(settings, 6, 20, disturbance=Turns(most=1.5))
+    asked = drive(settings, 6, 20, disturbance=Turns(most=1.5), watch=ask)
+    for name, value in asdict(quiet.estimate).items():
+        assert np.array_equal(value, getattr(asked.estimate, name), equal_nan=True), name
+    assert asked.filters.reopened_ns == quiet.filters.reopened_ns > 0
+
+
+def test_poses_are_predicted_only_after_a_frame():
+    filters = FilterBank(Prior(np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 0.05, 0.05))
+    with pytest.raises(AssertionError, match="poses are predicted from those of a frame"):
+        filters.ahead(0)

@@ -29,18 +29,24 @@ def _gap(rows, walls, o, x, y):
         along = x if w % 2 == 0 else y
         return along - walls[w] if w < 2 else walls[w] - along
     row = rows[o]
-    last, inside, least = FIRST + 2 * int(row[CORNERS]) - 2, False, math.inf
-    ax, ay = row[last], row[last + 1]
+    last = FIRST + 2 * int(row[CORNERS]) - 2
+    inside = False
+    least = math.inf
+    ax = row[last]
+    ay = row[last + 1]
     for k in range(FIRST, last + 1, 2):
-        bx, by = row[k], row[k + 1]
-        ex, ey = bx - ax, by - ay
+        bx = row[k]
+        by = row[k + 1]
+        ex = bx - ax
+        ey = by - ay
         if (ay > y) != (by > y) and (ex * (y - ay) - ey * (x - ax) > 0) == (by > ay):
             inside = not inside
         length2 = ex * ex + ey * ey
         along = ((x - ax) * ex + (y - ay) * ey) / (length2 if length2 > 0.0 else 1.0)
         along = max(0.0, min(along, 1.0))
         least = min(least, math.hypot(x - (ax + along * ex), y - (ay + along * ey)))
-        ax, ay = bx, by
+        ax = bx
+        ay = by
     return (-least if inside else least) - row[RADIUS]
 
 

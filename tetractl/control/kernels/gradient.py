@@ -25,10 +25,17 @@ from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 
-EAST_H, NORTH_H, EAST_U, NORTH_U, KEEP = range(5)
-VECTOR = 8  # float64 numbers in the widest vector of any processor, and in a cache line
+# Numbers of `Trace.gradients`; see above.
+EAST_H = 0
+NORTH_H = 1
+EAST_U = 2
+NORTH_U = 3
+KEEP = 4
+VECTOR = 8
+"""Number of float64 in the widest vector of any processor, and in a cache line."""
 
-_sincos, _wrap = inlined(sincos), inlined(wrap)
+_sincos = inlined(sincos)
+_wrap = inlined(wrap)
 
 
 class Trace(NamedTuple):
@@ -48,7 +55,8 @@ def width(length: int) -> int:
 def workspace(count: int, length: int) -> Trace:
     """Return the arrays for `count` robots."""
     across = width(length)
-    cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
+    cos = np.ones((count + 1, across))
+    sin = np.zeros((count + 1, across))
     return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
 
 
@@ -61,14 +69,19 @@ def trace(u, start, parameters, drift, first_period, period, first, rest, traced
     `first` and `rest` are the motion's constants for the first signal's period and the others';
     their class defines how robots move.
     """
-    cos, sin, path = traced.cos, traced.sin, traced.path
-    count, across = len(parameters), cos.shape[1]
+    cos = traced.cos
+    sin = traced.sin
+    path = traced.path
+    count = len(parameters)
+    across = cos.shape[1]
     for i in range(count):
-        cos[i, 0], sin[i, 0] = start[2, i], start[3, i]
+        cos[i, 0] = start[2, i]
+        sin[i, 0] = start[3, i]
     for j in range(u.size):
         sin[count, j], cos[count, j] = _sincos(_wrap(u[j]))
     for j in range(u.size - 1):
-        cu, su = cos[count, j], sin[count, j]
+        cu = cos[count, j]
+        su = sin[count, j]
         for i in range(count):
             lanes = first if j == 0 else rest
             cos[i, j + 1], sin[i, j + 1] = turned(
@@ -81,16 +94,18 @@ def trace(u, start, parameters, drift, first_period, period, first, rest, traced
                 parameters_of(parameters[i]),
                 first_period if j == 0 else period,
             )
-    x, y = path[0], path[1]
+    x = path[0]
+    y = path[1]
     for i in range(count):
-        own = parameters_of(parameters[i])
+        robot = parameters_of(parameters[i])
         for again in range(1 if first_period == period else 2):  # then the first signal's period
             t, upto = (period, across) if again == 0 else (first_period, 1)
-            if own[3] < 1:
-                _steps(i, own, t, upto, drift, rest, traced)
+            if robot[3] < 1:
+                _steps(i, robot, t, upto, drift, rest, traced)
             else:  # by a constant, so that the compiler leaves out what it does not need
-                _steps(i, (own[0], own[1], own[2], 1.0), t, upto, drift, rest, traced)
-        fx, fy = drift[2, i], drift[3, i]
+                _steps(i, (robot[0], robot[1], robot[2], 1.0), t, upto, drift, rest, traced)
+        fx = drift[2, i]
+        fy = drift[3, i]
         x[i, 0] = start[0, i] + x[i, 0] + fx * first_period
         y[i, 0] = start[1, i] + y[i, 0] + fy * first_period
         for j in range(1, u.size):
@@ -99,16 +114,28 @@ def trace(u, start, parameters, drift, first_period, period, first, rest, traced
 
 
 @compiled(**INLINE_FAST)
-def _steps(i, own, t, upto, drift, motion, traced):
+def _steps(i, robot, t, upto, drift, motion, traced):
     """Write the displacement of robot i by each of the signals `upto` one, and its derivatives."""
-    count, (cos, sin, path, gradients) = len(traced.cos) - 1, traced
-    x, y, cu, su, cb, sb = path[0], path[1], cos[count], sin[count], drift[0, i], drift[1, i]
-    east_h, north_h = gradients[EAST_H], gradients[NORTH_H]
-    east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
+    count = len(traced.cos) - 1
+    (cos, sin, path, gradients) = traced
+    x = path[0]
+    y = path[1]
+    cu = cos[count]
+    su = sin[count]
+    cb = drift[0, i]
+    sb = drift[1, i]
+    east_h = gradients[EAST_H]
+    north_h = gradients[NORTH_H]
+    east_u = gradients[EAST_U]
+    north_u = gradients[NORTH_U]
+    keep = gradients[KEEP]
     for j in range(upto):
-        c, s, c_u, s_u = cos[i, j], sin[i, j], cu[j], su[j]
+        c = cos[i, j]
+        s = sin[i, j]
+        c_u = cu[j]
+        s_u = su[j]
         towards = c_u * cb - s_u * sb, s_u * cb + c_u * sb
-        step, by_heading, by_u, _ = derivatives(motion, c, s, *towards, own, t)
+        step, by_heading, by_u, _ = derivatives(motion, c, s, *towards, robot, t)
         x[i, j], y[i, j], _ = step
         east_h[i, j], north_h[i, j], keep[i, j] = by_heading
         east_u[i, j], north_u[i, j], _ = by_u

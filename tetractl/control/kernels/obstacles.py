@@ -9,7 +9,23 @@ import math
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import INLINE_FAST
 
-RADIUS, CORNERS, LEFT, BOTTOM, RIGHT, TOP, FIRST = range(7)  # columns of a row
+# Columns of a row.
+RADIUS = 0
+"""Radius by which the polygon is grown [length unit]."""
+CORNERS = 1
+"""Number of corners of the polygon."""
+LEFT = 2
+"""Least x of the box around the shape [length unit]; the three sides that follow are alike."""
+BOTTOM = 3
+RIGHT = 4
+TOP = 5
+FIRST = 6
+"""x of the first corner, then y, then x of the next [length unit]."""
+
+HALF_MORE = 0.5000001
+"""Half, and a little more than rounding takes: a box must not be too small."""
+ON_EDGE = 1e-9
+"""Distance from an edge, over the coordinates, below which a point is on it."""
 
 
 @compiled(**INLINE_FAST)
@@ -17,30 +33,40 @@ def gap2(x, y, ex, ey):
     """Return the squared distance of (x, y) to the segment from (0, 0) to (ex, ey)."""
     length2 = ex * ex + ey * ey
     along = max(0.0, min((x * ex + y * ey) / (length2 if length2 > 0.0 else 1.0), 1.0))
-    qx, qy = x - along * ex, y - along * ey
+    qx = x - along * ex
+    qy = y - along * ey
     return qx * qx + qy * qy
 
 
 @compiled(**INLINE_FAST)
 def touches(row, x0, y0, x1, y1):
     """Return whether the segment from (x0, y0) to (x1, y1) touches the shape of a row."""
-    last, reach = FIRST + 2 * int(row[CORNERS]) - 2, row[RADIUS] * row[RADIUS]
-    inside, dx, dy = False, x1 - x0, y1 - y0
-    ax, ay = row[last], row[last + 1]
-    for k in range(FIRST, last + 1, 2):
-        bx, by = row[k], row[k + 1]
-        ex, ey = bx - ax, by - ay
+    last_corner = FIRST + 2 * int(row[CORNERS]) - 2
+    reach = row[RADIUS] * row[RADIUS]
+    inside = False
+    dx = x1 - x0
+    dy = y1 - y0
+    ax = row[last_corner]
+    ay = row[last_corner + 1]
+    for k in range(FIRST, last_corner + 1, 2):
+        bx = row[k]
+        by = row[k + 1]
+        ex = bx - ax
+        ey = by - ay
         if gap2(x1 - ax, y1 - ay, ex, ey) <= reach or gap2(x0 - ax, y0 - ay, ex, ey) <= reach:
             return True
         if gap2(bx - x0, by - y0, dx, dy) <= reach:
             return True
-        start, end = ex * (y0 - ay) - ey * (x0 - ax), ex * (y1 - ay) - ey * (x1 - ax)
-        if (ay > y0) != (by > y0) and (start > 0) == (by > ay):
+        side_of_0 = ex * (y0 - ay) - ey * (x0 - ax)
+        side_of_1 = ex * (y1 - ay) - ey * (x1 - ax)
+        if (ay > y0) != (by > y0) and (side_of_0 > 0) == (by > ay):
             inside = not inside
-        left, right = dx * (ay - y0) - dy * (ax - x0), dx * (by - y0) - dy * (bx - x0)
-        if start * end < 0 and left * right < 0:
+        side_of_a = dx * (ay - y0) - dy * (ax - x0)
+        side_of_b = dx * (by - y0) - dy * (bx - x0)
+        if side_of_0 * side_of_1 < 0 and side_of_a * side_of_b < 0:
             return True
-        ax, ay = bx, by
+        ax = bx
+        ay = by
     return inside
 
 
@@ -50,28 +76,46 @@ def nearest(row, x, y):
     along which it grows; at an edge of the polygon, the edge's normal.
     """
     last = FIRST + 2 * int(row[CORNERS]) - 2
-    inside, least, nx, ny, ox, oy = False, math.inf, 0.0, 0.0, 1.0, 0.0
-    ax, ay = row[last], row[last + 1]
+    inside = False
+    least = math.inf
+    normal_x = 0.0
+    normal_y = 0.0
+    out_x = 1.0
+    out_y = 0.0
+    ax = row[last]
+    ay = row[last + 1]
     for k in range(FIRST, last + 1, 2):
-        bx, by = row[k], row[k + 1]
-        ex, ey, px, py = bx - ax, by - ay, x - ax, y - ay
+        bx = row[k]
+        by = row[k + 1]
+        ex = bx - ax
+        ey = by - ay
+        px = x - ax
+        py = y - ay
         if (ay > y) != (by > y) and (ex * py - ey * px > 0) == (by > ay):
             inside = not inside
         length2 = ex * ex + ey * ey
         along = max(0.0, min((px * ex + py * ey) / (length2 if length2 > 0.0 else 1.0), 1.0))
-        qx, qy = px - along * ex, py - along * ey
+        qx = px - along * ex
+        qy = py - along * ey
         if qx * qx + qy * qy < least:
-            least, ox, oy, nx, ny = qx * qx + qy * qy, qx, qy, ey, -ex
-        ax, ay = bx, by
+            least = qx * qx + qy * qy
+            out_x = qx
+            out_y = qy
+            normal_x = ey
+            normal_y = -ex
+        ax = bx
+        ay = by
     away = math.sqrt(least)
-    if not away > 1e-9 * (abs(x) + abs(y)):
-        ox, oy = nx, ny
-        if nx == 0.0 and ny == 0.0:
-            ox = 1.0
+    if not away > ON_EDGE * (abs(x) + abs(y)):
+        out_x = normal_x
+        out_y = normal_y
+        if normal_x == 0.0 and normal_y == 0.0:
+            out_x = 1.0
     elif inside:
-        ox, oy = -ox, -oy
-    size = math.sqrt(ox * ox + oy * oy)
-    return (-away if inside else away) - row[RADIUS], ox / size, oy / size
+        out_x = -out_x
+        out_y = -out_y
+    size = math.sqrt(out_x * out_x + out_y * out_y)
+    return (-away if inside else away) - row[RADIUS], out_x / size, out_y / size
 
 
 @compiled(**INLINE_FAST)
@@ -84,7 +128,10 @@ def count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits):
     for n in range(gap.size):
         gap[n] = 1.0
     if walls.size:
-        left, bottom, right, top = walls[0], walls[1], walls[2], walls[3]
+        left = walls[0]
+        bottom = walls[1]
+        right = walls[2]
+        top = walls[3]
         for n in range(gap.size):
             across = min(x[i, n] - left, right - x[i, n])
             gap[n] = min(across, min(y[i, n] - bottom, top - y[i, n]))
@@ -93,23 +140,27 @@ def count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits):
             gap[n] = min(gap[n], min(across, min(y0[n] - bottom, top - y0[n])))
     for o in range(rows.shape[0]):
         # the box around the shape, tested for all particles at once, leaves few to be tested
-        row, some = rows[o], 0.0
-        mid_x, mid_y = (row[LEFT] + row[RIGHT]) / 2.0, (row[BOTTOM] + row[TOP]) / 2.0
-        half_x = (row[RIGHT] - row[LEFT]) * 0.5000001
-        half_y = (row[TOP] - row[BOTTOM]) * 0.5000001
+        row = rows[o]
+        in_box = 0.0
+        mid_x = (row[LEFT] + row[RIGHT]) / 2.0
+        mid_y = (row[BOTTOM] + row[TOP]) / 2.0
+        half_x = (row[RIGHT] - row[LEFT]) * HALF_MORE
+        half_y = (row[TOP] - row[BOTTOM]) * HALF_MORE
         if swept:
             for n in range(gap.size):
-                hx, hy = (x[i, n] - x0[n]) / 2.0, (y[i, n] - y0[n]) / 2.0
-                mx, my = x0[n] + hx - mid_x, y0[n] + hy - mid_y
+                hx = (x[i, n] - x0[n]) / 2.0
+                hy = (y[i, n] - y0[n]) / 2.0
+                mx = x0[n] + hx - mid_x
+                my = y0[n] + hy - mid_y
                 beside = max(abs(mx) - abs(hx) - half_x, abs(my) - abs(hy) - half_y)
                 across = abs(hx * my - hy * mx) - (half_x * abs(hy) + half_y * abs(hx))
                 near[n] = max(beside, across)
-                some += 1.0 if near[n] <= 0 else 0.0
+                in_box += 1.0 if near[n] <= 0 else 0.0
         else:
             for n in range(gap.size):
                 near[n] = max(abs(x[i, n] - mid_x) - half_x, abs(y[i, n] - mid_y) - half_y)
-                some += 1.0 if near[n] <= 0 else 0.0
-        if some > 0:
+                in_box += 1.0 if near[n] <= 0 else 0.0
+        if in_box > 0:
             for n in range(gap.size):
                 if near[n] <= 0 and gap[n] > 0:
                     ax, ay = (x0[n], y0[n]) if swept else (x[i, n], y[i, n])
@@ -129,9 +180,12 @@ def find_deepest(rows, walls, path, length, floor, near, depths, where):
     """
     shapes = rows.shape[0]
     for i in range(path.shape[1]):
-        x, y = path[0, i], path[1, i]
+        x = path[0, i]
+        y = path[1, i]
         for o in range(shapes):
-            row, deepest, at = rows[o], floor, 0
+            row = rows[o]
+            deepest = floor
+            deepest_j = 0
             for j in range(near.size):
                 beside = max(row[LEFT] - x[j], x[j] - row[RIGHT])
                 near[j] = -max(beside, max(row[BOTTOM] - y[j], y[j] - row[TOP]))
@@ -139,15 +193,22 @@ def find_deepest(rows, walls, path, length, floor, near, depths, where):
                 if near[j] > deepest:
                     depth = -nearest(row, x[j], y[j])[0]
                     if depth > deepest:
-                        deepest, at = depth, j
-            depths[i, o], where[i, o] = deepest, at
+                        deepest = depth
+                        deepest_j = j
+            depths[i, o] = deepest
+            where[i, o] = deepest_j
         for w in range(walls.size):
-            side, along, deepest, at = -1.0 if w < 2 else 1.0, path[w % 2, i], floor, 0
+            side = -1.0 if w < 2 else 1.0
+            along = path[w % 2, i]
+            deepest = floor
+            deepest_j = 0
             for j in range(length):
                 depth = side * (along[j] - walls[w])
                 if depth > deepest:
-                    deepest, at = depth, j
-            depths[i, shapes + w], where[i, shapes + w] = deepest, at
+                    deepest = depth
+                    deepest_j = j
+            depths[i, shapes + w] = deepest
+            where[i, shapes + w] = deepest_j
 
 
 @compiled(**INLINE_FAST)

@@ -14,14 +14,24 @@ from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 @compiled(**INLINE_FAST)
 def _robot(u, parameters, drift, t, motion, before, after, i):
     """Write the pose of robot i `after` the signal u; the robot stands if u is NaN."""
-    x, y, heading = before[i, 0], before[i, 1], before[i, 2]
-    after[i, 0], after[i, 1], after[i, 2] = x, y, heading
+    x = before[i, 0]
+    y = before[i, 1]
+    heading = before[i, 2]
+    after[i, 0] = x
+    after[i, 1] = y
+    after[i, 2] = heading
     if not math.isnan(u):
-        cu, su, c, s = math.cos(u), math.sin(u), drift[0, i], drift[1, i]
-        cos, sin = math.cos(heading), math.sin(heading)
-        towards, own = (cu * c - su * s, su * c + cu * s), parameters_of(parameters[i])
-        dx, dy, turn = derivatives(motion, cos, sin, *towards, own, t)[0]
-        after[i, 0], after[i, 1] = x + dx + t * drift[2, i], y + dy + t * drift[3, i]
+        cu = math.cos(u)
+        su = math.sin(u)
+        c = drift[0, i]
+        s = drift[1, i]
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        towards = (cu * c - su * s, su * c + cu * s)
+        robot = parameters_of(parameters[i])
+        dx, dy, turn = derivatives(motion, cos, sin, *towards, robot, t)[0]
+        after[i, 0] = x + dx + t * drift[2, i]
+        after[i, 1] = y + dy + t * drift[3, i]
         after[i, 2] = heading + turn
 
 
@@ -62,18 +72,22 @@ def foresee(
     of (8) and P of (9), which counts pairs of robots that are nearer than `apart`."""
     missed = touched = 0.0
     for j in range(u.size):
-        before, after = path[j], path[j + 1]
+        before = path[j]
+        after = path[j + 1]
         t = first_period if j == 0 else period
         _signal(u[j], parameters, drift, t, motion, before, after)
         for i in range(len(parameters)):
-            x, y = after[i, 0], after[i, 1]
+            x = after[i, 0]
+            y = after[i, 1]
             x0, y0 = (before[i, 0], before[i, 1]) if swept else (x, y)
             touched += crosses(rows, walls, x0, y0, x, y)
             for k in range(i if apart > 0 else 0):
-                dx, dy = x - after[k, 0], y - after[k, 1]
+                dx = x - after[k, 0]
+                dy = y - after[k, 1]
                 touched += dx * dx + dy * dy <= apart * apart
     for i in range(len(parameters)):
-        dx, dy = path[u.size, i, 0] - target[i, 0], path[u.size, i, 1] - target[i, 1]
+        dx = path[u.size, i, 0] - target[i, 0]
+        dy = path[u.size, i, 1] - target[i, 1]
         missed += math.sqrt(dx * dx + dy * dy)
     return missed, touched
 
@@ -87,13 +101,15 @@ def unheard(u, parameters, drift, t, steps, motion, path, rows, walls, separatio
     """
     poses = np.empty((2, len(parameters), 3))
     for j in range(u.size):
-        now, then = poses[0], poses[1]
+        now = poses[0]
+        then = poses[1]
         for i in range(len(parameters)):
             for k in range(3):
                 now[i, k] = path[j, i, k]
         for m in range(steps + 1):
             for i in range(len(parameters)):
-                x, y = now[i, 0], now[i, 1]
+                x = now[i, 0]
+                y = now[i, 1]
                 if m > 0 and crosses(rows, walls, then[i, 0], then[i, 1], x, y):
                     return False
                 for k in range(i):

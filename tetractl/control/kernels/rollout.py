@@ -45,7 +45,8 @@ class Rollout(NamedTuple):
 
 def aligned(shape: tuple[int, ...]) -> Floats:
     """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
-    size, line = math.prod(shape), VECTOR
+    size = math.prod(shape)
+    line = VECTOR
     raw = np.empty(size + line)
     first = -raw.ctypes.data // raw.itemsize % line
     return raw[first : first + size].reshape(shape)
@@ -82,16 +83,32 @@ def _scratch(thread: int, count: int, particles: int) -> dict[str, Floats]:
 @compiled(**ENTRY_FAST, forceinline=True)
 def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
-    lanes, scratch, drift = rollout.lanes, rollout.scratch, rollout.drift
-    x, y, cos, sin, hits = lanes[0], lanes[1], lanes[2], lanes[3], lanes[4]
-    cos_u, sin_u, x0, y0 = scratch[0], scratch[1], scratch[2], scratch[3]
-    gap, near, own_cos, own_sin = scratch[4], scratch[5], scratch[6], scratch[7]
-    start, drifts = rollout.start, drift.shape[1] > 0
+    lanes = rollout.lanes
+    scratch = rollout.scratch
+    drift = rollout.drift
+    x = lanes[0]
+    y = lanes[1]
+    cos = lanes[2]
+    sin = lanes[3]
+    hits = lanes[4]
+    cos_u = scratch[0]
+    sin_u = scratch[1]
+    x0 = scratch[2]
+    y0 = scratch[3]
+    gap = scratch[4]
+    near = scratch[5]
+    own_cos = scratch[6]
+    own_sin = scratch[7]
+    start = rollout.start
+    drifts = drift.shape[1] > 0
     towards = (own_cos, own_sin) if drifts else (cos_u, sin_u)
     for i in range(x.shape[0]):
         for n in range(total.size):
-            x[i, n], y[i, n], hits[i, n] = start[0, i], start[1, i], 0.0
-            cos[i, n], sin[i, n] = start[2, i], start[3, i]
+            x[i, n] = start[0, i]
+            y[i, n] = start[1, i]
+            hits[i, n] = 0.0
+            cos[i, n] = start[2, i]
+            sin[i, n] = start[3, i]
     for j in range(signals.shape[0]):
         constants, east = (rollout.first, 2) if j == 0 else (rollout.rest, 4)
         for n in range(total.size):
@@ -99,18 +116,24 @@ def costs(rollout, signals, total):
         for i in range(x.shape[0]):
             if rollout.swept:
                 for n in range(total.size):
-                    x0[n], y0[n] = x[i, n], y[i, n]
+                    x0[n] = x[i, n]
+                    y0[n] = y[i, n]
             if drifts:
-                c, s = drift[0, i], drift[1, i]
+                c = drift[0, i]
+                s = drift[1, i]
                 for n in range(total.size):
                     own_cos[n] = cos_u[n] * c - sin_u[n] * s
                     own_sin[n] = sin_u[n] * c + cos_u[n] * s
-            own, t = parameters_of(rollout.parameters[i]), rollout.periods[min(j, 1)]
-            advance(constants, x, y, cos, sin, towards[0], towards[1], i, own, t)
+            robot = parameters_of(rollout.parameters[i])
+            t = rollout.periods[min(j, 1)]
+            advance(constants, x, y, cos, sin, towards[0], towards[1], i, robot, t)
             if drifts:
                 for n in range(total.size):
-                    x[i, n], y[i, n] = x[i, n] + drift[east, i], y[i, n] + drift[east + 1, i]
-            rows, walls, swept = rollout.rows, rollout.walls, rollout.swept
+                    x[i, n] = x[i, n] + drift[east, i]
+                    y[i, n] = y[i, n] + drift[east + 1, i]
+            rows = rollout.rows
+            walls = rollout.walls
+            swept = rollout.swept
             count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits)
         if rollout.separation > 0:
             count_meetings(x, y, rollout.separation, hits)
@@ -124,19 +147,22 @@ def count_meetings(x, y, separation, hits):
     for i in range(x.shape[0]):
         for k in range(i):
             for n in range(x.shape[1]):
-                dx, dy = x[i, n] - x[k, n], y[i, n] - y[k, n]
+                dx = x[i, n] - x[k, n]
+                dy = y[i, n] - y[k, n]
                 hits[i, n] += 1.0 if dx * dx + dy * dy <= least else 0.0
 
 
 @compiled(**INLINE_FAST)
 def add_up(rollout, x, y, hits, total):
     """Write (7) of each particle to total (P,); return whether all are finite."""
-    target, weight = rollout.target, rollout.weight
+    target = rollout.target
+    weight = rollout.weight
     for n in range(total.size):
         total[n] = 0.0
     for i in range(x.shape[0]):
         for n in range(total.size):
-            dx, dy = x[i, n] - target[0, i], y[i, n] - target[1, i]
+            dx = x[i, n] - target[0, i]
+            dy = y[i, n] - target[1, i]
             total[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]  # (8), (9)
     finite = True
     for n in range(total.size):

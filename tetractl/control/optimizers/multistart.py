@@ -160,7 +160,7 @@ class _PolishedProgress(Progress):
             if how != self.kernels.UNDER_WAY:
                 self.ended = ENDED[how]
                 return
-            begun = int(self.arrays.at[self.kernels.BEGUN])
+            begun = int(self.arrays.counts[self.kernels.POLISH_EVALUATIONS])
             # the evaluations with which the search would end now, so that a rerun of the search can
             # end at the same look; a polish under way is evaluated once more
             if self.limits.expired(self.evaluations + begun + 1 if begun else self.evaluations):
@@ -202,8 +202,8 @@ class _PolishedProgress(Progress):
         )
         if not math.isfinite(self.arrays.costs[1]):
             require_finite(self.arrays.costs[1:])
-        entries = self.arrays.at[self.kernels.KEPT]
+        entries = self.arrays.counts[self.kernels.HISTORY_ENTRIES]
         self.history += self.arrays.history[:entries].tolist()
-        self.arrays.at[self.kernels.KEPT] = 0
-        self.evaluations = int(self.arrays.at[self.kernels.EVALUATIONS])
+        self.arrays.counts[self.kernels.HISTORY_ENTRIES] = 0
+        self.evaluations = int(self.arrays.counts[self.kernels.EVALUATIONS])
         return how

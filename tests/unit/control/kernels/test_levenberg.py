@@ -35,8 +35,8 @@ def compiled(problem, start, iterations, budget=2**62):
     laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
     limits = TOLERANCE, SLACK, PATIENCE, max(budget, 1) + 1, 0
     kernel.search(*laid, np.uint64(0), np.empty(0), 0, *limits, found)
-    merits = found.merits[: found.at[kernel.STEPS] + 1].copy()
-    return Polished(found.signals, merits, found.at[kernel.EVALUATIONS] - 1)
+    merits = found.merits[: found.counts[kernel.ITERATIONS] + 1].copy()
+    return Polished(found.signals, merits, found.counts[kernel.EVALUATIONS] - 1)
 
 
 def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):

@@ -64,8 +64,8 @@ def test_each_start_is_polished_alike_whatever_the_looks_and_costs_j(model, look
         _, alone = searched(problem, start[None])
         assert how == kernel.OVER
         assert (found.signals == alone.signals).all()
-        assert found.at[kernel.EVALUATIONS] == alone.at[kernel.EVALUATIONS]
-        merits = found.merits[: found.at[kernel.STEPS] + 1]
+        assert found.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS]
+        merits = found.merits[: found.counts[kernel.ITERATIONS] + 1]
         assert merits[-1] < merits[0]
         cost = evaluate(problem, found.signals[None]).total[0]
         assert found.costs == pytest.approx([cost, cost], rel=1e-9)
@@ -80,16 +80,16 @@ def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look)
     assert how == kernel.OVER
     assert found.costs[0] == pytest.approx(min(costs), rel=1e-6)
     assert found.best == pytest.approx(alone[int(np.argmin(costs))].signals, abs=1e-6)
-    history = found.history[: found.at[kernel.KEPT]]
+    history = found.history[: found.counts[kernel.HISTORY_ENTRIES]]
     assert history[-1] == found.costs[0]
     assert (np.diff(history[-2:]) <= 0).all()
-    assert found.at[kernel.EVALUATIONS] == sum(one.at[kernel.EVALUATIONS] for one in alone)
+    assert found.counts[kernel.EVALUATIONS] == sum(one.counts[kernel.EVALUATIONS] for one in alone)
 
 
 def test_a_start_is_ended_as_it_is():
     problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 3, 20)
     _, found = searched(problem, starts, look=-1)
-    assert found.at[kernel.DONE] == 1
+    assert found.counts[kernel.STARTS_DONE] == 1
     assert found.signals == pytest.approx(starts[0])
     assert found.costs[1] == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
 
@@ -99,9 +99,9 @@ def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
     _, alone = searched(problem, starts)
     _, found = searched(problem, starts, tolerance=1e9, warm=starts[0])
     assert found.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
-    assert found.at[kernel.EVALUATIONS] == 3  # its cost, then one merit and the cost again
+    assert found.counts[kernel.EVALUATIONS] == 3  # its cost, then one merit and the cost again
     _, found = searched(problem, starts, warm=starts[0])
-    assert found.at[kernel.EVALUATIONS] == alone.at[kernel.EVALUATIONS] + 1
+    assert found.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS] + 1
 
 
 @given(
@@ -125,10 +125,12 @@ def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, wa
         expected[:, ::2] = warm[:, None] + WARM * curve[:, ::2]
     assert np.abs(wrap(found.scattered - expected)).max() < 1e-9
     assert np.abs(found.scattered).max() <= math.pi + 1e-9
-    assert found.found == pytest.approx(evaluate(problem, found.scattered.T).total, rel=1e-9)
-    order = np.argsort(found.found, kind="stable")[:best]
+    assert found.scattered_costs == pytest.approx(
+        evaluate(problem, found.scattered.T).total, rel=1e-9
+    )
+    order = np.argsort(found.scattered_costs, kind="stable")[:best]
     assert (found.starts == found.scattered[:, order].T).all()
-    assert found.history[0] == found.found.min()
+    assert found.history[0] == found.scattered_costs.min()
 
 
 def test_the_first_that_is_good_enough_is_the_last():
@@ -136,7 +138,7 @@ def test_the_first_that_is_good_enough_is_the_last():
     costs = [float(searched(problem, start[None])[1].costs[0]) for start in starts]
     least = int(np.argmin(costs))
     how, found = searched(problem, starts, costs[least] * (1 + 1e-9))
-    assert (how, found.at[kernel.DONE]) == (kernel.GOOD, least + 1)
+    assert (how, found.counts[kernel.STARTS_DONE]) == (kernel.GOOD, least + 1)
     assert found.costs[0] == pytest.approx(costs[least], rel=1e-6)
 
 
@@ -144,6 +146,8 @@ def test_the_first_that_is_good_enough_is_the_last():
 def test_a_search_keeps_its_budget(budget):
     problem, starts = problems.problem(problems.world(4, 2, 1, "exact")), starts_of(3, 4, 12)
     how, found = searched(problem, starts, budget=budget, rounds=1, particles=40)
-    spent = int(found.at[kernel.EVALUATIONS])
+    spent = int(found.counts[kernel.EVALUATIONS])
     assert spent <= budget
-    assert how == kernel.OVER or budget - spent < (40 if found.at[kernel.DONE] == 4 else 2)
+    assert how == kernel.OVER or budget - spent < (
+        40 if found.counts[kernel.STARTS_DONE] == 4 else 2
+    )

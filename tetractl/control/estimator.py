@@ -2,7 +2,9 @@
 
 The estimate is the poses that the robots will have when the direction decided now begins to act.
 The prediction starts at the newest frame and uses the spec's values of the motion, or the values
-that a bank of filters identifies from all frames and commands while the robots drive.
+that a bank of filters identifies from all frames and commands while the robots drive. At each step
+`seen` takes the command of the step before and the frames since, and returns the problem to plan
+for; commands that are sent in between, such as turns and stops, are added by `sent`.
 """
 
 from collections.abc import Sequence
@@ -69,25 +71,31 @@ class StateEstimator:
         if last_command is not None:
             self.sent(last_command)
         self._newest_ns = observation.sampled_ns
-        left = self.left
-        others = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
-        if self.left is not left and not self.left.any():
+        left_before = self.left
+        replaced = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
+        if self.left is not left_before and not self.left.any():
             raise ControlError("every robot is lost")
         self.filter.seen(observation, earlier)
-        self.filter.restart(others)
+        self.filter.restart(replaced)
         ahead = self.filter.ahead(self.sends(observation))
-        known = ahead.estimate
+        estimate = ahead.estimate
         self._held = ahead.held
-        assert known.dead_time is not None
-        self.dead_time_s = known.dead_time
+        assert estimate.dead_time is not None
+        self.dead_time_s = estimate.dead_time
         if self.estimate is None:
             return replace(self.problem, poses=ahead.poses).only(self.left)
-        self.estimate = known
-        motion = {"a": known.a, "speed": known.speed}
-        turns = {"side": known.side, "saturation": known.saturation}
-        place = {"poses": ahead.poses, "bias": ahead.bias, "flow": ahead.flow}
-        now = replace(self.problem, **place, **motion, **turns)
-        return now.only(self.left)
+        self.estimate = estimate
+        problem = replace(
+            self.problem,
+            poses=ahead.poses,
+            bias=ahead.bias,
+            flow=ahead.flow,
+            a=estimate.a,
+            speed=estimate.speed,
+            side=estimate.side,
+            saturation=estimate.saturation,
+        )
+        return problem.only(self.left)
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""
@@ -107,12 +115,12 @@ class StateEstimator:
         """
         if self.estimate is None:
             return observation.sampled_ns
-        send = observation.received_ns
-        if self._last_sent is not None:
-            due = self._last_sent + self.period
-            if send <= due <= send + 3 * self.period // 2:
-                send = due
-        return send
+        received_ns = observation.received_ns
+        if self._last_sent is None:
+            return received_ns
+        due_ns = self._last_sent + self.period
+        is_due = received_ns <= due_ns <= received_ns + 3 * self.period // 2
+        return due_ns if is_due else received_ns
 
     @property
     def held_at_action(self) -> Floats:

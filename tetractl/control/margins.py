@@ -4,7 +4,7 @@ A robot can deviate from its plan because its state is uncertain. The margin is 
 robot's radius, the spec's margin and, if the margin is adaptive, the greatest deviation of any
 robot,
 
-    LOST v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
+    LOST_SHARE v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
 
 with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
 identified values. The first term is due to a lost command, the others to uncertain values. The
@@ -36,7 +36,8 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
 
-LOST = 0.75  # deviation by a lost command, as a fraction of a period's path
+LOST_SHARE = 0.75
+"""Deviation by a lost command, as a fraction of a period's path."""
 SIGMAS = 2.0  # standard deviations by which uncertain values are taken into account
 TESTED = np.linspace(0, 1, 5)  # parts of a time at which paths under a held direction are tested
 SAMPLE_S = 0.15  # time step of paths under a held direction [s]
@@ -49,7 +50,7 @@ def off_course(
     unit]; `estimate` is None for a certain motion.
     """
     if estimate is None:
-        return LOST * max(speed.tolist()) * period_s
+        return LOST_SHARE * max(speed.tolist()) * period_s
     a = estimate.a.tolist()
     a_std = estimate.a_std.tolist()
     v_std = estimate.speed_std.tolist()
@@ -57,7 +58,7 @@ def off_course(
     blind_s = dead_time_s + period_s
     greatest = 0.0
     for i, v in enumerate(speed.tolist()):
-        lost = LOST * v * period_s
+        lost = LOST_SHARE * v * period_s
         uncertain = v * tau_std_s + (v * a_std[i] / a[i] + v_std[i]) * blind_s
         greatest = max(greatest, lost + SIGMAS * uncertain)
     return greatest

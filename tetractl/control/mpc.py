@@ -42,7 +42,7 @@ from tetractl.control.holding import CircleSearch
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
-from tetractl.control.passage import AHEAD, FAR, LOST, TRUSTED_S, ahead, ways
+from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
 from tetractl.control.standings import Standings
 from tetractl.control.trial_time import TrialTime
@@ -416,7 +416,7 @@ class Mpc:
         seen = compiled_foresee(near, search.signals)
         left = float(Poses.of(way[AHEAD]).distances(step.problem.targets).sum())
         driven_s = (self.progress.k - self.progress.began) * self.section.period
-        misses = seen.target > LOST * self.section.accept_error + FAR * left
+        misses = seen.target > MISS_MAX * self.section.accept_error + MISS_OF_WAY * left
         strays = misses and driven_s > TRUSTED_S
         if self.stands and (strays or self._enters(step.problem, search.signals)):
             return self._standing(step.problem, State.RESTING, [search])

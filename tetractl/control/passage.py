@@ -27,20 +27,34 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.core.setup import Bounds
 
-DIRECTIONS = 16  # directions tried at each node
-PARTS = 2  # number of moments of a signal at which robots must keep clear
-CELLS = 90  # number of cells along the longer side of the arena
-HELD_S = 0.4  # time for which a branch is held [s]
-KEPT = 400  # number of nodes kept of each level, times that of the robots
-LOOKED = 4  # of so many times that number, the best, the bodies' distances are computed
-ALIKE = 1.2  # nodes in the same squares are alike; their side in units of the largest v / a
-NEAR = 2.3  # sum of the ways left from which an optimiser begins, in units of the sum of all v / a
-TRIED = 6  # number of nodes of a level from which an optimiser begins
-TRIED_IN_ALL = 100  # number of nodes from which an optimiser begins, after which the search ends
-AHEAD = 20  # number of signals that are searched again
-LOST = 4.0  # miss after them with which robots rest for a new plan, in units of `accept_error`
-FAR = 0.05  # of what they have to go then, which is added to this miss
-TRUSTED_S = 1.0  # least time that a plan is driven before
+BRANCHES = 16
+"""Directions tried at each node."""
+PARTS = 2
+"""Number of moments of a signal at which robots must keep clear."""
+CELLS_ACROSS = 90
+"""Number of cells along the longer side of the arena, for ways round obstacles."""
+HELD_S = 0.4
+"""Time for which a branch is held [s]."""
+NODES_KEPT = 400
+"""Number of nodes kept of each level, times that of the robots."""
+NODES_COMPUTED = 4
+"""Of so many times that number, the best, the bodies' distances are computed."""
+SQUARE_SIDE = 1.2
+"""Side of the squares, in units of the largest v / a: nodes in the same ones are alike."""
+WAYS_LEFT = 2.3
+"""Sum of the ways left from which an optimiser begins, in units of the sum of all v / a."""
+STARTS_OF_LEVEL = 6
+"""Number of nodes of a level from which an optimiser begins."""
+STARTS_IN_ALL = 100
+"""Number of nodes from which an optimiser begins, after which the search ends."""
+AHEAD = 20
+"""Number of signals that are searched again."""
+MISS_MAX = 4.0
+"""Miss after them with which robots rest for a new plan, in units of `accept_error`."""
+MISS_OF_WAY = 0.05
+"""Fraction of what they have to go then that is added to this miss."""
+TRUSTED_S = 1.0
+"""Least time that a plan is driven before [s]."""
 
 
 class Level(NamedTuple):
@@ -56,7 +70,7 @@ class Tree:
 
     A node is where robots are, poses (N, 3), after the signals that lead to it. A branch is one
     direction, held for `held` signals. Two nodes are alike if all their robots are in the same
-    squares, of which the side is ALIKE times the largest v / a. `key` seeds the first of the
+    squares, of which the side is SQUARE_SIDE times the largest v / a. `key` seeds the first of the
     directions of each level.
     """
 
@@ -66,7 +80,7 @@ class Tree:
         self._problem = problem
         self._key = key
         self._held = held
-        self._side = ALIKE * float((problem.speed / problem.a).max())
+        self._side = SQUARE_SIDE * float((problem.speed / problem.a).max())
         self._factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
         self._one, self._other = np.triu_indices(count, 1)
         self._nodes: Floats = problem.poses.array()[None]
@@ -78,12 +92,12 @@ class Tree:
         self._squares: Integers = self._taken
 
     def grow(self) -> Floats:
-        """Grow DIRECTIONS branches from each node of the last level; return the poses
+        """Grow BRANCHES of them from each node of the last level; return the poses
         (PARTS held, B, N, 3) along them."""
         count = len(self._problem.a)
         first = uniform(self._key, 2 * count + len(self.levels), 1)
-        around = wrap(2 * np.pi / DIRECTIONS * (np.arange(DIRECTIONS) + first))
-        starts = self._nodes.repeat(DIRECTIONS, axis=0)
+        around = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
+        starts = self._nodes.repeat(BRANCHES, axis=0)
         self._directions = np.tile(around, len(self._nodes))
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
@@ -111,7 +125,7 @@ class Tree:
         """Make the ends of branches the nodes of the next level."""
         self._taken = np.append(self._taken, self._squares[branches])
         self._nodes = self._ends[branches]
-        self.levels.append(Level(branches // DIRECTIONS, self._directions[branches]))
+        self.levels.append(Level(branches // BRANCHES, self._directions[branches]))
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
         """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""
@@ -126,7 +140,7 @@ class Squares:
     """The square cells of an arena, as rows and columns."""
 
     def __init__(self, arena: Bounds) -> None:
-        self.side = max(arena.width, arena.height) / CELLS
+        self.side = max(arena.width, arena.height) / CELLS_ACROSS
         self._low = np.array([arena.left, arena.bottom], dtype=np.float64)
         columns, rows = (max(1, round(one / self.side)) for one in (arena.width, arena.height))
         self.shape = rows, columns
@@ -161,7 +175,7 @@ class Squares:
 
 
 def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Floats]:
-    """Yield up to TRIED_IN_ALL sequences of up to `most` signals that lead all robots near their
+    """Yield up to STARTS_IN_ALL sequences of up to `most` signals that lead all robots near their
     targets, about the shortest first, and at last the one that leads nearest. `key` seeds the first
     direction of each level."""
     grid = Squares(arena)
@@ -172,9 +186,9 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     free = gaps.min(axis=0, initial=np.inf) > -grid.side / 2
     left = grid.ways(free, problem.targets)
     own = np.arange(count) * len(grid.centres)
-    near = NEAR * float((problem.speed / problem.a).sum())
+    near = WAYS_LEFT * float((problem.speed / problem.a).sum())
     held = max(1, round(HELD_S / problem.period))
-    kept = max(1, KEPT // count)
+    kept = max(1, NODES_KEPT // count)
     tree = Tree(problem, key, held)
     tried = 0
     nearest = (np.inf, 0)
@@ -184,7 +198,7 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
         total = (ways_left[-1] ** 2).sum(axis=1)
         order = np.argsort(total, kind="stable")
         order = order[np.isfinite(ways_left.sum(axis=(0, 2)))[order]]
-        best = tree.unlike(order)[: LOOKED * kept]
+        best = tree.unlike(order)[: NODES_COMPUTED * kept]
         x, y = np.moveaxis(path[:, best, :, :2], -1, 0).copy()
         clear = tree.apart(x, y)
         gaps = np.empty((problem.obstacles.count, x.size))
@@ -196,10 +210,10 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
         tree.keep(best)
         total = ways_left[-1, best].sum(axis=1)
         nearest = min(nearest, (float(total[0]), level))
-        for node in range(min(int((total[:TRIED] < near).sum()), TRIED_IN_ALL - tried)):
+        for node in range(min(int((total[:STARTS_OF_LEVEL] < near).sum()), STARTS_IN_ALL - tried)):
             yield tree.sequence(node)
             tried += 1
-        if tried == TRIED_IN_ALL:
+        if tried == STARTS_IN_ALL:
             return
     if tree.levels and not tried:
         yield tree.sequence(0, nearest[1] + 1)

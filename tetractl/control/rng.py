@@ -13,8 +13,11 @@ from tetractl.core.poses import Floats
 Bits = NDArray[np.uint64]
 
 GOLDEN = 0x9E3779B97F4A7C15
+"""2^64 over the golden ratio, made odd: the step of SplitMix64 (Steele, Lea and Flood 2014)."""
 FACTORS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+"""Factors of the mixing function of SplitMix64."""
 MASK = 0xFFFF_FFFF_FFFF_FFFF
+"""The 64 bits of a number."""
 
 
 def mix(key: int, index: int) -> int:

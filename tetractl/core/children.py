@@ -32,9 +32,13 @@ LINE_MAX = 300
 LINES_MAX = 50
 """Most lines of all workers of a pool that are shown."""
 READ_BYTES = 65536
-STARTS_MAX, START_S = 50, 0.1
-"""How often, and after which time [s] each, it is tried whether workers can be started again."""
+"""Most bytes that are read of a pipe at a time."""
+STARTS_MAX = 50
+"""How often it is tried whether workers can be started again."""
+START_S = 0.1
+"""Time before each of these attempts [s]."""
 SAFE_PATH = "PYTHONSAFEPATH"
+"""The environment variable by which Python does not import from the present folder."""
 
 
 def python(module: str, *arguments: str) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 
-BLOCK = 8
+EDGES_AT_A_TIME = 8
 """Number of edges that are compared with all points at a time, to bound the memory."""
 
 
@@ -83,11 +83,11 @@ class Shape:
         return self.corners[furthest] + self.radius * away
 
     def _edges(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
-        """Yield x and y of the starts and of the ends of up to BLOCK edges, (edges, 1) each."""
+        """Yield x and y of starts and ends of up to EDGES_AT_A_TIME edges, (edges, 1) each."""
         starts = np.concatenate([self.corners[-1:], self.corners[:-1]])
         edges = np.hstack([starts, self.corners])
-        for first in range(0, len(edges), BLOCK):
-            ax, ay, bx, by = edges[first : first + BLOCK].T[..., None]
+        for first in range(0, len(edges), EDGES_AT_A_TIME):
+            ax, ay, bx, by = edges[first : first + EDGES_AT_A_TIME].T[..., None]
             yield ax, ay, bx, by
 
 

@@ -12,7 +12,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.obstacles import Obstacles
 
-BLOCK = 10_000  # number of samples of a recorded path that are checked at a time
+SAMPLES_AT_A_TIME = 10_000  # number of samples of a recorded path that are checked at a time
 FEW = 100  # number of samples of which all are compared with obstacles, which is then faster
 ROUNDING = 1e-9  # more than distances are rounded by, as a fraction of the arena's coordinates
 
@@ -126,8 +126,8 @@ def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdic
         samples = path[known[:, robot], robot]
         if len(samples):
             check = PathCheck(whole.obstacles, setup.arena, 1)
-            for begin in range(0, len(samples), BLOCK):
-                block = samples[begin : begin + BLOCK]
+            for begin in range(0, len(samples), SAMPLES_AT_A_TIME):
+                block = samples[begin : begin + SAMPLES_AT_A_TIME]
                 check.add(block[:, :1], block[:, 1:2])
             whole.entered[robot] = check.entered[0]
             whole.clearance[robot] = check.clearance[0]

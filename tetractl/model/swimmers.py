@@ -16,17 +16,17 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.model.motion import swimming
 
 BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
-WIDTH_UM = 26.3, 4.5
+WIDTH_UM = 26.3, 4.5  # width, the same
 SPEED_UM_S = 420.0  # median of swimmers at 20 C
 SPEED_LOG_SD = 0.25  # standard deviation of log(speed): speeds are log-normal
 ACTIVATION_EV = 0.27  # activation energy: middle of 0.16 to 0.37 eV
-BOLTZMANN_EV_K = 8.617e-5
-ZERO_C_K = 273.15
+BOLTZMANN_EV_K = 8.617e-5  # Boltzmann's constant [eV/K]
+ZERO_C_K = 273.15  # 0 C [K]
 WARM_C = 20.0  # the temperature of SPEED_UM_S
-HELIX_HZ = 2.5, 0.3
-HELIX_UM = 8.0, 1.5  # guess
+HELIX_HZ = 2.5, 0.3  # frequency of the helix, mean and standard deviation
+HELIX_UM = 8.0, 1.5  # guess: its radius, the same
 A_RAD_S = 4.0  # guess: median turning rate at the reference field
-A_LOG_SD = 0.25  # guess
+A_LOG_SD = 0.25  # guess: standard deviation of log(turning rate)
 DIPOLE_SD_RAD = 0.1  # guess: standard deviation of the angle between dipole and body axis
 WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
 DRIFT_UM_S = 3.0  # guess: slow flow of the medium

@@ -8,10 +8,10 @@ import pytest
 from support.trials import experiment
 
 from tetractl.control.corners import (
-    DIRECTIONS,
+    FACINGS,
     NOT_TURNING,
     STEPS,
-    TURNS,
+    TURNS_IN_VAIN,
     next_facing,
     roomiest,
 )
@@ -21,7 +21,7 @@ from tetractl.core.poses import Poses, wrap
 SETUP = experiment().setup
 BODY = 47.0  # mm
 APART = 2 * BODY
-STEP = 2 * math.pi / DIRECTIONS
+STEP = 2 * math.pi / FACINGS
 
 
 def standing(xy):
@@ -76,7 +76,7 @@ def test_a_direction_is_kept_for_some_steps_also_if_poses_are_measured_anew():
 def test_turns_in_vain_are_followed_by_turns_to_other_directions_and_end():
     """Regression: a trial ended in a corner at once, 4.3 m from its targets: two bodies touched."""
     tried = list(turns(*standing(in_a_row(700.0, 60.0))))
-    assert len(tried) == STEPS * TURNS
+    assert len(tried) == STEPS * TURNS_IN_VAIN
     assert tried[::STEPS] == list(dict.fromkeys(tried))  # each kept, none twice
     steps = np.abs(wrap(np.diff(tried[::STEPS])))
     assert steps.min() > math.pi / 2  # to other sides, not to neighbours

@@ -72,7 +72,7 @@ def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
     assert np.array_equal(signals, again)
     path = predict(problem, signals)
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
-    assert missed < passage.NEAR * (problem.speed / problem.a).sum()
+    assert missed < passage.WAYS_LEFT * (problem.speed / problem.a).sum()
     assert margins.room(path[..., 0], path[..., 1], SEPARATION).min() > -1.0  # between moments
     passed = (path[..., 0] > 1300).argmax(axis=0)
     assert len(set(passed.tolist())) == 3

@@ -54,6 +54,7 @@ with_turning = inlined(by_turning)
 scaled = inlined(times)
 
 NO_CHANGE = (0.0, 0.0, 0.0)
+"""Of x, y and the heading."""
 AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(PARAMETERS + TURNING)
 """`Derivatives` of a robot at rest: it does not move, and keeps its heading."""
 UNKNOWN_HEADING = math.pi**2 / 3

@@ -25,12 +25,17 @@ from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 
-# Numbers of `Trace.gradients`; see above.
+# Numbers of `Trace.gradients`.
 EAST_H = 0
+"""dx of a step by the heading [length unit/rad]."""
 NORTH_H = 1
+"""dy of a step by the heading [length unit/rad]."""
 EAST_U = 2
+"""dx of a step by the direction u [length unit/rad]."""
 NORTH_U = 3
+"""dy of a step by the direction u [length unit/rad]."""
 KEEP = 4
+"""The next heading by the heading."""
 VECTOR = 8
 """Number of float64 in the widest vector of any processor, and in a cache line."""
 

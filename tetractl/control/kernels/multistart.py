@@ -19,7 +19,7 @@ BETWEEN_LOOKS = 130_000
 """Robot steps between two checks of the deadline: they take less than 1 ms."""
 WARM = 0.5
 """Largest distance of a scattered sequence from the warm start [rad]."""
-HIGH = DIRECTION.high
+UPPER = DIRECTION.high
 """Greatest signal ub, (12) [rad]."""
 S11 = np.uint64(11)
 """Shift that leaves the 53 bits of a random number that a float64 holds."""
@@ -213,7 +213,7 @@ def _scatter(rollout, key, warm, search_rounds):
     """Scatter a round's sequences, of which the best become the starts; return whether all their J
     are finite.
 
-    Each sequence is linear between knots, directions drawn uniformly within HIGH of the bearing of
+    Each sequence is linear between knots, directions drawn uniformly within UPPER of the bearing of
     the targets. With a warm start (L,), every second sequence is the warm start plus such a curve
     within WARM of 0.
     """
@@ -238,7 +238,7 @@ def _scatter(rollout, key, warm, search_rounds):
         for n in range(particles):
             curve = draws[below, n] * (1 - share) + draws[above, n] * share
             near_warm = warmed & ~n  # for even n: vector code needs a number
-            u = middle + WARM * curve if near_warm else bearing + HIGH * curve
+            u = middle + WARM * curve if near_warm else bearing + UPPER * curve
             signals[j, n] = _wrap(u)
     if not costs(rollout, signals, scattered_costs):
         return False

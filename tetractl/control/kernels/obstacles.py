@@ -15,10 +15,13 @@ RADIUS = 0
 CORNERS = 1
 """Number of corners of the polygon."""
 LEFT = 2
-"""Least x of the box around the shape [length unit]; the three sides that follow are alike."""
+"""Least x of the box around the shape [length unit]."""
 BOTTOM = 3
+"""Least y of the box [length unit]."""
 RIGHT = 4
+"""Greatest x of the box [length unit]."""
 TOP = 5
+"""Greatest y of the box [length unit]."""
 FIRST = 6
 """x of the first corner, then y, then x of the next [length unit]."""
 

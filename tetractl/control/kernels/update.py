@@ -10,8 +10,8 @@ from tetractl.model.motion.motion import DIRECTION
 STEP = np.uint64(GOLDEN)  # constants of `tetractl.control.rng.mix`
 MIX_1 = np.uint64(FACTORS[0])
 MIX_2 = np.uint64(FACTORS[1])
-LOW = DIRECTION.low  # lb, (12) [rad]
-HIGH = DIRECTION.high  # ub, (12) [rad]
+LOWER = DIRECTION.low  # lb, (12) [rad]
+UPPER = DIRECTION.high  # ub, (12) [rad]
 S27 = np.uint64(27)
 S30 = np.uint64(30)
 S31 = np.uint64(31)
@@ -46,6 +46,6 @@ def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
             own = c1 * r1 * (u_lb[j, n] - u[j, n])
             common = c2 * r2 * (u_gb[j] - u[j, n])
             velocity = inertia * v[j, n] + own + common  # (14)
-            velocity = max(LOW - HIGH, min(velocity, HIGH - LOW))  # (15)
+            velocity = max(LOWER - UPPER, min(velocity, UPPER - LOWER))  # (15)
             v[j, n] = velocity
-            u[j, n] = max(LOW, min(u[j, n] + velocity, HIGH))  # (16), (17)
+            u[j, n] = max(LOWER, min(u[j, n] + velocity, UPPER))  # (16), (17)

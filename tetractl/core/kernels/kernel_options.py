@@ -25,7 +25,8 @@ would differ in the last bits from run to run.
 """
 ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
 """For kernels, which Python calls."""
-INLINE_EXACT, ENTRY = _PART | {"fastmath": False}, _ENTRY | {"fastmath": False}
+INLINE_EXACT: Any = _PART | {"fastmath": False}
+ENTRY: Any = _ENTRY | {"fastmath": False}
 """The same for kernels that compute the bits of their readable twins. An option that is not set is
 inherited from the function that happens to be compiled first with a call of this one.
 """

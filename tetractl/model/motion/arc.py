@@ -12,7 +12,7 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives, Held, Motion, PlainLanes, Time, XYHeading
 from tetractl.model.motion.polynomials import onwards, sincos, wrap
 
-FLAT = 1e-4
+FLAT_HALF_TURN_RAD = 1e-4
 """Half the turn [rad] below which sin(h)/h is 1 - h^2/6, to rounding."""
 
 
@@ -44,7 +44,7 @@ def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) 
     h = 0.5 * t * a * (su * c - cu * s)
     h_phi = 0.5 * t * a * (cu * c + su * s)  # dh/dphi
     sh, ch = sincos(wrap(h))
-    flat = abs(h) < FLAT
+    flat = abs(h) < FLAT_HALF_TURN_RAD
     divisor = 1.0 if flat else h
     sinc = 1 - h * h / 6 if flat else sh / divisor
     sinc_h = -h / 3 if flat else (ch - sinc) / divisor

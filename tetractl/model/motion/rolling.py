@@ -12,7 +12,7 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion.exact import turn
 
-FLAT = 0.3
+SERIES_HALF_TURN_RAD = 0.3
 """Half the angle of an arc [rad] below which sin(h)/h is four terms of its series, to 1e-9."""
 
 
@@ -43,7 +43,7 @@ def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
 def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
     """Return the displacement x, y on an arc by (21)-(23), of a robot that turns by `angle`."""
     half = angle / 2
-    if abs(half) <= FLAT:
+    if abs(half) <= SERIES_HALF_TURN_RAD:
         square = angle * angle / 4
         sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
     else:

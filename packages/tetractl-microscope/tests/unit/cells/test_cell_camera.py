@@ -1,20 +1,26 @@
 """The `cells` camera on synthetic films, in virtual time: frames, robots, health."""
 
 import math
-from types import SimpleNamespace
+import threading
 
 import numpy as np
 import pytest
 from support.dish_films import film
 from support.needs_opencv import video
+from tetractl_microscope.cell_checks import cell_checks
 from tetractl_microscope.cells.cells_health import SeenDish, dish_lines
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.looks import Look
 
-from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Steer, Stop, Transmission
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Stop, Transmission
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Bounds
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.experiment.load import parse_spec
+from tetractl.lab.guard import Guard
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 pytestmark = pytest.mark.slow
@@ -123,24 +129,48 @@ def test_the_camera_knows_the_directions_that_were_sent(tmp_path):
     assert pieces == pytest.approx(np.array([(0.5, 0, 0), (1.0, 1, 0), (0.5, 0, 0)]))
 
 
-def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
+class Listener:
+    """Stands for a camera that wants to know what is sent, and has one frame of one cell."""
+
+    damaged = 0
+
+    def __init__(self):
+        self.heard = []
+        self.waiting = [CameraFrame(1, 0, 0, (Pose(500.0, 500.0, 0.0),))]
+
+    def frames(self):
+        frames = self.waiting
+        self.waiting = []
+        return frames
+
+    def steered(self, direction, sent_ns):
+        self.heard.append(direction)
+
+
+class Coils:
+    """Stands for an actuator that sends at once."""
+
+    period_ns = SECOND // 10
+    failure = None
+
+    def send(self, action, poses, moving, exposed_ns):
+        return Transmission(action, 0, (True,), np.zeros(1), np.zeros(1))
+
+    def stop(self, emergency=False):
+        return Transmission(Stop(), 0, (True,), np.zeros(1), np.zeros(1))
+
+
+def test_the_inner_loop_passes_on_what_it_sends():
     """Whatever is sent, stops too, reaches a camera that wants to know."""
-    heard = []
-
-    class Listener:
-        def steered(self, direction, sent_ns):
-            heard.append((direction, sent_ns))
-
-    class Calm:
-        rules = SimpleNamespace(names=("one",))
-
-        def sent(self, *_):
-            pass
-
-    loop = InnerLoop(Listener(), None, Calm(), VirtualClock(), None, None)
-    for action in (Steer(1.0), Stop()):
-        loop._note(Transmission(action, 0, (True,), np.zeros(1), np.zeros(1)))
-    assert heard == [(1.0, 0), (None, 0)]
+    arena = Bounds(0.0, 0.0, 1000.0, 1000.0)
+    guard = Guard(GuardRules(("one",), (200.0,), (6.0,), arena, LabLimits()), cell_checks)
+    camera = Listener()
+    events = threading.Event(), threading.Event()
+    loop = InnerLoop(camera, Coils(), guard, VirtualClock(), *events)
+    loop.idle = lambda now_ns: 1.0
+    loop.step()
+    loop.stop()
+    assert camera.heard == [1.0, *[None] * 10]
 
 
 LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)

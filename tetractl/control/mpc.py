@@ -534,9 +534,10 @@ class Mpc:
         return Outcome.NO_BETTER_PLAN
 
     def _turn(self, found: Searched, best: Plan) -> Plan | None:
-        """Turn on the spot if the best plan found would bring a body into something before a stop
-        can act; not after all turns were in vain."""
-        if not (self.stands and self._enters(found.problem, best.signals)):
+        """Turn on the spot if a body would touch something on the way of the best plan found; not
+        after all turns were in vain."""
+        touches = self.course.margins.entered(best.path)
+        if not (self.stands and (touches or self._enters(found.problem, best.signals))):
             return None
         apart = self.section.collision.separation
         turning = self.progress.turning
@@ -547,7 +548,8 @@ class Mpc:
         return replace(standing, instead=Turn(facing))
 
     def _give_up(self, found: Searched, best: Plan) -> Plan | None:
-        """Stand, and end the trial in the next step, if the best plan found is not safe."""
+        """Stand, and end the trial in the next step, if the best plan found would bring a body into
+        something before a stop can act."""
         if self.stands and self._enters(found.problem, best.signals):
             return replace(best, state=State.STUCK, instead=Stop())
         return None

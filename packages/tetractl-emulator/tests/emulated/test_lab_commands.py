@@ -107,20 +107,6 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, hangs):
     assert at_rest(record)
 
 
-def test_a_terminal_that_takes_nothing_stops_the_robots_of_its_run(lab, tmp_path):
-    emulator, settings = lab()
-    sets = flags((*settings, *LONGER, "controller.time_limit=300"))
-    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets]
-    with Terminal(command, tmp_path, columns=100) as terminal:
-        go(emulator, terminal)
-        emulator.wait_for("moving")
-        terminal.fill()  # the live view fills it at once
-        emulator.wait_for("rest")
-        assert terminal.finish() == 1
-        assert "an observer is too slow for the trial" in terminal.raw
-    assert at_rest(emulator.end()[1])
-
-
 @pytest.mark.parametrize(
     ("words", "code"), [((), 130), (("--unattended",), 0)], ids=["attended", "unattended"]
 )

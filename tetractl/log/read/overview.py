@@ -80,7 +80,7 @@ def overview(path: Path) -> Overview:
         path=str(path),
         size=contents.size,
         chunks=contents.chunks,
-        run=run_items(contents.run),
+        run=run_items(contents.run) | {"mode": trial.origin.value},
         result=trial.result,
         events=trial.events,
         estimate=last.plan.estimate if last else None,

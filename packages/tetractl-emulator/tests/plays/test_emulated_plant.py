@@ -1,6 +1,7 @@
 """`--plant emulated`: the emulated lab in virtual time, as a user runs it."""
 
 import json
+import re
 from unittest import mock
 
 import pytest
@@ -73,6 +74,22 @@ def test_an_emulated_plant_says_so_for_a_camera_that_does_not(tmp_path, monkeypa
     ran = run(tmp_path, "out", "--trials", "1", *own).ok()
     assert "three-m3pi-lab, emulated lab: " in ran.stdout
     assert read_result(tmp_path / "out" / "trial-000.mcap").origin.value == "emulated lab"
+    said = [
+        ran.stdout,
+        *(
+            tetractl(tmp_path, *words).ok().stdout
+            for words in (
+                ("stats", "out", "--full"),
+                ("info", "out"),
+                ("verify", "out"),
+                ("lab", "check", SPEC, "--plant", "emulated", *own),
+            )
+        ),
+    ]
+    bare = re.compile(r"(?<![\w-])(?<!emulated )lab\b(?!:)")
+    assert [
+        text[one.start() - 40 : one.end()] for text in said for one in bare.finditer(text)
+    ] == []
     check = ("lab", "check", SPEC, "--plant", "emulated", *own)
     assert "emulated: camera, actuator" in tetractl(tmp_path, *check).ok().stdout
     words = ("lab", "calibrate", SPEC, "--plant", "emulated", "--robot", "green", *own)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
-from tetractl.cli.specs import examples
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
 from tetractl.core.table.table_files import json_text
@@ -37,6 +36,7 @@ def reproduce(
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
     from tetractl.api import run_batch
+    from tetractl.experiment.examples import examples
     from tetractl.reproduce.claim import assess
     from tetractl.reproduce.paper import Paper, items, table
     from tetractl.reproduce.trials import run_arms

@@ -13,7 +13,6 @@ from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_opt
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
 from tetractl.core.table.table_files import json_text
-from tetractl.experiment.examples import FOLDER, examples
 from tetractl.experiment.packages import not_installed
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ def example_files(name: str) -> dict[str, str]:
 
     Raises UsageError if there is no such example, or its package is not installed.
     """
+    from tetractl.experiment.examples import FOLDER, examples
     from tetractl.experiment.yaml.document import parse_document, read_text
     from tetractl.experiment.yaml.problems import did_you_mean
 
@@ -112,6 +112,8 @@ def init(
 
 
 def _example(name: str) -> int:
+    from tetractl.experiment.examples import FOLDER
+
     files = example_files(name)
     for inner in files:
         (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)

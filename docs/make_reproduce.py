@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 
 from tetractl.api import run_batch
-from tetractl.cli.specs import examples
 from tetractl.core.registries import PAPERS
 from tetractl.core.table.terminal_table import markdown
+from tetractl.experiment.examples import examples
 from tetractl.reproduce.claim import assess
 from tetractl.reproduce.paper import table
 from tetractl.reproduce.trials import run_arms

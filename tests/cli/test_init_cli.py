@@ -9,7 +9,7 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
-from tetractl.cli.specs import examples
+from tetractl.experiment.examples import examples
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
 

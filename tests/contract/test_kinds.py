@@ -1,7 +1,7 @@
 """Every kind of tetractl passes the checks of `tetractl.testing`, as those of plug-ins should."""
 
 import pytest
-from support.controllers import CONTROLLERS, SMALL
+from support.controllers import CONTROLLERS, SMALL, straight
 
 from tetractl.cli.specs import template
 from tetractl.core import registries
@@ -63,6 +63,8 @@ def test_optimizer(name):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_controller(name):
     fields = CONTROLLERS[name]
+    if name == "policy":
+        fields = fields | {"layers": [straight(len(SETUP.names))]}
     section = registries.CONTROLLERS.load(fields["type"]).model_validate(fields)
     assert failed(check_controller(section, SETUP)) == []
 

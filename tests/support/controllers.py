@@ -29,11 +29,17 @@ RECOMMENDED: dict[str, dict[str, Any]] = {
     "bodies": {"optimizer": MULTISTART, "accept_error": 40, "collision": {"radius": 40}},
 }
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
-_GAPS = np.kron(np.ones(3), np.eye(2))  # adds up the gaps of three robots, x and y
-_OTHERS = np.zeros((2, 8))  # headings, and the last direction
-_NUMBERS = np.concatenate([np.hstack([_GAPS, _OTHERS]).ravel(), np.zeros(2)])
-STRAIGHT = {"inputs": 14, "outputs": 2, "numbers": b64encode(_NUMBERS.tobytes()).decode()}
-"""A policy's layer for three robots: along the sum of their gaps."""
+
+
+def straight(robots: int) -> dict[str, Any]:
+    """A policy's layer: along the sum of the robots' gaps."""
+    gaps = np.kron(np.ones(robots), np.eye(2))  # adds up x and y
+    others = np.zeros((2, 2 * robots + 2))  # headings, and the last direction
+    numbers = np.concatenate([np.hstack([gaps, others]).ravel(), np.zeros(2)])
+    packed = b64encode(numbers.tobytes()).decode()
+    return {"inputs": 4 * robots + 2, "outputs": 2, "numbers": packed}
+
+
 CONTROLLERS: dict[str, dict[str, Any]] = {
     **{
         f"{kind}, {name}".removesuffix(", "): {"type": kind, "horizon_max": 14} | fields
@@ -43,7 +49,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
     "ensemble": {"type": "ensemble"},
     "rrt": {"type": "rrt", "margin": 40},
-    "policy": {"type": "policy", "layers": [STRAIGHT]},
+    "policy": {"type": "policy", "layers": [straight(3)]},
 }
 """Every controller. A further one joins the contract by an entry here."""
 FOR_ONE_ROBOT = {"rrt"}

@@ -12,6 +12,7 @@ from tetractl import api
 from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
+from tetractl.experiment.examples import examples
 from tetractl.reproduce import trials as reproduce_trials
 from tetractl.reproduce.claim import AtMost, Claim, Fate
 from tetractl.reproduce.ou_measures import spinning_time, total_error
@@ -76,7 +77,7 @@ def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch
         "sent": Runs("three_m3pi_paper", ("plant.motion=euler",), 2, plans_of="planned"),
     }
     results = reproduce_trials.run_arms(
-        Paper("x", arms, []), tmp_path, command.examples(), None, COMPLETE, lambda text: None
+        Paper("x", arms, []), tmp_path, examples(), None, COMPLETE, lambda text: None
     )
     for planned, sent in zip(results["planned"], results["sent"], strict=True):
         assert total_error(sent) == pytest.approx(planned.steps[0].plan.target_cost, abs=1e-6)
@@ -135,7 +136,7 @@ def test_the_command_prints_a_row_of_the_page(tmp_path):
     results = reproduce_trials.run_arms(
         Paper(paper.source, arms, stated),
         tmp_path,
-        command.examples(),
+        examples(),
         None,
         COMPLETE,
         lambda text: None,

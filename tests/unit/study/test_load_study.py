@@ -56,7 +56,7 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
     ("study", "told"),
     [
         ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: path of the spec that every arm changes, relative to the study's file"]),
-        ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml"]),
+        ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml; did you mean 'spec.yaml' or 'study.yaml'?"]),
         (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
         (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),
         (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, hgh: 1}}}\n", ["study.yaml:3:59: sweep.fields.plant.dead_time.high: is missing; add it: upper end of the range", "study.yaml:3:68: sweep.fields.plant.dead_time.hgh: unknown key; did you mean 'high'?"]),

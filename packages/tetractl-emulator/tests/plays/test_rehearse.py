@@ -10,8 +10,10 @@ from tetractl_emulator.rehearsal import day, shrink
 from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
+from tetractl.lab import guard
 from tetractl.lab.accepted_poses import AcceptedPoses
 from tetractl.lab.guard import Guard
+from tetractl.lab.run_checks import RUN_CHECKS, untracked_robots
 
 pytestmark = pytest.mark.slow
 
@@ -30,6 +32,12 @@ DISH = flags(  # a smaller dish, coarser pictures, and few cells
 
 def rehearse(folder, *words):
     return tetractl(folder, "lab", "rehearse", SPEC, "--out", "days", *words, *FEW)
+
+
+def without_tracking(monkeypatch):
+    """Plant a defect: no robot is lost, and no run ends, since a robot is not tracked."""
+    left = tuple(check for check in RUN_CHECKS if check is not untracked_robots)
+    monkeypatch.setattr(guard, "RUN_CHECKS", left)
 
 
 def rows(folder):
@@ -138,7 +146,7 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
 ):
     plan = day.DayPlan(5, {}, [*map(dict, FAULTS)], "")
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
-    monkeypatch.setattr(Guard, "_check_tracking", lambda guard: None)
+    without_tracking(monkeypatch)
     done = rehearse(tmp_path, "--days", "1")
     (tmp_path / "two").mkdir()
     assert rehearse(tmp_path / "two", "--days", "1", "--jobs", "2").returncode == done.returncode
@@ -159,7 +167,7 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
 def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkeypatch):
     """Regression: the day was forgotten, and the last line said that there was no violation."""
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [*FAULTS], ""))
-    monkeypatch.setattr(Guard, "_check_tracking", lambda guard: None)
+    without_tracking(monkeypatch)
 
     def interrupted(plan, breaks):
         raise KeyboardInterrupt
@@ -179,13 +187,14 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [], ""))
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
-    kept, see = [], Guard.see
+    kept = []
+    check_frame = Guard.check_frame
 
-    def keep(guard, frame):
+    def keep(watch, frame):
         kept.append([object() for _ in range(200)])
-        return see(guard, frame)
+        return check_frame(watch, frame)
 
-    monkeypatch.setattr(Guard, "see", keep)
+    monkeypatch.setattr(Guard, "check_frame", keep)
     done = rehearse(tmp_path, "--days", "2")  # the first may load modules
     assert "left behind" in done.stderr
     assert "blocks of memory" in done.stderr

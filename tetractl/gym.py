@@ -58,7 +58,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
     def __init__(self, spec: api.Spec) -> None:
         self._spec = api.stepped(spec)
         setup = self._spec.experiment.setup
-        self._start_error = float(setup.distances(setup.starts.xy[None])[0].sum())
+        self._start_error = float(setup.starts.distances(setup.targets).sum())
         self._worst_error = greatest_error(setup)
         size = features_of(len(setup.names))
         high = np.ones(size, dtype=np.float32)
@@ -122,9 +122,8 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
     def _observed(self) -> Features:
         """Return the newest observation within the bounds of its space."""
-        directions = self.trial.directions
-        last = directions[-1] if directions else None
-        seen = features(self.trial.setup, self.trial.observation, last)
+        trial = self.trial
+        seen = features(trial.setup, trial.observation, trial.last_direction)
         space = self.observation_space
         assert isinstance(space, spaces.Box)
         return np.clip(seen.astype(np.float32), space.low, space.high)

@@ -26,7 +26,7 @@ from tetractl.model.path_check import PathCheck
 from tetractl.run import task
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Decision, Trial
+from tetractl.run.run_trial import Decision, TimedDecision, Trial
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""
@@ -152,6 +152,11 @@ class OpenTrial:
         return tuple(self._directions)
 
     @property
+    def last_direction(self) -> float | None:
+        """The direction sent last [rad], None before the first."""
+        return self._directions[-1] if self._directions else None
+
+    @property
     def result(self) -> Result | None:
         """How the trial ended, None as long as it waits for a direction."""
         return self._result
@@ -238,9 +243,11 @@ class OpenTrial:
     def _go_on(self, decision: Decision | None) -> None:
         """Send a decision to the trial, None to begin it, and take its next question, or its
         result."""
-        answer = None if decision is None else (decision, 0)
         try:
-            question = self._course.send(answer)  # pyright: ignore[reportArgumentType]
+            if decision is None:
+                question = next(self._course)
+            else:
+                question = self._course.send(TimedDecision(decision, solve_ns=0))
             self._observation = question.observation
             try:
                 step = self._controller.step(question.observation, question.last)

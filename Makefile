@@ -86,7 +86,7 @@ test-lowest test-newest: test-%: $(STAMP)
 	@.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-$*/constraints.txt -e '.[dev]' $(PACKAGES:%=-e %)
 	.venv-$*/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not system" $(TESTS)
 
-# Wheels of all packages, of the core a second one that brings its compiled code: docs/how-to/wheels.md.
+# Wheels of all packages, of the core a second one that brings its compiled code: docs/how-to/extend.md.
 DIST ?= dist
 dist: $(STAMP)
 	@$(BIN)/python packages/dist.py $(DIST)

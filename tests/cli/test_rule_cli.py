@@ -1,4 +1,4 @@
-"""One rule for the options of all commands: docs/decisions/command-line.md."""
+"""One rule for the options of all commands: docs/decisions/program.md."""
 
 import json
 import os

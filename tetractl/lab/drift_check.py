@@ -88,7 +88,7 @@ GRID = 32
 """Most moments of the grid."""
 LIMIT = 16.0
 """Statistic from which on a pose is false: good trials of the emulated lab reach 13
-(docs/decisions/guard.md)."""
+(docs/decisions/safety.md)."""
 STEADY = 0.25
 """Largest error of wheels whose error is constant; a dead zone causes a larger one."""
 SURE = 3.0

@@ -232,16 +232,17 @@ def _outside(truth: Truth, beyond: Floats, names: Sequence[str]) -> Iterator[Vio
 def poses_are_true(truth: Truth) -> Iterator[Violation]:
     """No pose is accepted of a robot that is driven that is off by more than a body; none of one
     that is hidden; and the errors of a complete trial are true.
+
+    A pose is compared where it was exposed: what a robot does until the next one is its own motion.
     """
-    driven = (truth.driving > 5.0) & (truth.times < truth.ended_s)[:, None]
-    off_mm = truth.error - _pushed_mm(truth) - truth.driving * truth.late_s
-    for far, unit in ((off_mm / POSE_MM, POSE_MM), (truth.turned / POSE_RAD, POSE_RAD)):
-        wrong = driven & (far > 1.0)
+    accepted = truth.fresh & (truth.driving > 5.0) & (truth.times < truth.ended_s)[:, None]
+    off_mm, off_rad = _least_off(truth)
+    off_mm -= _pushed_mm(truth)
+    for off, most, unit in ((off_mm, POSE_MM, "mm"), (off_rad, POSE_RAD, "rad")):
+        wrong = accepted & (off > most)
         if wrong.any():
             row, i = np.argwhere(wrong)[0]
-            found = (
-                f"{truth.setup.names[i]} by {far[row, i] * unit:.3g} {'mm' if unit > 2 else 'rad'}"
-            )
+            found = f"{truth.setup.names[i]} by {off[row, i]:.3g} {unit}"
             yield Violation("untrue", float(truth.times[row]), found, hidden(truth))
             break
     yield from _seen_though_hidden(truth)
@@ -254,6 +255,22 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
         if most_mm > RESULT_MM:
             found = f"a result by {most_mm:.0f} mm"
             yield Violation("untrue", float(truth.times[-1]), found, hidden(truth))
+
+
+def _least_off(truth: Truth) -> tuple[Floats, Floats]:
+    """Return how far each pose accepted is, in place [mm] and in heading [rad] (T, N), from the
+    nearest true one of the `late_s` in which it may have been exposed.
+    """
+    last = np.arange(len(truth.times))
+    first = np.searchsorted(truth.times, truth.times - truth.late_s)
+    least_mm = np.full(truth.fresh.shape, np.inf)
+    least_rad = least_mm.copy()
+    for back in range(int((last - first).max(initial=0)) + 1):
+        off = truth.accepted - truth.poses[np.maximum(last - back, first)]
+        turned = np.abs(np.remainder(off[..., 2] + np.pi, 2 * np.pi) - np.pi)
+        least_mm = np.fmin(least_mm, np.hypot(off[..., 0], off[..., 1]))
+        least_rad = np.fmin(least_rad, turned)
+    return least_mm, least_rad
 
 
 def _seen_though_hidden(truth: Truth) -> Iterator[Violation]:

@@ -323,12 +323,6 @@ class Truth:
         return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
 
     @cached_property
-    def turned(self) -> Floats:
-        """Angle between a heading accepted and the true one (T, N) [rad]; 0 before the first."""
-        off = np.nan_to_num(self.accepted[..., 2] - self.poses[..., 2])
-        return np.abs(np.remainder(off + np.pi, 2 * np.pi) - np.pi)
-
-    @cached_property
     def depth(self) -> Floats:
         """How far a robot is beyond the rim or inside an obstacle (T, N) [mm]; 0 if it is not.
 

@@ -204,6 +204,27 @@ def test_poses_that_are_accepted_are_true(off, wrong):
     assert names_of(3, truth) == ({"untrue"} if wrong else set())
 
 
+def test_a_robot_may_turn_while_no_new_pose_of_it_is_accepted():
+    """Regression: a robot that spun while our program was suspended broke the sentence."""
+    truth = with_log(STARTS)
+    x, y, heading = STARTS[0]
+    truth.day.events[-3]["poses"] = [[x, y, heading + 1.2], *STARTS[1:]]
+    assert truth.poses[1, 0, 2] == 1.2
+    assert names_of(3, truth) == set()
+
+
+@pytest.mark.parametrize(("late_s", "wrong"), [(0.15, False), (0.05, True)])
+def test_a_picture_that_comes_late_shows_how_a_robot_stood_before(late_s, wrong):
+    late = {"kind": "pictures late", "fault": "late_pictures", "by": late_s, "at": 2.1}
+    x, y, heading = STARTS[0]
+    truth = with_log([[x, y, heading + 1.2], *STARTS[1:]], fault=late)
+    before = truth_at(2.1, 180.0, [[x, y, heading + 1.2], *STARTS[1:]])
+    truth.day.events.insert(2, before)
+    for exposure in truth.of("truth"):
+        exposure["frame"] = 0  # pictures have no numbers
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
 @pytest.mark.parametrize(
     ("fault", "wrong"),
     [

@@ -63,7 +63,7 @@ class Seeing(Knowing):
         }
         self.estimator.problem = replace(self.estimator.problem, **rates)
         for i, bank in enumerate(self.heard.banks):
-            bank._model.parameters[:] = np.column_stack([rates["a"][i], rates["speed"][i]])
+            bank.model.parameters[:] = np.column_stack([rates["a"][i], rates["speed"][i]])
         now = self.plant.clock.now()
         every = np.ones_like(observation.valid)
         true = {"poses": self.plant.poses, "valid": every, "sampled_ns": now, "received_ns": now}

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from support.paths import ROOT
 
@@ -105,6 +106,6 @@ def test_the_bench_without_noise_is_as_printed():
     cells = line_of(BENCH.read_text("utf-8"), "bench without noise, slip and lost frames")
     assert cells.split("|")[2].strip() == "20 of 20"
     mean, deviation = map(float, re.findall(r"[\d.]+", cells.split("|")[3]))
-    (found,) = distributions([errors])
+    (found,) = distributions(np.array([errors]))
     assert found.ci95.low <= mean <= found.ci95.high
     assert found.std == pytest.approx(deviation, rel=0.5)

@@ -6,7 +6,7 @@ Every checksum and both digests are made to fit, as by a person who has tetractl
 import random
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -127,15 +127,23 @@ def noticed(log: RawLog, tampering: Tampering, path: Path) -> bool:
         path.unlink()
 
 
-def score(path: Path, count: int) -> tuple[Counter[tuple[str, str]], Counter[tuple[str, str]]]:
-    """Return how many changes of each (channel, field) were noticed, and how many there were."""
-    log, seen, tried = scan(path), Counter[tuple[str, str]](), Counter[tuple[str, str]]()
+def score(
+    path: Path, count: int, kinds: Collection[tuple[str, str]] = ()
+) -> tuple[Counter[tuple[str, str]], Counter[tuple[str, str]]]:
+    """Return how many changes of each (channel, field) were noticed, and how many there were: of
+    all, or of some `kinds`.
+    """
+    log = scan(path)
+    noticed_of = Counter[tuple[str, str]]()
+    tried_of = Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
-        for number, one in enumerate(tamperings(log, count)):
-            kind = (one.channel, one.what)
-            tried[kind] += 1
-            seen[kind] += noticed(log, one, Path(folder) / f"{number}.mcap")
-    return seen, tried
+        for number, tampering in enumerate(tamperings(log, count)):
+            kind = (tampering.channel, tampering.what)
+            if kinds and kind not in kinds:
+                continue
+            tried_of[kind] += 1
+            noticed_of[kind] += noticed(log, tampering, Path(folder) / f"{number}.mcap")
+    return noticed_of, tried_of
 
 
 STATED_ONCE = {(RUN, "spec_name"), (SPEC, "text")}

@@ -269,7 +269,7 @@ def batches(first: int, last: int) -> None:
             marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
             noticed = any(text in false.result.reason for text in (*NOTICED, "still moves"))
             stopped[rate] += noticed
-            found[rate] += (mark := false.path in marks)
+            found[rate] += (mark := false.log in marks)
             alone[rate] += mark and not noticed
             found[0.0] += len(marks) - mark
     print("| turn [rad/s] | stopped for it | marked | of those not stopped for it |")

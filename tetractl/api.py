@@ -124,7 +124,7 @@ def run_trial(
         make_folder(place)
         task.run_trial(spec, place, trial, observers, interrupt)
         found = read_trial(path)
-    return replace(found, path=f"{spec.name}, trial {trial}") if folder is None else found
+    return replace(found, log=f"{spec.name}, trial {trial}") if folder is None else found
 
 
 def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTrial":
@@ -399,7 +399,7 @@ def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
     if isinstance(data, str | Path) and Path(data).is_dir():
         data = read_batch(data)
     if isinstance(data, Batch):
-        return [read_log(trial.path) for trial in data.trials]
+        return [read_log(trial.log) for trial in data.trials]
     return [_trial(one) for one in ([data] if isinstance(data, TrialLog | str | Path) else data)]
 
 

@@ -25,7 +25,7 @@ def test_tables_hold_what_the_logs_hold(folder):
     assert len(tables["events"]) == sum(len(log.events) for log in logs)
     for log in logs:
         assert log.result is not None
-        steps = tables["steps"].query(f"log == '{Path(log.path).relative_to(folder)}'")
+        steps = tables["steps"].query(f"log == '{Path(log.log).relative_to(folder)}'")
         sent = [s.command.direction for s in log.steps]
         assert steps["direction_rad"].tolist() == pytest.approx(sent, rel=1e-15)  # read from text
         assert steps["delivered_two"].tolist() == [s.command.delivered[1] for s in log.steps]

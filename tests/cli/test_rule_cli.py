@@ -76,4 +76,4 @@ def test_json_is_format_json_and_a_folder_of_one_log_is_that_log(tmp_path):
     for words in (("stats", "logs", "--json"), ("stats", "logs", "--format", "json")):
         assert tetractl(*words, cwd=tmp_path).stdout == done.stdout
     found = json.loads(tetractl("info", "logs", "--json", cwd=tmp_path).stdout)
-    assert found["path"] == "logs/trial-000.mcap"
+    assert found["log"] == "logs/trial-000.mcap"

@@ -59,7 +59,7 @@ def _recorded(seed: int) -> tuple[bytes, TrialLog]:
     """The bytes of a trial's log, and all that is in it."""
     with TemporaryDirectory() as folder:
         path = run_three_robots(Path(folder), seed)
-        return path.read_bytes(), replace(read_trial(path), path=f"trial-{seed:03d}.mcap")
+        return path.read_bytes(), replace(read_trial(path), log=f"trial-{seed:03d}.mcap")
 
 
 def three_robots(seed: int = SEED) -> TrialLog:

@@ -72,7 +72,7 @@ def test_a_notebook(tmp_path, batch):
     logged = tetractl.read_log(tmp_path / "one" / "trial-001.mcap")
     assert isinstance(trial, tetractl.TrialLog)
     assert trial.digest == logged.digest
-    assert trial.path == logged.path
+    assert trial.log == logged.log
 
     folder, ours = batch
     theirs = tetractl.run_batch(spec, tmp_path / "theirs")
@@ -105,7 +105,7 @@ def test_a_trial_that_is_kept_nowhere_is_the_one_of_the_batch(batch, tmp_path):
     assert isinstance(trial.steps[0].plan, tetractl.Plan)
     assert isinstance(trial.steps[0].observation, tetractl.Observation)
     assert isinstance(trial.steps[0].observation.poses, tetractl.Poses)
-    assert trial.path == "spec, trial 2"
+    assert trial.log == "spec, trial 2"
     assert set(Path.cwd().iterdir()) == before
 
 

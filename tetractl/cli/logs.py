@@ -51,7 +51,7 @@ def _channel_lines(channels: "Sequence[ChannelCount]") -> Iterator[str]:
 
 
 def _lines(found: "Overview") -> Iterator[str]:
-    yield f"{found.path}: {found.size} bytes, {found.chunks} chunks"
+    yield f"{found.log}: {found.size} bytes, {found.chunks} chunks"
     events = (f"{one.time_s:8.2f} s  {one.level:<7}  {one.text}" for one in found.events)
     sizes = {name: f"{size} bytes" for name, size in found.attachments.items()}
     yield from _section("run", _aligned(found.run))
@@ -192,7 +192,7 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
             found = check(path)
         except LogError as error:
             good = False
-            done.append({"path": str(path), "ok": False, "error": error.message})
+            done.append({"log": str(path), "ok": False, "error": error.message})
             lines = iter([f"{path}: FAILED: {error.message.removeprefix(f'{path}: ')}"])
         else:
             good &= found.ok
@@ -214,7 +214,7 @@ def _verdict(found: "Verification") -> "Iterator[str]":
         verdict += f", written again by {found.rewritten}"
         verdict += ": the same messages" * found.ok
     text = f"{found.checked} of {found.steps} decisions {found.method}"
-    yield f"{found.path}: {verdict}: {text} ({found.seconds:.2f} s)"
+    yield f"{found.log}: {verdict}: {text} ({found.seconds:.2f} s)"
     if found.method is Method.REEVALUATED:
         yield from (f"  written elsewhere: {line}" for line in found.elsewhere)
     for problem in found.problems[:LISTED_MAX]:

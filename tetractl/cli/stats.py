@@ -111,7 +111,7 @@ def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
-                ui.tell(f"damaged: {trial.path}: read as far as possible")
+                ui.tell(f"damaged: {trial.log}: read as far as possible")
         ui.tell(*(f"damaged: {log.log}: {log.problem}" for log in batch.lost))
         if not batch.trials and not batch.attempts:
             raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")

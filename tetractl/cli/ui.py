@@ -67,7 +67,7 @@ def open_trial(path: Path) -> "TrialLog":
     from tetractl.log.read.reader import read_trial
 
     log = read_trial(path)
-    warn_of_damage(log.path, log.damage)
+    warn_of_damage(log.log, log.damage)
     return log
 
 

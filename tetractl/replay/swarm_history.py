@@ -69,24 +69,24 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     asked = rerun.asked.get(step.plan.chosen)
     if step.k != 0 or asked is None:
         raise LogError(
-            f"{log.path}: the first search of the trial cannot be run again",
+            f"{log.log}: the first search of the trial cannot be run again",
             "tetractl verify prints the difference",
         )
     section, problem, logged = asked.optimizer, asked.problem, step.plan.search
     if not isinstance(section, Pso):
         raise LogError(
-            f"{log.path}: has no swarm: its optimiser is {section.type}",
+            f"{log.log}: has no swarm: its optimiser is {section.type}",
             "run it with --set controller.optimizer.type=pso",
         )
     if asked.length < 2:
-        raise LogError(f"{log.path}: the plan has one signal, but the figure needs two")
+        raise LogError(f"{log.log}: the plan has one signal, but the figure needs two")
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
     frames, path, again = list[Frame](), [], []
     swarm = section.swarm(problem, asked.length, asked.warm, asked.key)
     for z in range(last + 1):
         if rerun.expired():
-            raise LogError(f"{log.path}: the first search of the trial takes too long to run again")
+            raise LogError(f"{log.log}: the first search of the trial takes too long to run again")
         if z > 0:
             swarm.iterate()
         seen = swarm.u[SEEN].T.copy()

@@ -55,7 +55,7 @@ class Verification:
     log and this one. `checked` is the number of steps whose repeated decision agrees with the log.
     """
 
-    path: str
+    log: str
     rewritten: str
     steps: int
     checked: int
@@ -99,7 +99,7 @@ def verify(path: Path) -> Verification:
         else:
             others += run_again.differences(raw, log)
     return Verification(
-        path=str(path),
+        log=str(path),
         rewritten=(raw.library or "an unknown program") if raw.rewritten else "",
         steps=len(log.steps),
         checked=found.step if found and found.step is not None else len(first_steps(log)),

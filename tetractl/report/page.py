@@ -86,15 +86,15 @@ def carried(group: BatchStatistics, groups: int) -> list[Path]:
     not count, in the order of the trials.
     """
     logs = set(group.batch.logs)
-    logged = [trial for trial in group.batch.trials if Path(trial.path) in logs]
+    logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
     most = max(3, CARRIED // groups)
     apart = [trial for trial in logged if not counts(trial)][: most // 3]
     ranked = sorted(filter(counts, logged), key=lambda trial: trial.result.total_error)
     places = range(most - len(apart)) if len(ranked) > most - len(apart) else ()
     step = (len(ranked) - 1) / max(1, len(places) - 1)
     kept = [ranked[round(place * step)] for place in places] or ranked
-    paths = {trial.path for trial in (*apart, *kept)}
-    return [Path(trial.path) for trial in logged if trial.path in paths]
+    paths = {trial.log for trial in (*apart, *kept)}
+    return [Path(trial.log) for trial in logged if trial.log in paths]
 
 
 def _groups(
@@ -110,7 +110,7 @@ def _groups(
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
     unread += [
-        f"{trial.path}: damaged, read as far as possible"
+        f"{trial.log}: damaged, read as far as possible"
         for _, batch in batches
         for trial in batch.trials
         if trial.recovered
@@ -247,7 +247,7 @@ def of_trial(log: TrialLog) -> str:
     """Return the figures of a trial; "" for a log without control steps or camera frames."""
     if not (log.steps and len(log.mocap_ns)):
         return ""
-    name = Path(log.path).name
+    name = Path(log.log).name
     kinds = ("trajectory", "convergence", "errors", "over-time")
     return _paper([_figure(kind, [log], f"{kind}, {name}") for kind in kinds])
 

@@ -92,7 +92,7 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
     """Return the result of a trial by its keys in JSON."""
     result = trial.result
     return {
-        "log": trial.path,
+        "log": trial.log,
         "trial": trial.trial,
         "seed": trial.seed,
         "total_error": result.total_error,
@@ -241,12 +241,12 @@ def flagged(batch: Batch) -> list[Flagged]:
     """
     found, turned = [], turned_otherwise(batch.trials)
     for trial in batch.trials:
-        if notes := [*_notes(trial), *turned.get(trial.path, ())]:
+        if notes := [*_notes(trial), *turned.get(trial.log, ())]:
             why = () if counts(trial) else ("excluded",)
-            found.append(Flagged(trial.path, trial.outcome.value, (*why, *notes)))
+            found.append(Flagged(trial.log, trial.outcome.value, (*why, *notes)))
     for trial in batch.attempts:
         notes = ("an earlier attempt, excluded", *_notes(trial))
-        found.append(Flagged(trial.path, trial.outcome.value, notes))
+        found.append(Flagged(trial.log, trial.outcome.value, notes))
     for log in batch.lost_attempts:
         notes = ("an earlier attempt, excluded", log.problem)
         found.append(Flagged(log.log, "cannot be read", notes))

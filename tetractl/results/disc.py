@@ -41,7 +41,7 @@ def _of_log(log: Path, digest: str | None) -> Sequence[float]:
 
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:
     """Return the diameter of each robot's disc; None without a whole log or a complete hold."""
-    hold, log = trial.experiment.hold, Path(trial.path)
+    hold, log = trial.experiment.hold, Path(trial.log)
     if hold is None or hold.time <= SETTLING_S:
         return {}
     names = trial.experiment.setup.names

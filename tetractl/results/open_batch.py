@@ -56,14 +56,14 @@ class Batch:
         attempts: list[ResultSummary] = []
         for trial in found:
             replaced = not trial.outcome.complete and _key(trial) in done
-            aside = replaced or is_set_aside(Path(trial.path).name)
+            aside = replaced or is_set_aside(Path(trial.log).name)
             (attempts if aside else trials).append(trial)
         return cls(tuple(trials), tuple(attempts), tuple(damaged))
 
     @property
     def logs(self) -> list[Path]:
         """The paths of the trials whose logs are whole."""
-        return [Path(trial.path) for trial in self.trials if not trial.brief]
+        return [Path(trial.log) for trial in self.trials if not trial.brief]
 
     @property
     def lost(self) -> tuple[Damaged, ...]:
@@ -185,14 +185,14 @@ def experiment_of(batch: Batch) -> Experiment:
     for other in (*batch.trials, *batch.attempts):
         if other.origin is not first.origin:
             raise UsageError(
-                f"{first.path} is from the {first.origin}, {other.path} from the {other.origin}",
+                f"{first.log} is from the {first.origin}, {other.log} from the {other.origin}",
                 "give the logs of one plant, and the others with --against",
             )
         if other.experiment is first.experiment:
             continue
         if found := differences(first.experiment, other.experiment):
             raise UsageError(
-                f"{first.path} and {other.path} have different experiments: {listing(found)}",
+                f"{first.log} and {other.log} have different experiments: {listing(found)}",
                 "give the logs of one batch, and the other batch with --against",
             )
     _refuse_copies(batch.trials)
@@ -207,7 +207,7 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
         twin = seen.setdefault(key, trial)
         if twin is not trial:
             raise UsageError(
-                f"{twin.path} and {trial.path} are the same trial"
+                f"{twin.log} and {trial.log} are the same trial"
                 f" (seed {trial.seed}, trial {trial.trial})",
                 "give each trial once, for instance by naming one of the two folders",
             )

@@ -259,8 +259,8 @@ def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
     return Table(
         "",
         (
-            Column("trial", [numbers.get(trial.path) for trial in trials]),
-            Column("log", [trial.path.rpartition("/")[2] for trial in trials]),
+            Column("trial", [numbers.get(trial.log) for trial in trials]),
+            Column("log", [trial.log.rpartition("/")[2] for trial in trials]),
             Column("total error", [t.result.total_error for t in trials], group.unit, show),
             Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),
             Column("steps", [trial.result.steps for trial in trials]),

@@ -2,7 +2,7 @@
 event.
 
 The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such
-as mm and mm/s. Times count from the first direction sent. `path` (of the log) and `trial` are in
+as mm and mm/s. Times count from the first direction sent. `log` (its file) and `trial` are in
 every table of `tetractl export`, so that tables can be joined.
 """
 

@@ -39,7 +39,7 @@ def _compared(trials: Sequence[ResultSummary]) -> Iterator[tuple[str, str, float
     """
     robots = trials[0].experiment.setup.names if trials else ()
     for i, name in enumerate(robots):
-        turns = ((trial.path, trial.result.verdict) for trial in trials)
+        turns = ((trial.log, trial.result.verdict) for trial in trials)
         known = [(path, v.turn[i], v.turn_std[i]) for path, v in turns if v.turn]
         known = [one for one in known if math.isfinite(one[2])]
         if len(known) < LEAST:

@@ -96,7 +96,7 @@ class BatchFolder:
             experiment = experiment.model_copy(update=asked)
         if arm_hash(experiment) != self.hash:
             raise UsageError(
-                f"{result.path}: was run with another spec or seed",
+                f"{result.log}: was run with another spec or seed",
                 "name another folder with --out, or give the spec and seed of this trial",
             )
 

@@ -51,7 +51,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     times: list[dict[str, Any]] = []
     for arm, trial in finished_trials(loaded, store):
         found = _exported(trial)
-        log = Path(trial.path).relative_to(store.folder)
+        log = Path(trial.log).relative_to(store.folder)
         head = {"log": str(log), "trial": trial.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
         tail = {"content_digest": trial.digest, "code": trial.code}

@@ -63,7 +63,7 @@ def test_it_is_verified_whole(path):
 
 def test_tables_and_arrays_hold_no_direction_then(log):
     off = [step.command.action == FieldOff() for step in log.steps]
-    found, _ = of_log(Path(log.path), ("steps",))
+    found, _ = of_log(Path(log.log), ("steps",))
     assert [u is None for u in found["steps"].as_dict()["direction_rad"]] == off
     assert np.isnan(to_arrays(log).direction).tolist() == off
 

@@ -79,11 +79,11 @@ def test_robots_that_stand_follow_no_plan():
 
 
 def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(logs, monkeypatch):
-    result = read_result(Path(logs[0].path))
+    result = read_result(Path(logs[0].log))
     trials = [
         replace(
             result,
-            path=f"t/{i}.mcap",
+            log=f"t/{i}.mcap",
             trial=i,
             result=replace(result.result, total_error=float(i * 37 % 101), outcome=outcome),
         )
@@ -93,7 +93,7 @@ def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(logs, mon
     group = describe(Batch.of(trials))
     kept = carried(group, 2)
     assert len(kept) == 30 and kept == sorted(kept, key=lambda path: int(path.stem))
-    errors = {Path(t.path): t.result.total_error for t in trials if t.outcome.complete}
+    errors = {Path(t.log): t.result.total_error for t in trials if t.outcome.complete}
     seen = sorted(errors[path] for path in kept if path in errors)
     assert len(seen) == 28  # and both that were aborted
     assert (seen[0], seen[-1]) == (min(errors.values()), max(errors.values()))

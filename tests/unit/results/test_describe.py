@@ -139,16 +139,16 @@ def test_other_seeds_and_counts_are_the_same_experiment():
 def test_a_trial_given_twice_is_refused():
     trials = batch(ERRORS[:2].tolist())
     with pytest.raises(UsageError, match="are the same trial"):
-        group([*trials, replace(trials[0], path="copy.mcap")])
+        group([*trials, replace(trials[0], log="copy.mcap")])
 
 
 def test_a_trial_in_the_lab_can_be_done_again_but_not_given_twice():
-    lab = [replace(one, origin=Origin.LAB, digest=one.path) for one in batch(ERRORS[:2].tolist())]
-    again = replace(lab[0], path="again.mcap", digest="other")
-    torn = replace(lab[0], path="torn.mcap", digest=None, recovered=True)
-    assert group([*lab, again, torn, replace(torn, path="too.mcap")]).counted == 5
+    lab = [replace(one, origin=Origin.LAB, digest=one.log) for one in batch(ERRORS[:2].tolist())]
+    again = replace(lab[0], log="again.mcap", digest="other")
+    torn = replace(lab[0], log="torn.mcap", digest=None, recovered=True)
+    assert group([*lab, again, torn, replace(torn, log="too.mcap")]).counted == 5
     with pytest.raises(UsageError, match="are the same trial"):
-        group([*lab, replace(lab[1], path="copy.mcap")])
+        group([*lab, replace(lab[1], log="copy.mcap")])
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_an_attempt_is_told_apart_whatever_it_is_called(name):
     stopped = result([9e5] * 3, outcome=Outcome.ABORTED, reason="the cable came off")
     found = group([*trials, trial(name, spec, stopped, 0)], [Damaged(f"{name}x", "torn")])
     assert (len(found.batch.trials), found.counted, found.items["aborted"]) == (3, 3, 0)
-    assert [attempt.path for attempt in found.batch.attempts] == [name]
+    assert [attempt.log for attempt in found.batch.attempts] == [name]
     last = flagged(found.batch)[-1]
     assert (last.log, last.outcome) == (name, "aborted")
     assert last.notes == ("an earlier attempt, excluded", "the cable came off")
@@ -202,7 +202,7 @@ def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
 
 
 def test_no_trial_and_nothing_but_attempts_are_no_batch():
-    attempt = replace(batch([[1.0]])[0], path="trial-000.attempt-1.mcap")
+    attempt = replace(batch([[1.0]])[0], log="trial-000.attempt-1.mcap")
     for trials, why in (([], "no trial"), ([attempt], "all logs are earlier attempts")):
         with pytest.raises(UsageError, match=why):
             group(trials)
@@ -220,5 +220,5 @@ def test_flagged_trials_are_those_that_ended_oddly():
         ("trial-001.mcap", "green, red entered an obstacle"),
         ("trial-002.mcap", "did not end in 31 steps"),
     ]
-    lab = [replace(one, origin=Origin.LAB, digest=one.path) for one in trials]
+    lab = [replace(one, origin=Origin.LAB, digest=one.log) for one in trials]
     assert ("2 warnings",) in [one.notes for one in flagged(Batch.of(lab))]

@@ -42,7 +42,7 @@ def test_the_summary_says_what_is_not_usual_and_where():
     inside = (False,) * 3, (50.0,) * 3
     over_edge = Verdict(Poses.of(np.zeros((3, 3))), *inside, edge=(5.0, -1.0, 5.0))
     trials = batch(ERRORS, SPEC, verdict=over_edge)
-    trials[3] = replace(trials[3], path="runs/a/trial-003.mcap", recovered=True)
+    trials[3] = replace(trials[3], log="runs/a/trial-003.mcap", recovered=True)
     trials[4] = replace(
         trials[4], result=result([1, 2, 3], outcome=Outcome.ABORTED, reason="pulled")
     )
@@ -89,7 +89,7 @@ def test_the_verdicts_on_many_batches_are_a_table():
 def test_without_a_terminal_lines_are_plain_and_whole():
     trials = batch(ERRORS, SPEC)
     path = "/".join(["folder"] * 40) + "/trial.mcap"
-    trials[0] = replace(trials[0], path=path, recovered=True)
+    trials[0] = replace(trials[0], log=path, recovered=True)
     text = printed(group(trials))
     assert "\x1b" not in text
     assert path in text

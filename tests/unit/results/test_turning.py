@@ -31,7 +31,7 @@ def turned(n, spread=0.005, seed=1, spec=None, **false):
         turn = WHEELS + rng.normal(0.0, spread, 3) + false.get(f"trial_{k}", 0.0)
         verdict = replace(trial.result.verdict, turn=tuple(turn.tolist()), turn_std=(ERROR,) * 3)
         result = replace(trial.result, verdict=verdict)
-        found.append(replace(trial, result=result, origin=Origin.EMULATED, digest=trial.path))
+        found.append(replace(trial, result=result, origin=Origin.EMULATED, digest=trial.log))
     return found
 
 

@@ -53,7 +53,7 @@ def test_a_brief_log_has_the_result_and_the_digest_of_the_trial_run_by_itself(tm
     found = read_result(log_path(tmp_path, 2))
     brief = ran.finished[arm.name, 2]
     assert brief.brief and not found.brief
-    assert brief.digest == logged(log_path(tmp_path, 2)) == logged(Path(brief.path))
+    assert brief.digest == logged(log_path(tmp_path, 2)) == logged(Path(brief.log))
     assert brief.result.total_error == found.result.total_error
     assert brief.warnings == found.warnings
     assert brief.processor == found.processor != ""
@@ -65,14 +65,14 @@ def test_a_brief_log_and_a_whole_one_give_the_same_result(finished, tmp_path):
     for key, one in whole.items():
         other, result = brief[key], one.result
         same = replace(other.result, solve_ns=result.solve_ns, verdict=result.verdict)
-        assert replace(other, brief=False, result=same, path=one.path) == (
+        assert replace(other, brief=False, result=same, log=one.log) == (
             replace(one, result=replace(result, deadline_misses=same.deadline_misses))
         )
 
 
 def test_a_brief_log_is_small_and_a_damaged_one_is_run_again(tmp_path):
     ran = run(tmp_path, SMALL)
-    log = Path(ran.finished[ARM, 1].path)
+    log = Path(ran.finished[ARM, 1].log)
     content = log.read_bytes()
     assert len(content) < 10_000
     log.write_bytes(content[:-200])

@@ -41,7 +41,7 @@ class Overview:
     estimate of the robots, at control step `estimate_step`; None without an estimate.
     """
 
-    path: str
+    log: str
     size: int
     chunks: int
     run: dict[str, str]
@@ -77,7 +77,7 @@ def overview(path: Path) -> Overview:
         problems = (*problems, ALTERED)
     last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
     return Overview(
-        path=str(path),
+        log=str(path),
         size=contents.size,
         chunks=contents.chunks,
         run=run_items(contents.run) | {"mode": trial.origin.value},

@@ -80,7 +80,7 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | 
     stops = [command for command in commands if command.stops]
     simulated = start.plant.simulated
     log = TrialLog(
-        path=str(contents.path),
+        log=str(contents.path),
         experiment=experiment,
         start=start,
         mocap_ns=frames.sampled_ns,
@@ -139,7 +139,7 @@ def result_of(contents: RawLog) -> ResultSummary:
     if result is None:
         result = _result_of_poses(trial_of(contents))
     return ResultSummary(
-        path=str(contents.path),
+        log=str(contents.path),
         experiment=experiment,
         seed=start.seed,
         trial=start.trial,
@@ -162,7 +162,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
     """
     path, known = trial_path(trial)
     if not known.any(axis=0).all():
-        raise LogError(f"{trial.path}: contains no result, and no poses to compute it from")
+        raise LogError(f"{trial.log}: contains no result, and no poses to compute it from")
     last = len(path) - 1 - known[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
     return Result.of(

@@ -71,7 +71,7 @@ class TrialLog(TrialRecords):
     clock [ns] and a JPEG file.
     """
 
-    path: str
+    log: str  # its file
     experiment: Experiment = field(repr=False)
     stop: Command | None = field(repr=False)
     damage: Damage | None
@@ -137,7 +137,7 @@ class ResultSummary:
     is computed from the last poses of the log, with the outcome `aborted`.
     """
 
-    path: str
+    log: str  # its file
     experiment: Experiment = field(repr=False)
     seed: int  # root seed of the batch
     trial: int  # index in the batch, from 0

@@ -71,7 +71,7 @@ def track_of(log: TrialLog) -> Track:
     last = stopped_ns(log)
     last = max((one.sent_ns for one in sent), default=0) if last is None else last
     return Track(
-        source=log.path,
+        source=log.log,
         origin=log.origin.value,
         unit=setup.unit,
         names=setup.names,
@@ -97,7 +97,7 @@ def wheels_of(log: TrialLog) -> Track:
     sent = [(c.sent_ns, c.left, c.right) for c in log.commands]
     driven = [(t, a, b) for t, a, b in sent if a is not None and b is not None]
     if not driven or setup.wheel_radius is None:
-        raise UsageError(f"{log.path}: has no speeds of wheels")
+        raise UsageError(f"{log.log}: has no speeds of wheels")
     left, right = np.array([[a, b] for _, a, b in driven]).transpose(1, 0, 2)
     twists = np.stack(body_velocity(left, right, setup.wheel_radius), axis=-1)
     when = np.array([t for t, _, _ in driven]) / SECOND
@@ -122,7 +122,7 @@ def require_field(log: TrialLog) -> None:
     """Raise UsageError for a log whose robots drove with the field off at times."""
     if any(isinstance(one.action, FieldOff) for one in log.commands):
         raise UsageError(
-            f"{log.path}: its robots drove with the field off at times",
+            f"{log.log}: its robots drove with the field off at times",
             "use the log of a controller that sends a direction at every step",
         )
 

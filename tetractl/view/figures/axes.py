@@ -45,7 +45,7 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
     found: dict[str, list[TrialLog]] = {}
     for log in logs:
         if not complete or not unfinished(log):
-            found.setdefault(log.path.rpartition("/")[0], []).append(log)
+            found.setdefault(log.log.rpartition("/")[0], []).append(log)
     if not found:
         raise LogError("no complete trial to plot")
     names = [folder.rpartition("/")[2] or "trials" for folder in found]
@@ -111,7 +111,7 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
     for log in logs[1:]:
         if scene(log) != scene(logs[0]):
             raise UsageError(
-                f"{logs[0].path} and {log.path} are of different experiments",
+                f"{logs[0].log} and {log.log} are of different experiments",
                 "plot together only trials with the same robots, arena and obstacles",
             )
 
@@ -131,7 +131,7 @@ def final_poses(log: TrialLog) -> Floats:
 def need_steps(log: TrialLog) -> None:
     """Raise LogError for a log without control steps."""
     if not log.steps:
-        raise LogError(f"{log.path}: contains no control steps to plot")
+        raise LogError(f"{log.log}: contains no control steps to plot")
 
 
 def positive(values: Floats) -> Floats:

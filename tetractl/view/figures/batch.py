@@ -47,7 +47,7 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
     batches = list[BatchErrors]()
     for name, found in by_folder(logs).items():
         known = [
-            (log.result.total_error, log.path)
+            (log.result.total_error, log.log)
             for log in found
             if log.result is not None and math.isfinite(log.result.total_error)
         ]
@@ -65,7 +65,7 @@ def batch_figure(
     """
     batches = list[BatchErrors]()
     for group in groups:
-        paths = [trial.path for trial in group.batch.trials if counts(trial)]
+        paths = [trial.log for trial in group.batch.trials if counts(trial)]
         batches.append(BatchErrors(group.name, group.totals, paths))
     figure = _drawn(batches, groups[0].experiment, links or {})
     shown = [group for group in groups if group.counted]

@@ -252,7 +252,7 @@ def _since(log: TrialLog) -> Floats:
     """Return the times of the camera frames since the first command [s]; LogError if there are
     none."""
     if not len(log.mocap_ns):
-        raise LogError(f"{log.path}: contains no camera frames to plot")
+        raise LogError(f"{log.log}: contains no camera frames to plot")
     return (log.mocap_ns - log.began_ns) / SECOND
 
 

@@ -275,4 +275,4 @@ def _true(log: TrialLog, what: str) -> Floats | None:
         found = np.array(json.loads(fact), dtype=np.float64)
         if found.shape == log.start.setup.a.shape and np.isfinite(found).all():
             return found
-    raise LogError(f"{log.path}: the fact true_{what} is not a number for each robot")
+    raise LogError(f"{log.log}: the fact true_{what} is not a number for each robot")

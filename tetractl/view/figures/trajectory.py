@@ -254,7 +254,7 @@ def _errors(logs: Sequence[TrialLog], errors: Floats) -> tuple[str, list[str]]:
         show = lengths(float(errors.sum()))
         words = [show(error) for error in errors[0]]
         title = f"error at the end [{unit}], total {show(errors.sum())}"
-    elif (folders := len({log.path.rpartition("/")[0] for log in logs})) > 1:
+    elif (folders := len({log.log.rpartition("/")[0] for log in logs})) > 1:
         title, words = f"{len(logs)} trials of {folders} folders", []
     else:
         whole = np.array([not unfinished(log) for log in logs])

@@ -48,7 +48,7 @@ def test_every_counted_trial_is_a_dot_at_its_error():
 
 def test_a_dot_links_to_its_trial(tmp_path):
     found = group(batch(ERRORS[:3].tolist()))
-    links = {trial.path: f"#trial-{i}" for i, trial in enumerate(found.batch.trials, 1)}
+    links = {trial.log: f"#trial-{i}" for i, trial in enumerate(found.batch.trials, 1)}
     drawing = svg(batch_figure([found], links)).decode()
     assert re.findall(r'xlink:href="#(trial-\d+)"', drawing) == ["trial-1", "trial-2", "trial-3"]
     assert "#trial-" not in svg(batch_figure([found])).decode()

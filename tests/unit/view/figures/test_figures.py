@@ -338,7 +338,7 @@ def refusals():
         return replace(log, experiment=experiment(**fields))
 
     def arms(log):
-        return [replace(log, path=f"arm-{i}/trial-000.mcap") for i in range(13)]
+        return [replace(log, log=f"arm-{i}/trial-000.mcap") for i in range(13)]
 
     def late(log):
         return [replace(log, steps=(replace(log.steps[0], k=3), *log.steps[1:]))]
@@ -458,7 +458,7 @@ def two_arms(log):
     return [
         replace(
             log,
-            path=f"{folder}/trial-{i}.mcap",
+            log=f"{folder}/trial-{i}.mcap",
             result=replace(
                 log.result,
                 robot_errors=(end + i, 0.0, 0.0),
@@ -498,7 +498,7 @@ def test_each_folder_has_panels_of_its_own_errors(log):
 
 def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
     logs = [
-        replace(log, path=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=error))
+        replace(log, log=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=error))
         for folder, errors in (("exact", (10.0, 20.0, 40.0)), ("arc", (5.0, 80.0)))
         for i, error in enumerate(errors)
     ]
@@ -514,7 +514,7 @@ def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
 def test_arms_have_a_dot_for_each_trial_and_level_names(log):
     ends = {"exact": [10.0, 20.0, 60.0], "few-a=3": [5.0]}
     logs = [
-        replace(log, path=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=end))
+        replace(log, log=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=end))
         for folder, errors in ends.items()
         for i, end in enumerate(errors)
     ]

@@ -58,7 +58,8 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
 
     Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
     paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
-    not reach it.
+    not reach it. `lag_s` is the time constant of the wheels by the spec, 0 without one; `identify`
+    reads it.
     """
     setup, rows = log.start.setup, list[tuple[Any, ...]]()
     wheels = [f"{side}_{name}_{setup.unit}_s" for name in setup.names for side in ("left", "right")]
@@ -71,6 +72,7 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
             sent.sent_ns,
             step.observation.sampled_ns,
             sent.direction if sent.HasField("direction") else None,
+            setup.lag_s,
             step.cost,
             step.target_cost,
             step.obstacle_cost,
@@ -87,7 +89,7 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
         rows.append((*row, *sent.delivered, *(speeds if wheels else ())))
     cost = (f"cost_{setup.unit}", f"target_cost_{setup.unit}", "obstacle_cost")
     search = ("signals", "searches", "iterations", "evaluations", "stopped")
-    of_step = ("k", "time_s", "observed_s", "direction_rad", *cost, *search)
+    of_step = ("k", "time_s", "observed_s", "direction_rad", "lag_s", *cost, *search)
     delivered = (f"delivered_{name}" for name in setup.names)
     names = (*of_step, "solve_ms", "deadline_missed", *delivered, *wheels)
     values = [*zip(*rows, strict=True)] or [()] * len(names)

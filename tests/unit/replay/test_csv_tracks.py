@@ -25,6 +25,16 @@ def test_csv_files_are_read(tmp_path):
     assert (track.u.tolist(), track.until) == ([0.5, 0.7], pytest.approx(0.4))
 
 
+def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
+    (tmp_path / "p.csv").write_text(POSES)
+    (tmp_path / "c.csv").write_text("time_s,direction_rad,lag_ms\n0,0.5,40\n0.2,0.7,40\n")
+    (track,) = csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
+    assert track.lag == pytest.approx(0.04)
+    (tmp_path / "c.csv").write_text("time_s,direction_rad,lag_s\n0,0.5,-1\n0.2,0.7,1\n")
+    with pytest.raises(UsageError, match="line 2: lag_s must not be negative"):
+        csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
+
+
 def test_poses_and_commands_of_one_path_are_a_trial(tmp_path):
     paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
     for path, text in zip(paths, (POSES, COMMANDS), strict=True):

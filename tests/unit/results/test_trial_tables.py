@@ -28,6 +28,7 @@ def test_the_columns_are_those_of_the_decoded_steps(path):
     assert list(columns["k"]) == [step.k for step in log.steps]
     assert list(columns["time_s"]) == [log.elapsed_s(one.command.sent_ns) for one in log.steps]
     assert list(columns["direction_rad"]) == [step.command.direction for step in log.steps]
+    assert list(columns["lag_s"]) == [log.start.setup.lag_s] * len(log.steps)
     assert list(columns["iterations"]) == [len(plan.search.history) - 1 for plan in plans]
     assert list(columns["evaluations"]) == [plan.evaluations for plan in plans]
     assert list(columns["stopped"]) == [str(plan.search.stopped) for plan in plans]

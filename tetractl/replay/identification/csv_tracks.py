@@ -44,14 +44,16 @@ Trial = tuple[str, str]
 @dataclass(slots=True)
 class _Numbers:
     """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
-    direction and time of observation of each command; time, speed and turning rate of each of the
-    `twists` of a robot, "" for all. NaN is an unknown number. The paths are of the files.
+    direction and time of observation of each command; the time constant of the wheels [s], 0 if
+    none is stated; time, speed and turning rate of each of the `twists` of a robot, "" for all. NaN
+    is an unknown number. The paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
     poses: "array[float]" = field(default_factory=lambda: array("d"))
     poses_path: Path | None = None
     commands: "array[float]" = field(default_factory=lambda: array("d"))
+    lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
 
@@ -81,6 +83,7 @@ class _DirectionColumns:
     time: NumberColumn
     direction: NumberColumn
     observed: NumberColumn | None
+    lag: NumberColumn | None
 
     def add(self, numbers: _Numbers, row: CsvRow) -> None:
         """Add the direction in a row; a row without one is a step at which nothing was sent."""
@@ -92,6 +95,12 @@ class _DirectionColumns:
         numbers.commands.append(self.time.number(self.path, row))
         numbers.commands.append(direction(self.path, row, self.direction, before))
         numbers.commands.append(observed)
+        if self.lag is not None:
+            numbers.lag_s = self.lag.number(self.path, row)
+            if numbers.lag_s < 0:
+                raise UsageError(
+                    f"{self.path}, line {row.line}: {self.lag.key} must not be negative"
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,12 +149,12 @@ def csv_tracks(
     """Return the tracks in some CSV files, each of poses or of commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s, or of time_s, v_UNIT_s and w_rad_s, or of time_s,
-    left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other units and
-    count from anywhere, angles may be in degrees. Columns path and trial, if present, assign poses
-    and commands to tracks. `rows_of` reads the rows of a file; robots that are seen for less than
-    `shortest_s` [s] are left out. Raises UsageError if data are missing, very many, or of clocks
-    that do not meet.
+    time_s, direction_rad and perhaps observed_s and lag_s, or of time_s, v_UNIT_s and w_rad_s, or
+    of time_s, left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other
+    units and count from anywhere, angles may be in degrees. Columns log and trial, if present,
+    assign poses and commands to tracks. `rows_of` reads the rows of a file; robots that are seen
+    for less than `shortest_s` [s] are left out. Raises UsageError if data are missing, very many,
+    or of clocks that do not meet.
     """
     trials: dict[Trial, _Numbers] = {}
     unit = ""
@@ -177,7 +186,8 @@ def _columns(path: Path, headers: Collection[str]) -> _Columns:
         sent = find_column(path, headers, ("direction",), RADIANS)
         if sent is not None:
             observed = find_column(path, headers, ("observed",), SECONDS)
-            return _DirectionColumns(path, time, sent, observed)
+            lag = find_column(path, headers, ("lag",), SECONDS)
+            return _DirectionColumns(path, time, sent, observed, lag)
         speeds = {name: header for header in headers if (name := _speed_name(header))}
         if speeds:
             return _speed_columns(path, headers, time, speeds)
@@ -268,6 +278,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
         until=until,
         frame_age=sent.frame_age,
         left_out=tuple(brief),
+        lag=numbers.lag_s,
         twists=sent.twists,
         remarks=() if remark is None else (remark,),
     )

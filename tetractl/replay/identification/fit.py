@@ -57,7 +57,8 @@ DELAY_S = 7e-4
 rates of the headings after that delay, so that robots turn as if a were larger by its share a
 DELAY_S: the bench's host assumes 7 ms of 7.7. With it, intervals of a held the truth in 344 of 360
 of the bench's logs (n = 120, three robots each; benchmarks/identify_coverage.py --bench)."""
-RESIDUALS = ("along the path", "across the path", "heading")
+HEADING = "heading"
+RESIDUALS = ("along the path", "across the path", HEADING)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
-from tetractl.replay.identification.fit import SampleInterval, fit
+from tetractl.replay.identification.fit import HEADING, SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, speeds
 from tetractl.replay.identification.tracks import Track, require_same
 
@@ -118,22 +118,40 @@ QUANTITIES = {
 """The fields of a robot in a table, with their units."""
 UNSTATED = ("heading_noise", "heading_walk")
 """Those whose intervals are not stated."""
+OF_HEADING = ("a", "heading_bias")
+"""Those that the equation of the heading gives, with the dead time of all robots."""
+NO_INTERVAL = (
+    "a heading that the model does not fit leaves a, heading bias and dead time without intervals: "
+    "wheels with a lag need wheels.lag in the spec of a log, lag_s in a table"
+)
 _ABREAST = 3  # largest number of robots in one table
 DECIMALS_MAX = 6  # decimals
 
 
 def stated(found: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
-    fewer than 92 % of the logs of trials (docs/how-to/identify.md).
+    fewer than 92 % of the logs of trials (docs/how-to/identify.md). A heading that does not follow
+    the model gives the dead time wrong, which all robots share, and with it a and the bias of each.
     """
+    if not _odd_headings(found):
+        return replace(found, robots=tuple(_without(robot, UNSTATED) for robot in found.robots))
+    robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in found.robots)
+    return replace(found, dead_time=_bare(found.dead_time), robots=robots)
 
-    def bare(robot: RobotFound) -> RobotFound:
-        values = {name: getattr(robot, name).value for name in UNSTATED}
-        return replace(
-            robot, **{q: SampleInterval(v, math.nan, math.nan) for q, v in values.items()}
-        )
 
-    return replace(found, robots=tuple(map(bare, found.robots)))
+def _without(robot: RobotFound, names: tuple[str, ...]) -> RobotFound:
+    """Return a robot without the intervals of some values."""
+    return replace(robot, **{name: _bare(getattr(robot, name)) for name in names})
+
+
+def _bare(interval: SampleInterval) -> SampleInterval:
+    """Return a value without the ends of its interval."""
+    return SampleInterval(interval.value, math.nan, math.nan)
+
+
+def _odd_headings(found: IdentifiedRobots) -> bool:
+    """Return whether the heading of a robot does not follow the model."""
+    return any(HEADING in robot.misfits for robot in found.robots)
 
 
 def identified(found: IdentifiedRobots, when: str) -> Identified:
@@ -197,7 +215,10 @@ def _fits(found: IdentifiedRobots) -> str:
     misfits = [f"{one.name} ({', '.join(one.misfits)})" for one in found.robots if one.misfits]
     if not misfits:
         return "the model fits: residuals are not correlated in time"
-    return f"the model does not fit {'; '.join(misfits)}: residuals are correlated in time"
+    text = f"the model does not fit {'; '.join(misfits)}: residuals are correlated in time"
+    if _odd_headings(found):
+        text += f"\n{NO_INTERVAL}"
+    return text
 
 
 def cell(interval: SampleInterval) -> str:

@@ -125,13 +125,16 @@ class Truth:
     @cached_property
     def undirected(self) -> Floats:
         """How long before each command (C,) the log has the controller's last direction [s]; 0
-        before the first, and without a log.
+        before the first, without a log, and after the last in a log that was broken off.
         """
-        steps = self.trial.steps if self.trial is not None else ()
-        sent_s = np.array([step.command.sent_ns for step in steps or ()]) / SECOND
+        if self.trial is None or not self.trial.steps:
+            return np.zeros(len(self.commanded))
+        sent_s = np.array([step.command.sent_ns for step in self.trial.steps]) / SECOND
         last = np.searchsorted(sent_s, self.commanded, "right") - 1
-        before = sent_s[last] if len(sent_s) else self.commanded
-        return np.where(last < 0, 0.0, self.commanded - before)
+        known = last >= 0
+        if self.trial.result is None:
+            known &= last < len(sent_s) - 1
+        return np.where(known, self.commanded - sent_s[last], 0.0)
 
     def status(self, flag: int) -> Bools:
         """Return a flag of the robots' firmware at the exposures (T, N): 1 running, 2 emergency

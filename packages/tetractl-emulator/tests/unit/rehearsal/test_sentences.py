@@ -105,12 +105,16 @@ def test_no_robot_is_driven_blind(events, wrong):
     assert ("driven blind" in broken(events)) == wrong
 
 
-@pytest.mark.parametrize(("sent_s", "wrong"), [(1.6, False), (1.4, True)])
-def test_no_robot_is_driven_without_a_direction(sent_s, wrong):
+@pytest.mark.parametrize(
+    ("sent_s", "whole", "wrong"), [(1.6, True, False), (1.4, True, True), (1.4, False, False)]
+)
+def test_no_robot_is_driven_without_a_direction(sent_s, whole, wrong):
+    """Regression: what a log that a full disk broke off no longer has counted as not sent."""
     truth = day(GOOD)
     step = SimpleNamespace(command=SimpleNamespace(sent_ns=round(sent_s * 1e9)))
     known = dict.fromkeys(TrialLog.__dataclass_fields__)
-    vars(truth)["log"] = TrialLog(**known | {"steps": [step]})
+    result = SimpleNamespace() if whole else None
+    vars(truth)["log"] = TrialLog(**known | {"steps": [step], "result": result})
     assert names_of(0, truth) == ({"driven blind"} if wrong else set())
 
 

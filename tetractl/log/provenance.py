@@ -26,6 +26,9 @@ PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
 CODE = "trial_code"
 """Key of the hash `trial_code`, by which a study knows the trials of its own code."""
 
+FILES_MAX = 200
+"""Largest number of changed files, and of untracked ones, that a log names: so that a checkout with
+large local changes makes no large logs."""
 VERSION_KEYS = frozenset({"python", "tetractl", "code", CODE, "git_commit", "git_dirty", *PACKAGES})
 """Keys of versions in a log."""
 
@@ -155,11 +158,10 @@ def environment() -> str:
     if versions().get("git_dirty") == "true":
         diff = _git("diff", "HEAD") or ""
         untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
-        found["git_diff"] = diff[:50_000]  # largest number of characters of the local changes
-        found["git_diff_characters"] = len(diff)
+        changed = _git("diff", "HEAD", "--name-only") or ""
         found["git_diff_sha256"] = hashlib.sha256(diff.encode()).hexdigest()
-        # largest number of untracked files listed
-        found["git_untracked"] = untracked.splitlines()[:200]
+        found["git_changed"] = changed.splitlines()[:FILES_MAX]
+        found["git_untracked"] = untracked.splitlines()[:FILES_MAX]
     return json.dumps(found, indent=1) + "\n"
 
 

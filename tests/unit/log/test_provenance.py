@@ -1,5 +1,6 @@
 """Facts of the machine and the source tree."""
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -43,14 +44,17 @@ def test_a_clean_and_a_changed_checkout(checkout):
     assert facts["tetractl"] == __version__
     assert facts.keys() <= provenance.VERSION_KEYS
     listed = json.loads(provenance.environment())
-    assert "git_diff" not in listed
+    assert "git_changed" not in listed
     assert listed["packages"]["numpy"] == np.__version__
     assert listed["host"] == provenance.host()
     (checkout / "tetractl" / "__init__.py").write_text("changed = True\n")
     provenance.versions.cache_clear()
     provenance.environment.cache_clear()
     assert provenance.versions()["git_dirty"] == "true"
-    assert "+changed = True" in json.loads(provenance.environment())["git_diff"]
+    changed = json.loads(provenance.environment())
+    assert changed["git_changed"] == ["tetractl/__init__.py"]
+    diff = _git(checkout, "diff", "HEAD") + "\n"
+    assert changed["git_diff_sha256"] == hashlib.sha256(diff.encode()).hexdigest()
 
 
 def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout):

@@ -76,6 +76,11 @@ def test_numbers_have_all_their_digits_and_unknown_ones_no_cell():
     assert csv_text(Table("", (Column("n", []), Column("w", [])))) == "n,w\n"
 
 
+def test_a_row_whose_only_entry_is_unknown_is_still_a_row():
+    text = csv_text(Table("", (Column("n", [1, None, 3]),)))
+    assert list(csv.reader(io.StringIO(text))) == [["n"], ["1"], [""], ["3"]]
+
+
 def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
     path = tmp_path / "speeds.csv"
     with table_files({"speeds": path}) as add:
@@ -155,5 +160,5 @@ def test_no_other_module_writes_tables():
         for path in (ROOT / "tetractl").rglob("*.py")
         if re.search(writers, path.read_text("utf-8"))
     }
-    names = ("csv_rows", "terminal_table")
+    names = ("csv_rows", "table_files", "terminal_table")
     assert found == {f"tetractl/core/table/{name}.py" for name in names}

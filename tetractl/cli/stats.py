@@ -88,17 +88,18 @@ def stats(
 
 def show(found: "BatchComparison", form: str, full: bool = False) -> None:
     """Print batches and their comparisons to stdout, as a table in short or in `full`."""
+    from tetractl.results.as_json import comparison_items
     from tetractl.results.tables import data_table, summary, tables
 
-    made = tables if full else summary
+    shown = tables if full else summary
     if form == "table":
-        print_tables(made(found))
+        print_tables(shown(found))
     elif form == "json":
-        print(json_text(found.record), flush=True)
+        print(json_text(comparison_items(found)), flush=True)
     elif form == "csv":
         print(csv_text(data_table(found)), end="")
     else:
-        print(TEXTS[form](made(found)))
+        print(TEXTS[form](shown(found)))
 
 
 def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":

@@ -20,6 +20,8 @@ from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.trial_data import packed, trial_data
+from tetractl.results.as_json import comparison_items
+from tetractl.results.batch_rows import texts_by_label
 from tetractl.results.contrast import BatchComparison, contrast
 from tetractl.results.describe import BatchStatistics, describe
 from tetractl.results.open_batch import counts, sources
@@ -164,7 +166,7 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     totals = [group.total for group in groups]
     least = min((total.mean for total in totals if total.n), default=math.nan)
     show = error_format(least, finest(groups[0].experiment))
-    rows = [group.rows for group in groups]
+    rows = [texts_by_label(group) for group in groups]
     counts = {label: [texts[label].partition(" (")[0] for texts in rows] for label in SAFETY}
     known = "; ".join(f"{one.name}: {one.origin}, {counted_by(one.experiment)}" for one in groups)
     return Table(
@@ -219,7 +221,7 @@ def _statistics(found: BatchComparison, numbers: Mapping[str, int]) -> str:
         )
     if found.contrasts:
         parts.append(f"<section><h2>Comparison</h2>{_tables(tables(found))}</section>")
-    data = _json(plain(found.record))
+    data = _json(plain(comparison_items(found)))
     return "".join(parts) + f'<script type="application/json" class="statistics">{data}</script>\n'
 
 

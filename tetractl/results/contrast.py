@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,20 @@ from tetractl.results.open_batch import counts, differences, directions_given
 ENOUGH = 8
 """Least number of pairs or, without pairs, of trials on each side, for a verdict."""
 _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
+"""Sections of a spec that do not change the disturbances of a trial."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The verdict "lower", "higher" or "undecided"; or None, with the reason."""
+
+    verdict: str | None
+    reason: str | None = None
+
+    @classmethod
+    def none(cls, reason: str) -> "Decision":
+        """Return that there is no verdict."""
+        return cls(None, reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +46,15 @@ class Contrast:
     rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected for
     the number of contrasts. `detects` is the difference that the test finds in 80 % of all studies
     of this size, in standard deviations of the paired differences or, without pairs, of the values.
-    `differs` lists the fields in which both specs differ. `verdict` is "lower", "higher" or
-    "undecided", or None with a `reason`. Groups with different plants (`alike` False) are not
-    tested: their p-values are NaN. Nor are batches of which one had its directions `given`, perhaps
-    with hindsight: it has no rank among controllers.
+    `differs` lists the fields in which both specs differ. Groups with different plants (`alike`
+    False) are not tested: their p-values are NaN. Nor are batches of which one had its directions
+    given, perhaps with hindsight (`no_controller`): it has no rank among controllers.
     """
 
     one: BatchStatistics
     other: BatchStatistics
     alike: bool
-    given: bool
+    no_controller: bool
     pairs: int
     why_unpaired: str
     difference: MeanDifference
@@ -56,37 +68,42 @@ class Contrast:
     @property
     def verdict(self) -> str | None:
         """The verdict, None if there is none."""
-        return self.judged[0]
+        return self.decision.verdict
 
     @property
     def reason(self) -> str | None:
         """Why there is no verdict."""
-        return self.judged[1]
+        return self.decision.reason
 
     @property
-    def judged(self) -> tuple[str | None, str | None]:
-        """The verdict and None, or None and the reason why there is no verdict.
+    def decision(self) -> Decision:
+        """The verdict, or why there is none.
 
         "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
         difference below or above 0, and a corrected p below 0.05.
         """
         if not self.alike:
-            return None, "plants are not alike"
-        if self.given:
-            return None, "directions were given: no controller decided"
-        if (self.pairs or min(self.one.counted, self.other.counted)) < ENOUGH:
+            return Decision.none("plants are not alike")
+        if self.no_controller:
+            return Decision.none("directions were given: no controller decided")
+        if self.compared < ENOUGH:
             what = "pairs" if self.pairs else "complete trials on each side"
-            return None, f"a verdict needs {ENOUGH} {what}"
+            return Decision.none(f"a verdict needs {ENOUGH} {what}")
         intervals = [self.difference.ci95] if self.pairs else [self.difference.ci95, self.both]
         for interval in intervals:
             if not interval.known:
-                return None, f"no interval: {interval.reason}"
+                return Decision.none(f"no interval: {interval.reason}")
         if self.p_holm < 1 - CONFIDENCE:
             if all(interval.high < 0 for interval in intervals):
-                return "lower", None
+                return Decision("lower")
             if all(interval.low > 0 for interval in intervals):
-                return "higher", None
-        return "undecided", None
+                return Decision("higher")
+        return Decision("undecided")
+
+    @property
+    def compared(self) -> int:
+        """The number of pairs or, without pairs, of trials of the smaller batch."""
+        return self.pairs or min(self.one.counted, self.other.counted)
 
     @property
     def name(self) -> str:
@@ -94,50 +111,21 @@ class Contrast:
         return f"{self.one.name} - {self.other.name}"
 
     @property
+    def test_of_means(self) -> str:
+        """The name of the test of the means."""
+        return "paired t" if self.pairs else "Welch's t"
+
+    @property
     def tests(self) -> str:
         """Names of the tests of means and of ranks, as "paired t, signed rank"."""
-        return "paired t, signed rank" if self.pairs else "Welch's t, rank sum"
+        return f"{self.test_of_means}, {'signed rank' if self.pairs else 'rank sum'}"
 
     @property
     def counted(self) -> str:
         """Number of trials compared, as "20 pairs" or "20 and 9"."""
-        return (
-            f"{self.pairs} pairs" if self.pairs else f"{self.one.counted} and {self.other.counted}"
-        )
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """The comparison by its keys in JSON."""
-        sides = {
-            f"{side}_{key}": value
-            for side, group in (("one", self.one), ("other", self.other))
-            for key, value in (
-                ("origin", group.origin.value),
-                ("n", group.counted),
-                ("mean", group.total.mean),
-                ("std", group.total.std),
-                ("tail", group.total.tail.as_dict()),
-            )
-        }
-        return {
-            "one": self.one.name,
-            "other": self.other.name,
-            "unit": self.one.unit,
-            **sides,
-            "comparable": self.alike,
-            "pairs": self.pairs,
-            "unpaired_reason": self.why_unpaired or None,
-            **self.difference.as_dict(),
-            "both": self.both.as_dict(),
-            "p_holm": self.p_holm,
-            "rank_p": self.rank_p,
-            "rank_p_holm": self.rank_p_holm,
-            "tests": self.tests,
-            "detects_sd": self.detects,
-            "verdict": self.verdict,
-            "verdict_reason": self.reason,
-            "differs": list(self.differs),
-        }
+        if self.pairs:
+            return f"{self.pairs} pairs"
+        return f"{self.one.counted} and {self.other.counted}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,19 +141,6 @@ class BatchComparison:
         return self.groups[0].unit
 
     @property
-    def record(self) -> dict[str, Any]:
-        """The object that `stats --format json` prints: of one batch its record, of several
-        `groups` and `comparisons`. Numbers are not rounded; unknown values are NaN.
-        """
-        if len(self.groups) == 1:
-            return self.groups[0].record
-        return {
-            "unit": self.unit,
-            "groups": [{"name": group.name, **group.record} for group in self.groups],
-            "comparisons": [one.record for one in self.contrasts],
-        }
-
-    @property
     def whole(self) -> bool:
         """Whether no log of any batch is damaged."""
         return all(group.batch.whole for group in self.groups)
@@ -178,79 +153,111 @@ def contrast(
 
     Raises UsageError if batches have different units of length.
     """
-    every = (*groups, baseline) if baseline else tuple(groups)
-    first = every[0]
-    for group in every:
+    batches = (*groups, baseline) if baseline else tuple(groups)
+    _check_units(batches)
+    if baseline is None:
+        sides = list(combinations(groups, 2))
+    else:
+        sides = [(group, baseline) for group in groups]
+    tests = sum(one.origin is other.origin for one, other in sides)
+    contrasts = [_contrast(one, other, max(tests, 1)) for one, other in sides]
+    return BatchComparison(batches, tuple(_corrected(contrasts)))
+
+
+def _check_units(groups: Sequence[BatchStatistics]) -> None:
+    first = groups[0]
+    for group in groups:
         if group.unit != first.unit:
             units = f"{group.name} has errors in {group.unit}, {first.name} in {first.unit}"
             raise UsageError(units, "compare groups with the same length unit")
-    two = [(group, baseline) for group in groups] if baseline else list(combinations(groups, 2))
-    tests = sum(one.origin is other.origin for one, other in two)
-    found = [_contrast(one, other, max(tests, 1)) for one, other in two]
-    means = mean_difference.holm([one.difference.p_value for one in found])
-    ranks = mean_difference.holm([one.rank_p for one in found])
-    corrected = (
-        replace(one, p_holm=p, rank_p_holm=rank)
-        for one, p, rank in zip(found, means, ranks, strict=True)
-    )
-    return BatchComparison(every, tuple(corrected))
+
+
+def _corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
+    """Return contrasts with their p-values corrected for the number of tests."""
+    means = mean_difference.holm([comparison.difference.p_value for comparison in contrasts])
+    ranks = mean_difference.holm([comparison.rank_p for comparison in contrasts])
+    return [
+        replace(comparison, p_holm=p_holm, rank_p_holm=rank_p_holm)
+        for comparison, p_holm, rank_p_holm in zip(contrasts, means, ranks, strict=True)
+    ]
 
 
 def _contrast(one: BatchStatistics, other: BatchStatistics, tests: int) -> Contrast:
-    """Compare two batches; p-values are not corrected yet, and there is no verdict."""
-    a, b = one.total, other.total
-    alike = one.origin is other.origin
-    paired, why = paired_differences(one, other)
-    if len(paired):
-        difference = mean_difference.paired_t(paired)
-        rank_p = mean_difference.signed_rank(paired)
-        detects = mean_difference.detectable(len(paired), tests=tests)
+    """Compare two batches; p-values are not corrected yet."""
+    ours = one.total
+    theirs = other.total
+    pairing = pair_up(one, other)
+    pairs = len(pairing.differences)
+    if pairs:
+        difference = mean_difference.paired_t(pairing.differences)
+        rank_p = mean_difference.signed_rank(pairing.differences)
+        detects = mean_difference.detectable(pairs, tests=tests)
     else:
-        difference = mean_difference.welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
+        difference = mean_difference.welch(
+            ours.n, ours.mean, ours.std, theirs.n, theirs.mean, theirs.std
+        )
         rank_p = mean_difference.rank_sum(one.totals, other.totals)
-        detects = mean_difference.detectable(a.n, b.n, tests)
-    given = directions_given(one.experiment) or directions_given(other.experiment)
-    if given or not alike:
-        rank_p = detects = math.nan
+        detects = mean_difference.detectable(ours.n, theirs.n, tests)
+    alike = one.origin is other.origin
+    no_controller = directions_given(one.experiment) or directions_given(other.experiment)
+    if no_controller or not alike:
         difference = replace(difference, p_value=math.nan)
+        rank_p = math.nan
+        detects = math.nan
     return Contrast(
         one=one,
         other=other,
         alike=alike,
-        given=given,
-        pairs=len(paired),
-        why_unpaired=why,
+        no_controller=no_controller,
+        pairs=pairs,
+        why_unpaired=pairing.why_none,
         difference=difference,
-        both=from_both_intervals(a, b),
+        both=from_both_intervals(ours, theirs),
         rank_p=rank_p,
         detects=detects,
         differs=tuple(differences(one.experiment, other.experiment)),
     )
 
 
-def paired_differences(one: BatchStatistics, other: BatchStatistics) -> tuple[Floats, str]:
-    """Return the differences (n,) between the total errors of paired trials, `one` minus `other`,
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """The differences (n,) between the total errors of paired trials, one batch minus the other,
     and "" or the reason why there are no pairs.
+    """
+
+    differences: Floats
+    why_none: str = ""
+
+    @classmethod
+    def none(cls, why: str) -> "Pairing":
+        """Return that there are no pairs."""
+        return cls(np.zeros(0), why)
+
+
+def pair_up(one: BatchStatistics, other: BatchStatistics) -> Pairing:
+    """Pair the trials of two batches.
 
     A pair is two simulated trials with the same seed, number and disturbances, which do not depend
     on the controller.
     """
     if not (one.origin.simulated and other.origin.simulated):
-        return np.zeros(0), "no two trials in a lab have the same disturbances"
-    ours, theirs = (
-        group.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD) for group in (one, other)
-    )
-    if ours != theirs:
-        return np.zeros(0), "the batches differ in more than the controller"
-    others = _by_world(other.batch.trials)
-    own = _by_world(one.batch.trials)
-    pairs = [error - others[world] for world, error in own.items() if world in others]
+        return Pairing.none("no two trials in a lab have the same disturbances")
+    if _world(one) != _world(other):
+        return Pairing.none("the batches differ in more than the controller")
+    ours = _errors_by_trial(one.batch.trials)
+    theirs = _errors_by_trial(other.batch.trials)
+    pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
     if not pairs:
-        return np.zeros(0), "the batches have no seed and trial in common"
-    return np.array(pairs), ""
+        return Pairing.none("the batches have no seed and trial in common")
+    return Pairing(np.array(pairs))
 
 
-def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
+def _world(group: BatchStatistics) -> dict[str, object]:
+    """Return all of a batch's spec but the controller and what does not change a trial."""
+    return group.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD)
+
+
+def _errors_by_trial(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
     """Return the total error of each counted trial by the trial's seed and number."""
     return {
         (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)

@@ -7,7 +7,6 @@ in a lab; percentiles of solve times are over all steps of all trials.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,39 +14,59 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
-from tetractl.core.table.table import NONE, digits, lengths
+from tetractl.core.table.table import digits, lengths
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.statistic import Statistic, Value, fraction, share
+from tetractl.results.statistic import Statistic
+from tetractl.results.statistic_value import (
+    Count,
+    OutcomeCounts,
+    Scalar,
+    Share,
+    StatisticValue,
+    Unknown,
+)
 
-_ARRIVED = share("arrived", "arrived", lambda trial: trial.outcome is Outcome.ARRIVED)
-
-
-def _arrived(trials: Sequence[ResultSummary]) -> Value:
-    if trials[0].experiment.controller.arrival_tolerance > 0:
-        return replace(_ARRIVED.of_batch(trials), usual=True)
-    text = f"{NONE} (no arrival_tolerance)"
-    return Value.row("arrived", text, True, arrived=None, arrived_ci95=None)
-
-
-def _outcomes(trials: Sequence[ResultSummary]) -> Value:
-    found = Counter(trial.outcome for trial in trials)
-    text = "; ".join(f"{n} {one.value} ({one.meaning})" for one, n in found.most_common())
-    ended = {one.value: found[one] for one in (Outcome.ABORTED, Outcome.INTERRUPTED)}
-    brief = ", ".join(f"{n} {one.value}" for one, n in found.most_common())
-    items = {"outcomes": {one.value: found[one] for one in Outcome}, **ended}
-    return Value(items, (("outcomes", text),), brief=brief)
+# ---- How trials ended ----
 
 
-def _recovered(trials: Sequence[ResultSummary]) -> Value:
-    found = sum(trial.recovered for trial in trials)
-    return Value.row("read from damaged logs", str(found), not found, recovered=found)
+def _outcomes(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    counts = Counter(trial.outcome for trial in trials)
+    return [
+        StatisticValue("outcomes", "outcomes", OutcomeCounts(counts)),
+        StatisticValue("aborted", "", Count(counts[Outcome.ABORTED])),
+        StatisticValue("interrupted", "", Count(counts[Outcome.INTERRUPTED])),
+    ]
+
+
+def _arrived(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    if trials[0].experiment.controller.arrival_tolerance <= 0:
+        return _unknown_share("arrived", "arrived", "no arrival_tolerance")
+    arrived = sum(trial.outcome is Outcome.ARRIVED for trial in trials)
+    return [StatisticValue("arrived", "arrived", Share(arrived, len(trials)), unusual=False)]
+
+
+def _unknown_share(
+    key: str, label: str, reason: str, unusual: bool = False
+) -> list[StatisticValue]:
+    """Return the values of a share that is not known: JSON has the keys of one that is."""
+    return [
+        StatisticValue(key, label, Unknown(reason), unusual),
+        StatisticValue(f"{key}_ci95", "", Unknown()),
+    ]
+
+
+def _recovered(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    recovered = sum(trial.recovered for trial in trials)
+    count = Count(recovered)
+    return [StatisticValue("recovered", "read from damaged logs", count, unusual=recovered > 0)]
 
 
 OUTCOMES = Statistic(_outcomes)
 ARRIVED = Statistic(_arrived)
 RECOVERED = Statistic(_recovered, lambda trial: {"recovered": trial.recovered})
 
+# ---- How near robots came ----
 
 Distances = Callable[[Verdict], Sequence[float]]
 """Function that returns the least distance of each robot in a trial [length unit]; empty if the log
@@ -62,15 +81,15 @@ def least(key: str, label: str, of: Distances) -> Statistic:
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
-        found = min(of(trial.result.verdict), default=float("inf"))
-        return {key: found if found < float("inf") else None}
+        nearest = min(of(trial.result.verdict), default=float("inf"))
+        return {key: nearest if nearest < float("inf") else None}
 
-    def of_batch(trials: Sequence[ResultSummary]) -> Value:
-        known = [value for trial in trials if (value := of_trial(trial)[key]) is not None]
+    def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+        distances = [of_trial(trial)[key] for trial in trials]
+        nearest = min((value for value in distances if value is not None), default=None)
+        number = Unknown() if nearest is None else Scalar(nearest, lengths(nearest))
         unit = trials[0].experiment.units.length
-        nearest = min(known, default=None)
-        text = NONE if nearest is None else lengths(nearest)(nearest)
-        return Value.row(f"{label} [{unit}]", text, True, **{key: nearest})
+        return [StatisticValue(key, f"{label} [{unit}]", number, unusual=False)]
 
     return Statistic(of_batch, of_trial)
 
@@ -79,19 +98,23 @@ CLEARANCE = least("clearance", "centre nearest to an obstacle", lambda verdict: 
 EDGE = least("edge", "centre nearest to the arena's edge", lambda verdict: verdict.edge)
 APART = least("apart", "centres nearest to one another", lambda verdict: verdict.apart)
 
+# ---- What must not happen ----
 
+ENTERED = "entered an obstacle"
+LEFT = "left the arena"
+TOUCHED_EACH_OTHER = "touched one another"
 SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
-    "entered an obstacle": Verdict.in_obstacle,
-    "left the arena": Verdict.over_edge,
-    "touched one another": Verdict.touched,
+    ENTERED: Verdict.in_obstacle,
+    LEFT: Verdict.over_edge,
+    TOUCHED_EACH_OTHER: Verdict.touched,
 }
 """What must not happen, with a function that returns which robots of a given radius did it."""
 
 
 def unsafe(trial: ResultSummary) -> list[str]:
     """Return the labels in SAFETY of what any robot of a trial did."""
-    verdict, radius = trial.result.verdict, trial.experiment.controller.body_radius
-    return [label for label, of in SAFETY.items() if any(of(verdict, radius))]
+    radius = trial.experiment.controller.body_radius
+    return [label for label, of in SAFETY.items() if any(of(trial.result.verdict, radius))]
 
 
 def counted_by(experiment: Experiment) -> str:
@@ -100,49 +123,68 @@ def counted_by(experiment: Experiment) -> str:
     return f"bodies of radius {radius:g} {experiment.units.length}" if radius else "centres"
 
 
-def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Statistic:
+def safety(
+    label: str, body_key: str, centre_key: str | None = None, centre_column: str | None = None
+) -> Statistic:
     """Return a statistic: the number of trials in which a robot did what `label` in SAFETY says.
 
-    `body` is the key of the count of bodies, which is None without a radius, and `centre` the keys
-    of a batch and of a trial of the count of centres.
+    JSON has the count of bodies under `body_key`, null without a radius, and of centres under
+    `centre_key`, which is called `centre_column` of a single trial. Tables show the count of bodies
+    or, without a radius, that of centres. Of obstacles a reader always sees it, of the others if it
+    happened.
     """
-    of = SAFETY[label]
+    did = SAFETY[label]
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
-        verdict, radius = trial.result.verdict, trial.experiment.controller.body_radius
-        found = {centre[1]: any(of(verdict, 0.0))} if centre else {}
-        return found | {body: any(of(verdict, radius)) if radius else None}
+        verdict = trial.result.verdict
+        radius = trial.experiment.controller.body_radius
+        columns: dict[str, Any] = {}
+        if centre_column is not None:
+            columns[centre_column] = any(did(verdict, 0.0))
+        columns[body_key] = any(did(verdict, radius)) if radius else None
+        return columns
 
-    def of_batch(trials: Sequence[ResultSummary]) -> Value:
-        columns = [of_trial(trial) for trial in trials]
-        counted = counted_by(trials[0].experiment).partition(" ")[0]
-        items, text = {body: None, f"{body}_ci95": None}, f"{NONE} (no radius)"
-        usual, brief = label != "entered an obstacle", None
-        for key, column in ([centre] if centre else []) + [(body, body)]:
-            if columns[0][column] is not None:
-                found, share = fraction(key, [one[column] for one in columns])
-                items, text = items | found, f"{share}, counting {counted}"
-                brief = f"{found[key]} of {len(trials)} ({counted})"
-                usual &= not found[key]
-        return Value(items, ((label, text),), usual, brief)
+    def share_of(trials: Sequence[ResultSummary], radius: float, counting: str) -> Share:
+        unsafe_trials = sum(any(did(trial.result.verdict, radius)) for trial in trials)
+        return Share(unsafe_trials, len(trials), counting)
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+        radius = trials[0].experiment.controller.body_radius
+        bodies = share_of(trials, radius, "bodies") if radius else None
+        centres = share_of(trials, 0.0, "centres") if centre_key is not None else None
+        happened = any(share.count for share in (bodies, centres) if share is not None)
+        unusual = happened or label == ENTERED
+        if bodies is not None:
+            values = [StatisticValue(body_key, label, bodies, unusual)]
+        elif centres is not None:
+            values = _unknown_share(body_key, "", "no radius")
+        else:
+            values = _unknown_share(body_key, label, "no radius", unusual)
+        if centre_key is not None and centres is not None:
+            shown = label if bodies is None else ""
+            values.append(StatisticValue(centre_key, shown, centres, unusual))
+        return values
 
     return Statistic(of_batch, of_trial)
 
 
 OBSTACLE_VIOLATIONS = safety(
-    "entered an obstacle", "body_in_obstacle", ("obstacle_violations", "entered_obstacle")
+    ENTERED, "body_in_obstacle", centre_key="obstacle_violations", centre_column="entered_obstacle"
 )
-LEFT_ARENA = safety("left the arena", "body_over_edge", ("left_arena", "outside_arena"))
-TOUCHED = safety("touched one another", "bodies_touch")
+LEFT_ARENA = safety(LEFT, "body_over_edge", centre_key="left_arena", centre_column="outside_arena")
+TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
+
+# ---- Means of the numbers of a trial ----
 
 
 def _way_points(trial: ResultSummary) -> dict[str, Any]:
     """Return, for each way-point, the sum of the robots' distances to it when it was passed, None
     if it was not.
     """
-    wanted = len(trial.experiment.setup.legs) - 1
-    known = (*trial.result.passed, *[None] * wanted)[:wanted]
-    return {f"way_point_{i}": error for i, error in enumerate(known, 1)}
+    way_points = len(trial.experiment.setup.legs) - 1
+    passed = trial.result.passed[:way_points]
+    distances = (*passed, *[None] * (way_points - len(passed)))
+    return {f"way_point_{i}": distance for i, distance in enumerate(distances, 1)}
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
@@ -163,23 +205,21 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 
 
 def mean_of_each(
-    of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
+    of_trial: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Return a statistic with the mean over all trials of each column that `of` returns, one row
-    per column.
-    """
+    """Return a statistic with the mean over all trials of each column that `of_trial` returns."""
 
-    def of_batch(trials: Sequence[ResultSummary]) -> Value:
-        columns = [of(trial) for trial in trials]
-        known = {key: [c[key] for c in columns if c[key] is not None] for key in columns[0]}
-        means = {key: float(np.mean(found)) if found else None for key, found in known.items()}
-        rows = [
-            (f"{label} ({key})", NONE if mean is None else f"{show(mean)} (n {len(known[key])})")
-            for key, mean in means.items()
-        ]
-        return Value(means, tuple(rows))
+    def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+        rows = [of_trial(trial) for trial in trials]
+        values: list[StatisticValue] = []
+        for key in rows[0]:
+            numbers = [row[key] for row in rows if row[key] is not None]
+            mean = float(np.mean(numbers)) if numbers else None
+            number = Scalar(mean, show, n=len(numbers))
+            values.append(StatisticValue(key, f"{label} ({key})", number))
+        return values
 
-    return Statistic(of_batch, of)
+    return Statistic(of_batch, of_trial)
 
 
 WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", digits)
@@ -188,27 +228,29 @@ TIME_INSIDE = mean_of_each(
     _time_inside, "mean share of the hold's time within the radius", "{:.3f}".format
 )
 
+# ---- Time for decisions ----
+
 PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
+"""Percentiles of the solve time by their keys."""
 
 
-def _solve_ms(trials: Sequence[ResultSummary]) -> Value:
+def _solve_ms(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
     solve_ns = [ns for trial in trials for ns in trial.result.solve_ns]
-    found: dict[str, float | None] = dict.fromkeys(PERCENTILES)
-    if solve_ns:
-        solve_ms = np.array(solve_ns, dtype=float) / MILLISECOND
-        values = np.percentile(solve_ms, list(PERCENTILES.values())).tolist()
-        found = dict(zip(PERCENTILES, values, strict=True))
-    rows = [
-        (f"solve time {name} [ms]", NONE if value is None else digits(value))
-        for name, value in found.items()
-    ]
-    return Value({"solve_ms": found}, tuple(rows), usual=True)
+    solve_ms = np.array(solve_ns, dtype=float) / MILLISECOND
+    values: list[StatisticValue] = []
+    for key, percentile in PERCENTILES.items():
+        time_ms = float(np.percentile(solve_ms, percentile)) if solve_ns else None
+        label = f"solve time {key} [ms]"
+        number = Scalar(time_ms, digits)
+        values.append(StatisticValue(key, label, number, unusual=False, within="solve_ms"))
+    return values
 
 
-def _deadline_misses(trials: Sequence[ResultSummary]) -> Value:
+def _deadline_misses(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    """Return how many deadlines were missed; only where time is real did they delay a command."""
     misses = sum(trial.result.deadline_misses for trial in trials)
-    usual = not (misses and trials[0].experiment.plant.real_time)  # else they delayed no command
-    return Value.row("deadline misses", str(misses), usual, deadline_misses=misses)
+    unusual = misses > 0 and trials[0].experiment.plant.real_time
+    return [StatisticValue("deadline_misses", "deadline misses", Count(misses), unusual)]
 
 
 SOLVE_MS = Statistic(_solve_ms)

@@ -1,9 +1,9 @@
-"""Formats batches and their comparisons as tables for display."""
+"""Makes tables of batches and their comparisons: what `stats` and the report page show."""
 
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tetractl.core.table.table import NONE, Column, Table, fixed, lengths, p_value
@@ -11,12 +11,20 @@ from tetractl.core.table.table_files import flat
 from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
+from tetractl.results.as_json import contrast_items
+from tetractl.results.batch_rows import PUBLISHED, batch_rows, published_text, texts_by_label
 from tetractl.results.contrast import BatchComparison, Contrast
-from tetractl.results.describe import PUBLISHED, BatchStatistics, flagged
+from tetractl.results.describe import BatchStatistics
 from tetractl.results.estimate import Distribution, Interval, known_distribution
+from tetractl.results.flagged import flagged
 from tetractl.results.open_batch import listing
 from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
+
+SIDE_BY_SIDE = 3
+"""Most batches in one table of trials: more columns of words are too wide."""
+PROCESSORS_NAMED = 4
+"""Most types of processor that a note names."""
 
 
 def summary(found: BatchComparison) -> list[Table]:
@@ -24,63 +32,101 @@ def summary(found: BatchComparison) -> list[Table]:
 
     Of three batches or more, the verdicts are in a table of their own.
     """
-    groups, several = found.groups, len(found.groups) > 2
-    errors, compared = _errors(groups, robots=False), _contrasts(found.contrasts)[:1]
-    lines = [] if several else [f"{one.name}: {_verdict(one)}" for one in found.contrasts]
-    if len(groups) == 1 and groups[0].experiment.reference and groups[0].origin.comparable:
-        lines.append(f"{PUBLISHED}: {groups[0].rows[PUBLISHED]}")
-    lines += [f"{label}: {text}" for label, text in _unusual(groups)]
-    errors = replace(errors, note="\n".join(filter(None, [*lines, errors.note])))
-    return [errors, *(compared if several else [])]
+    groups = found.groups
+    errors = _errors(groups, robots=False)
+    notes: list[str] = []
+    if len(groups) <= 2:
+        notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in found.contrasts]
+    if len(groups) == 1:
+        notes += _from_published(groups[0])
+    notes += _unusual(groups)
+    if errors.note:
+        notes.append(errors.note)
+    with_notes = replace(errors, note="\n".join(notes))
+    if len(groups) <= 2:
+        return [with_notes]
+    return [with_notes, *_contrasts(found.contrasts)[:1]]
 
 
-def _verdict(one: Contrast) -> str:
+def _from_published(group: BatchStatistics) -> Iterator[str]:
+    """Yield the line on the difference from the published result, if there is one."""
+    difference = group.from_published
+    if difference is not None and group.origin.comparable:
+        yield f"{PUBLISHED}: {published_text(difference, group)}"
+
+
+def _verdict(contrast: Contrast) -> str:
     """Return the verdict of a comparison with its difference and test, in words."""
-    test, alike = one.tests.partition(",")[0], one.verdict == "undecided"
-    found = "no significant difference" if alike else f"{one.verdict} mean error"
-    found = f"no verdict ({one.reason})" if one.verdict is None else found
-    show = lengths(one.difference.value, finest(one.one.experiment))
-    basis = f"{test}, {one.counted}" if one.pairs else test  # else n is in the table
-    return f"{found}, {one.difference.text(one.one.unit, show, one.p_holm)} ({basis})"
+    if contrast.verdict is None:
+        verdict = f"no verdict ({contrast.reason})"
+    elif contrast.verdict == "undecided":
+        verdict = "no significant difference"
+    else:
+        verdict = f"{contrast.verdict} mean error"
+    first = contrast.one
+    show = lengths(contrast.difference.value, finest(first.experiment))
+    difference = contrast.difference.text(first.unit, show, contrast.p_holm)
+    basis = contrast.test_of_means
+    if contrast.pairs:  # otherwise the numbers of trials are in the table
+        basis += f", {contrast.counted}"
+    return f"{verdict}, {difference} ({basis})"
 
 
-def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, str]]:
-    """Yield label and text of every value that is not usual, and of the flagged trials."""
-    rows, several = dict[str, dict[str, list[str]]](), len(groups) > 1
+@dataclass(frozen=True, slots=True)
+class _Remark:
+    """What a reader must see: `text` under a label, about the batch or trial `name`."""
 
-    def add(label: str, text: str, name: str) -> None:
-        rows.setdefault(label, {}).setdefault(text, []).append(name)
+    label: str
+    text: str
+    name: str
 
-    for group in groups:
-        for value in (value for value in group.values if not value.usual):
-            for label, text in value.rows:
-                if shown := text if value.brief is None or not several else value.brief:
-                    add(label, shown, group.name)
-        odd = [(Path(t.log).stem, ", ".join(t.notes)) for t in flagged(group.batch)]
-        if several:  # one of each batch: the others are named in full
-            more = f" and {len(odd) - 1} more" if odd[1:] else ""
-            odd = [(group.name, f"{trial} ({notes}){more}") for trial, notes in odd[:1]]
-        for trial, notes in odd:
-            add("flagged", notes, trial)
-    every = [group.name for group in groups]
-    for label, texts in rows.items():
-        named = (t if names == every else f"{listing(names)}: {t}" for t, names in texts.items())
-        yield label, listing(list(named), "; ")
+
+def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
+    """Yield a line for each label of what is unusual: the texts, each with those it is true of."""
+    remarks = [remark for group in groups for remark in _remarks(group, len(groups) > 1)]
+    batches = [group.name for group in groups]
+    for label in dict.fromkeys(remark.label for remark in remarks):
+        of_label = [remark for remark in remarks if remark.label == label]
+        texts: list[str] = []
+        for text in dict.fromkeys(remark.text for remark in of_label):
+            names = [remark.name for remark in of_label if remark.text == text]
+            texts.append(text if names == batches else f"{listing(names)}: {text}")
+        yield f"{label}: {listing(texts, '; ')}"
+
+
+def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
+    """Yield what is unusual about a batch, shortly if it is one of several."""
+    for row in batch_rows(group):
+        text = row.brief if several else row.text
+        if row.unusual and text:
+            yield _Remark(row.label, text, group.name)
+    logs = flagged(group.batch)
+    notes = [", ".join(log.notes) for log in logs]
+    stems = [Path(log.log).stem for log in logs]
+    if not several:
+        for stem, note in zip(stems, notes, strict=True):
+            yield _Remark("flagged", note, stem)
+    elif logs:  # the first one: `stats` of this batch alone names them all
+        more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+        yield _Remark("flagged", f"{stems[0]} ({notes[0]}){more}", group.name)
 
 
 def tables(found: BatchComparison) -> list[Table]:
     """Return every table: errors, how the trials ended, comparisons, flagged trials."""
     groups = found.groups
-    names = [group.name for group in groups] if len(groups) > 1 else ["value"]
-    parts = [slice(i, i + 3) for i in range(0, len(groups), 3)]  # more are too wide
-    trials = [_trials(groups[part], names[part]) for part in parts]
-    odd = [trial for group in groups for trial in flagged(group.batch)]
-    rows = [(trial.log, trial.outcome, ", ".join(trial.notes)) for trial in odd[:LISTED_MAX]]
-    if len(odd) > LISTED_MAX:
-        rows.append((f"{len(odd) - LISTED_MAX} more", NONE, "in --format json"))
-    listed = Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
-    every = [_errors(groups), *trials, *_contrasts(found.contrasts), listed]
+    parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
+    trials = [_trials(part, alone=len(groups) == 1) for part in parts]
+    every = [_errors(groups), *trials, *_contrasts(found.contrasts), _flagged(groups)]
     return [table for table in every if len(table)]
+
+
+def _flagged(groups: Sequence[BatchStatistics]) -> Table:
+    """Return the table of flagged logs, the first ones if there are many."""
+    logs = [log for group in groups for log in flagged(group.batch)]
+    rows = [(log.log, log.outcome, ", ".join(log.notes)) for log in logs[:LISTED_MAX]]
+    if len(logs) > LISTED_MAX:
+        rows.append((f"{len(logs) - LISTED_MAX} more", NONE, "in --format json"))
+    return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
 
 
 def error_format(least: float, finest: int) -> Callable[[float], str]:
@@ -105,11 +151,10 @@ def error_table(
     """Return one row per named distribution of errors, in the format for the least mean or, if
     given, for `scale`.
     """
-    means = [values.mean for _, values in named if values.mean > 0]
-    show = error_format(min(means, default=0.0) if scale is None else scale, finest)
-
-    def column(name: str, of: Callable[[Distribution], float]) -> Column:
-        return Column(name, [of(values) for _, values in named], format=show)
+    values = [distribution for _, distribution in named]
+    if scale is None:
+        scale = min((value.mean for value in values if value.mean > 0), default=0.0)
+    show = error_format(scale, finest)
 
     def interval(ends: Interval) -> str:
         return ends.text(show)
@@ -118,41 +163,54 @@ def error_table(
         title,
         (
             Column("error", [name for name, _ in named], unit),
-            Column("n", [values.n for _, values in named]),
-            column("mean", lambda values: values.mean),
-            column("std", lambda values: values.std),
-            column("median", lambda values: values.median),
-            column("min", lambda values: values.min),
-            column("max", lambda values: values.max),
-            Column("95 % interval", [values.ci95 for _, values in named], format=interval),
+            Column("n", [value.n for value in values]),
+            Column("mean", [value.mean for value in values], format=show),
+            Column("std", [value.std for value in values], format=show),
+            Column("median", [value.median for value in values], format=show),
+            Column("min", [value.min for value in values], format=show),
+            Column("max", [value.max for value in values], format=show),
+            Column("95 % interval", [value.ci95 for value in values], format=interval),
         ),
     )
 
 
 def _errors(groups: Sequence[BatchStatistics], robots: bool = True) -> Table:
     """Return the table of total errors and, of one batch, of the errors of its robots."""
-    first, each = groups[0], list[tuple[str, Distribution]]()
-    plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
+    first = groups[0]
     if len(groups) == 1:
-        named = [("total", first.total)]
-        valid = f"{first.counted} of {len(first.batch.trials)} trials valid"
-        title = f"{first.experiment.name}, {plants}: final error [{first.unit}], {valid}"
-        if robots:
-            each = list(zip(first.experiment.setup.names, first.robots, strict=True))
+        totals = [("total", first.total)]
     else:
-        named = [(group.name, group.total) for group in groups]
-        title = f"Final total errors of {len(groups)} batches, {plants}"
-        assumed = any(group.origin is Origin.DISTURBED for group in groups)
-        title += " (disturbances assumed)" * assumed
+        totals = [(group.name, group.total) for group in groups]
     for group in groups:
-        known = group.experiment.reference
-        if known and all(name != "published" for name, _ in named):
-            row = known_distribution(known.n, known.mean, known.std, Interval.none(""))
-            named.append(("published", row))
-    scale = min((group.total.mean for group in groups if group.counted), default=math.nan)
-    errors = error_table(title, [*named, *each], first.unit, scale, finest(first.experiment))
+        published = group.experiment.reference
+        if published and all(name != "published" for name, _ in totals):
+            unknown = Interval.none("")
+            row = known_distribution(published.n, published.mean, published.std, unknown)
+            totals.append(("published", row))
+    of_robots: list[tuple[str, Distribution]] = []
+    if len(groups) == 1 and robots:
+        of_robots = list(zip(first.experiment.setup.names, first.robots, strict=True))
+    errors = error_table(
+        _errors_title(groups),
+        [*totals, *of_robots],
+        first.unit,
+        scale=min((group.total.mean for group in groups if group.counted), default=math.nan),
+        finest=finest(first.experiment),
+    )
     simulated = (trial for group in groups for trial in group.batch.trials if trial.simulated)
     return replace(errors, note=processors_note(trial.processor for trial in simulated))
+
+
+def _errors_title(groups: Sequence[BatchStatistics]) -> str:
+    first = groups[0]
+    if len(groups) == 1:
+        valid = f"{first.counted} of {len(first.batch.trials)} trials valid"
+        return f"{first.experiment.name}, {first.origin}: final error [{first.unit}], {valid}"
+    plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
+    title = f"Final total errors of {len(groups)} batches, {plants}"
+    if any(group.origin is Origin.DISTURBED for group in groups):
+        title += " (disturbances assumed)"
+    return title
 
 
 def processors_note(types: Iterable[str]) -> str:
@@ -160,77 +218,84 @@ def processors_note(types: Iterable[str]) -> str:
 
     Sums round differently on two types, and a trial with disturbances may then take another course.
     """
-    found = Counter(filter(None, types))
-    if len(found) < 2:
+    counts = Counter(filter(None, types))
+    if len(counts) < 2:
         return ""
-    listed = ", ".join(f"{name} ({count})" for name, count in found.most_common(4))
-    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    most = counts.most_common(PROCESSORS_NAMED)
+    named = ", ".join(f"{name} ({count})" for name, count in most)
+    more = f" and {len(counts) - len(most)} more" if len(counts) > len(most) else ""
     what = "types of processor, on which the same seed may give another trial"
-    return f"trials of {len(found)} {what}: {listed}{more}"
+    return f"trials of {len(counts)} {what}: {named}{more}"
 
 
-def _trials(groups: Sequence[BatchStatistics], names: Sequence[str]) -> Table:
+def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
     """Return a table of some batches: a row per statistic, a column per batch."""
-    columns = [group.rows for group in groups]
-    labels = list(dict.fromkeys(label for column in columns for label in column))
-    return Table(
-        "Trials",
-        (
-            Column("figure", labels),
-            *(
-                Column(name, [column.get(label) for label in labels], words=True)
-                for name, column in zip(names, columns, strict=True)
-            ),
-        ),
-    )
+    texts = [texts_by_label(group) for group in groups]
+    labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
+    columns = [Column("figure", labels)]
+    for group, of_batch in zip(groups, texts, strict=True):
+        name = "value" if alone else group.name
+        columns.append(Column(name, [of_batch.get(label) for label in labels], words=True))
+    return Table("Trials", tuple(columns))
 
 
-def _contrasts(found: Sequence[Contrast]) -> list[Table]:
+def _contrasts(contrasts: Sequence[Contrast]) -> list[Table]:
     """Return two tables: the differences of the means with their tests, and what these rest on."""
-    if not found:
+    if not contrasts:
         return []
-    first = found[0].one
-    sizes = [abs(one.difference.value) for one in found]
-    show = lengths(max(filter(math.isfinite, sizes), default=0.0), finest(first.experiment))
-    names = Column("one - other", [one.name for one in found])
-    verdicts = [one.verdict or f"none: {one.reason}" for one in found]
-    compared = "Comparison of the mean total errors"
-    if any(one.alike for one in found) and len(found) > 1:
-        compared += f", p corrected for {len(found)} tests"
-    differences = Table(
-        compared,
+    return [_differences(contrasts), _basis(contrasts)]
+
+
+_PAIR = "one - other"
+
+
+def _differences(contrasts: Sequence[Contrast]) -> Table:
+    """Return the table of the differences of the means."""
+    first = contrasts[0].one
+    sizes = [abs(contrast.difference.value) for contrast in contrasts]
+    largest = max(filter(math.isfinite, sizes), default=0.0)
+    show = lengths(largest, finest(first.experiment))
+    title = "Comparison of the mean total errors"
+    if any(contrast.alike for contrast in contrasts) and len(contrasts) > 1:
+        title += f", p corrected for {len(contrasts)} tests"
+    values = [contrast.difference.value for contrast in contrasts]
+    intervals = [contrast.difference.ci95.text(show) for contrast in contrasts]
+    verdicts = [contrast.verdict or f"none: {contrast.reason}" for contrast in contrasts]
+    return Table(
+        title,
         (
-            names,
-            Column("trials", [one.counted for one in found], words=True),
-            Column("difference", [one.difference.value for one in found], first.unit, show),
-            Column("95 % interval", [one.difference.ci95.text(show) for one in found]),
-            Column("p (Holm)", [one.p_holm for one in found], format=p_value),
+            Column(_PAIR, [contrast.name for contrast in contrasts]),
+            Column("trials", [contrast.counted for contrast in contrasts], words=True),
+            Column("difference", values, first.unit, show),
+            Column("95 % interval", intervals),
+            Column("p (Holm)", [contrast.p_holm for contrast in contrasts], format=p_value),
             Column("verdict on the mean error", verdicts, words=True),
         ),
     )
-    basis = Table.of_texts(
-        "What the comparisons rest on",
-        (
-            names.name,
-            "tests",
-            "p (rank test)",
-            "detectable at 80 % power",
-            "why not paired",
-            "differs in",
-        ),
-        [
-            (
-                one.name,
-                one.tests if one.alike else NONE,
-                p_value(one.rank_p_holm),
-                f"{fixed(2)(one.detects)} sd" if one.detects > 0 else NONE,
-                one.why_unpaired,
-                listing(one.differs) or "nothing",
-            )
-            for one in found
-        ],
+
+
+def _basis(contrasts: Sequence[Contrast]) -> Table:
+    """Return the table of what comparisons rest on: tests, power, pairs, and other fields."""
+    header = (
+        _PAIR,
+        "tests",
+        "p (rank test)",
+        "detectable at 80 % power",
+        "why not paired",
+        "differs in",
     )
-    return [differences, basis]
+    rows = [
+        (
+            contrast.name,
+            contrast.tests if contrast.alike else NONE,
+            p_value(contrast.rank_p_holm),
+            f"{fixed(2)(contrast.detects)} sd" if contrast.detects > 0 else NONE,
+            contrast.why_unpaired,
+            listing(contrast.differs) or "nothing",
+        )
+        for contrast in contrasts
+    ]
+    return Table.of_texts("What the comparisons rest on", header, rows)
 
 
 def data_table(found: BatchComparison) -> Table:
@@ -239,7 +304,8 @@ def data_table(found: BatchComparison) -> Table:
     """
     if len(found.groups) == 1:
         return trials_table(found.groups[0].batch)
-    return Table.of_records("comparisons", [flat(one.record) for one in found.contrasts])
+    rows = [flat(contrast_items(contrast)) for contrast in found.contrasts]
+    return Table.of_records("comparisons", rows)
 
 
 def finest(experiment: Experiment) -> int:
@@ -256,6 +322,7 @@ def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
     """
     trials = group.batch.trials
     show = lengths(group.total.mean)
+    outcomes = dict.fromkeys(trial.outcome for trial in trials)
     return Table(
         "",
         (
@@ -267,5 +334,5 @@ def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
             Column("unsafe", [", ".join(unsafe(trial)) or "no" for trial in trials]),
             Column("outcome", [trial.outcome.value for trial in trials]),
         ),
-        "; ".join(f"{one.value}: {one.meaning}" for one in {t.outcome: 0 for t in trials}),
+        "; ".join(f"{outcome.value}: {outcome.meaning}" for outcome in outcomes),
     )

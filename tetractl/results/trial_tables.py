@@ -6,27 +6,26 @@ as mm and mm/s. Times count from the first direction sent. `log` (its file) and 
 every table of `tetractl export`, so that tables can be joined.
 """
 
-import math
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import printable
 from tetractl.core.plan import INNOVATIONS
 from tetractl.core.poses import Floats, Integers
+from tetractl.core.setup import Setup
 from tetractl.core.table.table import Column, Table
 from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import OF_ESTIMATE, STOP_REASON_MAX
-from tetractl.log.format.tetractl_pb2 import StepTiming
+from tetractl.log.format.tetractl_pb2 import ControllerStep, Estimate, StepTiming
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import result_of, trial_of, whole, written
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
-from tetractl.results.describe import trial_items
+from tetractl.results.as_json import trial_items
 from tetractl.results.open_batch import Batch
 
 _DISTANCES = ("clearance", "edge", "apart")
@@ -39,18 +38,22 @@ def trials_table(batch: Batch) -> Table:
 
     The names of lengths end in their unit.
     """
-    counted = [_row(trial) | {"attempt": False} for trial in batch.trials]
-    attempts = [_row(one) | {"attempt": True, "counted": False} for one in batch.attempts]
-    return Table.of_records("trials", [*counted, *attempts])
+    trials = [_trial_row(trial) | {"attempt": False} for trial in batch.trials]
+    attempts = [_trial_row(trial) | {"attempt": True, "counted": False} for trial in batch.attempts]
+    return Table.of_records("trials", [*trials, *attempts])
 
 
-def _row(trial: ResultSummary) -> dict[str, Any]:
-    """Return the row of one trial: its values by the names of the columns."""
-    fields, unit = trial_items(trial), trial.experiment.units.length
-    total, errors = fields.pop("total_error"), fields.pop("robot_errors")
-    named = {f"{key}_{unit}" if key in _DISTANCES else key: fields[key] for key in fields}
-    names = (f"error_{robot.name}_{unit}" for robot in trial.experiment.robots)
-    return {**named, f"total_error_{unit}": total, **dict(zip(names, errors, strict=True))}
+def _trial_row(trial: ResultSummary) -> dict[str, Any]:
+    """Return the row of one trial: its values by the names of the columns, errors last."""
+    unit = trial.experiment.units.length
+    items = trial_items(trial)
+    total_error = items.pop("total_error")
+    robot_errors = items.pop("robot_errors")
+    row = {f"{key}_{unit}" if key in _DISTANCES else key: item for key, item in items.items()}
+    row[f"total_error_{unit}"] = total_error
+    for robot, error in zip(trial.experiment.robots, robot_errors, strict=True):
+        row[f"error_{robot.name}_{unit}"] = error
+    return row
 
 
 def steps(log: TrialLog, contents: RawLog) -> Table:
@@ -61,42 +64,73 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     not reach it. `lag_s` is the time constant of the wheels by the spec, 0 without one; `identify`
     reads it.
     """
-    setup, rows = log.start.setup, list[tuple[Any, ...]]()
-    wheels = [f"{side}_{name}_{setup.unit}_s" for name in setup.names for side in ("left", "right")]
-    wheels = wheels if setup.wheel_radius is not None else []
-    timings = {one.k: one for one in contents.messages(HOST_TIMING)}
-    for step in contents.messages(STEP):
-        sent, searches, timing = step.command, step.searches, timings.get(step.k, StepTiming())
-        row = (
-            step.k,
-            sent.sent_ns,
-            step.observation.sampled_ns,
-            sent.direction if sent.HasField("direction") else None,
-            setup.lag_s,
-            step.cost,
-            step.target_cost,
-            step.obstacle_cost,
-            len(step.signals),
-            len(searches),
-            len(searches[step.chosen].history) - 1,
-            sum(one.evaluations for one in searches),
-            printable(searches[step.chosen].stopped, STOP_REASON_MAX),
-            timing.solve_ns / 1e6,
-            timing.deadline_missed,
-        )
-        speeds = [one for pair in zip(sent.left, sent.right, strict=True) for one in pair]
-        speeds = speeds or [None] * len(wheels)
-        rows.append((*row, *sent.delivered, *(speeds if wheels else ())))
-    cost = (f"cost_{setup.unit}", f"target_cost_{setup.unit}", "obstacle_cost")
-    search = ("signals", "searches", "iterations", "evaluations", "stopped")
-    of_step = ("k", "time_s", "observed_s", "direction_rad", "lag_s", *cost, *search)
-    delivered = (f"delivered_{name}" for name in setup.names)
-    names = (*of_step, "solve_ms", "deadline_missed", *delivered, *wheels)
-    values = [*zip(*rows, strict=True)] or [()] * len(names)
-    columns = dict[str, Any](zip(names, values, strict=True))
-    for name in ("time_s", "observed_s"):
-        columns[name] = _seconds(log, columns[name])
+    timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
+    rows = [
+        _step_row(log, step, timings.get(step.k, StepTiming())) for step in contents.messages(STEP)
+    ]
+    columns = {name: [row[name] for row in rows] for name in _step_columns(log.start.setup)}
     return _table("steps", columns)
+
+
+def _step_columns(setup: Setup) -> list[str]:
+    """Return the names of the columns of `steps`."""
+    names = [
+        "k",
+        "time_s",
+        "observed_s",
+        "direction_rad",
+        "lag_s",
+        f"cost_{setup.unit}",
+        f"target_cost_{setup.unit}",
+        "obstacle_cost",
+        "signals",
+        "searches",
+        "iterations",
+        "evaluations",
+        "stopped",
+        "solve_ms",
+        "deadline_missed",
+    ]
+    names += [f"delivered_{robot}" for robot in setup.names]
+    if setup.wheel_radius is not None:
+        names += [_wheel(side, robot, setup) for robot in setup.names for side in ("left", "right")]
+    return names
+
+
+def _wheel(side: str, robot: str, setup: Setup) -> str:
+    return f"{side}_{robot}_{setup.unit}_s"
+
+
+def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:
+    """Return the row of one control step."""
+    setup = log.start.setup
+    sent = step.command
+    chosen = step.searches[step.chosen]
+    row = {
+        "k": step.k,
+        "time_s": log.elapsed_s(sent.sent_ns),
+        "observed_s": log.elapsed_s(step.observation.sampled_ns),
+        "direction_rad": sent.direction if sent.HasField("direction") else None,
+        "lag_s": setup.lag_s,
+        f"cost_{setup.unit}": step.cost,
+        f"target_cost_{setup.unit}": step.target_cost,
+        "obstacle_cost": step.obstacle_cost,
+        "signals": len(step.signals),
+        "searches": len(step.searches),
+        "iterations": len(chosen.history) - 1,
+        "evaluations": sum(search.evaluations for search in step.searches),
+        "stopped": printable(chosen.stopped, STOP_REASON_MAX),
+        "solve_ms": timing.solve_ns / MILLISECOND,
+        "deadline_missed": timing.deadline_missed,
+    }
+    for robot, delivered in zip(setup.names, sent.delivered, strict=True):
+        row[f"delivered_{robot}"] = delivered
+    unknown = [None] * len(setup.names)
+    wheels = zip(setup.names, sent.left or unknown, sent.right or unknown, strict=True)
+    for robot, left, right in wheels:
+        row[_wheel("left", robot, setup)] = left
+        row[_wheel("right", robot, setup)] = right
+    return row
 
 
 def poses(log: TrialLog) -> Table:
@@ -104,17 +138,20 @@ def poses(log: TrialLog) -> Table:
 
     `valid` is False if the robot was not tracked.
     """
-    setup, frames = log.start.setup, len(log.frames)
-    unit, robots = setup.unit, len(setup.names)
+    setup = log.start.setup
+    unit = setup.unit
+    frames = len(log.frames)
+    robots = len(setup.names)
     columns: dict[str, Any] = {
         "time_s": np.repeat(_seconds(log, log.mocap_ns), robots),
         "frame": np.repeat(log.frames, robots),
         "robot": np.tile(setup.names, frames),
     }
     truth = np.full_like(log.mocap, np.nan) if log.truth is None else log.truth
-    for prefix, known in (("", log.mocap), ("true_", truth)):
-        for i, name in enumerate((f"x_{unit}", f"y_{unit}", "heading_rad")):
-            columns[prefix + name] = known[..., i].ravel()
+    for prefix, poses in (("", log.mocap), ("true_", truth)):
+        columns[f"{prefix}x_{unit}"] = poses[..., 0].ravel()
+        columns[f"{prefix}y_{unit}"] = poses[..., 1].ravel()
+        columns[f"{prefix}heading_rad"] = poses[..., 2].ravel()
     columns["valid"] = log.valid.ravel()
     columns[f"distance_{unit}"] = setup.distances(log.mocap[..., :2]).ravel()
     return _table("poses", columns)
@@ -123,44 +160,55 @@ def poses(log: TrialLog) -> Table:
 def estimates(log: TrialLog, contents: RawLog) -> Table:
     """Return one row per control step and robot: the controller's estimates and their standard
     deviations."""
-    setup, unit = log.start.setup, log.start.setup.unit
-    names = {name: name for name in OF_ESTIMATE} | {
-        "a": "a_rad_s",
-        "a_std": "a_std_rad_s",
-        "speed": f"speed_{unit}_s",
-        "speed_std": f"speed_std_{unit}_s",
-        "heading_bias": "heading_bias_rad",
-        "heading_bias_std": "heading_bias_std_rad",
-        "dead_time": "dead_time_s",
-        "dead_time_std": "dead_time_std_s",
-    }
-    width = dict.fromkeys(names, 1) | {"misfit": len(INNOVATIONS)}
-    robots, ks, sent = len(setup.names), list[int](), list[int]()
-    found: dict[str, list[Any]] = {name: [] for name in names}
-    for step in contents.messages(STEP):
-        if not step.HasField("estimate"):
-            continue
-        ks.append(step.k)
-        sent.append(step.command.sent_ns)
-        known = {field.name: value for field, value in step.estimate.ListFields()}
-        for name, values in found.items():
-            value = known.get(name, math.nan)
-            values += [value] * (robots * width[name]) if isinstance(value, float) else value[:]
+    setup = log.start.setup
+    robots = len(setup.names)
+    steps = [step for step in contents.messages(STEP) if step.HasField("estimate")]
     columns: dict[str, Any] = {
-        "k": np.repeat(ks, robots),
-        "time_s": np.repeat(_seconds(log, sent), robots),
-        "robot": np.tile(setup.names, len(ks)),
+        "k": np.repeat([step.k for step in steps], robots),
+        "time_s": np.repeat(_seconds(log, [step.command.sent_ns for step in steps]), robots),
+        "robot": np.tile(setup.names, len(steps)),
     }
-    for name, values in found.items():
-        rows = np.array(values, dtype=float).reshape(len(ks) * robots, width[name])
-        columns[names[name]] = rows.max(axis=1)
+    for field in OF_ESTIMATE:
+        rows = [_of_each_robot(step.estimate, field, robots) for step in steps]
+        columns[_estimate_column(field, setup.unit)] = np.array(rows, dtype=float).ravel()
     return _table("estimates", columns)
+
+
+def _estimate_column(field: str, unit: str) -> str:
+    """Return the column of a field of an estimate: its name, and its unit if it has one."""
+    units = {
+        "a": "rad_s",
+        "speed": f"{unit}_s",
+        "heading_bias": "rad",
+        "dead_time": "s",
+    }
+    of = field.removesuffix("_std")
+    return f"{field}_{units[of]}" if of in units else field
+
+
+def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:
+    """Return a field of an estimate (N,): NaN if it is not logged, the same for all robots if it is
+    one number, and the largest misfit of each robot.
+    """
+    if field not in {logged.name for logged, _ in estimate.ListFields()}:
+        return np.full(robots, np.nan)
+    values = np.array(getattr(estimate, field), dtype=float)
+    if values.ndim == 0:
+        return np.full(robots, values)
+    width = len(INNOVATIONS) if field == "misfit" else 1
+    return values.reshape(robots, width).max(axis=1)
 
 
 def events(log: TrialLog) -> Table:
     """Return one row per event, such as a lost command, lost tracking, or the end of the trial."""
-    keys = ("time_s", "level", "text")
-    return _table("events", {key: [asdict(one)[key] for one in log.events] for key in keys})
+    return _table(
+        "events",
+        {
+            "time_s": [event.time_s for event in log.events],
+            "level": [event.level for event in log.events],
+            "text": [event.text for event in log.events],
+        },
+    )
 
 
 OF_TRIAL: Mapping[str, Callable[[TrialLog, RawLog], Table]] = {
@@ -178,9 +226,10 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
 
     Raises LogError if the log cannot be read.
     """
-    contents, found = scan(path), dict[str, Table]()
+    contents = scan(path)
+    tables: dict[str, Table] = {}
     if "trials" in names:
-        found["trials"] = trials_table(Batch.of([result_of(contents)]))
+        tables["trials"] = trials_table(Batch.of([result_of(contents)]))
     if any(name in names for name in OF_TRIAL):
         whole(contents)
     log = trial_of(contents, 1)
@@ -188,8 +237,8 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
         if name in names:
             with written(contents):
                 rows = table(log, contents)
-            found[name] = rows.with_first(log=str(path), trial=log.start.trial)
-    return found, log.damage
+            tables[name] = rows.with_first(log=str(path), trial=log.start.trial)
+    return tables, log.damage
 
 
 def _seconds(log: TrialLog, times: Sequence[int] | Integers) -> Floats:
@@ -198,6 +247,5 @@ def _seconds(log: TrialLog, times: Sequence[int] | Integers) -> Floats:
 
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:
-    return Table(
-        name, tuple(Column(key, values, words=key in _WORDS) for key, values in columns.items())
-    )
+    described = [Column(key, values, words=key in _WORDS) for key, values in columns.items()]
+    return Table(name, tuple(described))

@@ -16,6 +16,7 @@ the limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any
@@ -26,67 +27,102 @@ from tetractl.core.table.table import NONE
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import listing
-from tetractl.results.statistic import Statistic, Value
+from tetractl.results.statistic import Statistic
+from tetractl.results.statistic_value import StatisticValue, Unknown, Worded
 
 CHANCE = 0.01
-LEAST, FEW = 6, 14.0
+"""Share of batches in which a rate is beyond its limit by chance."""
+LEAST = 6
+"""Least number of trials with a known rate that are compared."""
+FEW = 14.0
+"""By how much fewer trials widen the limit: see above."""
+DEVIATION_OVER_MEDIAN = 1.4826
+"""Standard deviation of normal values over the median of their distances to the median."""
+KEY = "less_certain"
 LABEL = "less certain"
 
 
-def _compared(trials: Sequence[ResultSummary]) -> Iterator[tuple[str, str, float, float]]:
-    """Yield the path of a trial, a robot, by how much it turned otherwise than in the median of its
-    trials, and the limit of this [rad/s].
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """How a robot turned by itself in a trial, whose log is `log` [rad/s]: `off` is by how much
+    more than in the median of its trials, and `limit` is above what no chance explains.
     """
+
+    log: str
+    robot: str
+    off: float
+    limit: float
+
+    @property
+    def odd(self) -> bool:
+        """Whether the robot turned otherwise than in its other trials."""
+        return abs(self.off) > self.limit
+
+
+def _turns(trials: Sequence[ResultSummary]) -> Iterator[_Turn]:
+    """Yield the turns of every robot with enough trials in which its rate is known."""
     robots = trials[0].experiment.setup.names if trials else ()
-    for i, name in enumerate(robots):
-        turns = ((trial.log, trial.result.verdict) for trial in trials)
-        known = [(path, v.turn[i], v.turn_std[i]) for path, v in turns if v.turn]
-        known = [one for one in known if math.isfinite(one[2])]
+    measured = [trial for trial in trials if trial.result.verdict.turn]
+    for i, robot in enumerate(robots):
+        known = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
         if len(known) < LEAST:
             continue
-        off, errors = np.array([each for _, *each in known]).T
-        off = off - np.median(off)
-        spread = (1 + FEW / len(known)) * 1.4826 * np.median(np.abs(off))
-        beyond = max(0.0, spread**2 - np.median(errors) ** 2)  # what no error explains
+        rates = np.array([trial.result.verdict.turn[i] for trial in known])
+        errors = np.array([trial.result.verdict.turn_std[i] for trial in known])
+        off = rates - np.median(rates)
+        deviation = (1 + FEW / len(known)) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
+        unexplained = max(0.0, deviation**2 - np.median(errors) ** 2)  # by the errors
         z = NormalDist().inv_cdf(1 - CHANCE / (2 * len(robots) * len(known)))
-        limits = z * np.sqrt(errors**2 + beyond)
-        for (path, *_), each, limit in zip(known, off.tolist(), limits.tolist(), strict=True):
-            yield path, name, each, limit
+        limits = z * np.sqrt(errors**2 + unexplained)
+        for trial, trial_off, limit in zip(known, off.tolist(), limits.tolist(), strict=True):
+            yield _Turn(trial.log, robot, trial_off, limit)
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     """Return a text for each robot that turned otherwise than in its other trials, by the path of
     the trial.
     """
-    found = defaultdict[str, list[str]](list)
-    for path, name, off, limit in _compared(trials):
-        if abs(off) > limit:
-            found[path].append(f"{name} turned by {off:+.2f} rad/s unlike in the other trials")
-    return found
+    texts = defaultdict[str, list[str]](list)
+    for turn in _turns(trials):
+        if turn.odd:
+            text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
+            texts[turn.log].append(text)
+    return texts
 
 
-def _of_batch(trials: Sequence[ResultSummary]) -> Value:
+def _of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    """Return in how many trials a robot turned otherwise."""
     if not any(trial.result.verdict.turn for trial in trials):
-        return Value({"less_certain": None}, ())
-    compared = list(_compared(trials))
-    if not compared:
-        text = (
-            f"{NONE} (one camera does not tell a pose that turns by up to {_hidden(trials[0]):.1f} "
-            f"rad/s while its robot drives from unequal wheels; {LEAST} trials are compared)"
-        )
-        return Value.row(LABEL, text, less_certain=None)
-    odd = [(path, name, off) for path, name, off, limit in compared if abs(off) > limit]
-    count = len({path for path, *_ in odd})
-    text = f"{count} of {len({path for path, *_ in compared})} trials"
-    if odd:
-        named = [f"{name} in {Path(path).stem}, {off:+.2f} rad/s" for path, name, off in odd]
-        text += f", by wheels that changed or false poses: {listing(named, '; ')}"
-    else:
-        text += f", turns above {max(limit for *_, limit in compared):.2f} rad/s would be seen"
-    return Value.row(LABEL, text, not odd, less_certain=count)
+        return [StatisticValue(KEY, "", Unknown())]
+    turns = list(_turns(trials))
+    if not turns:
+        return [StatisticValue(KEY, LABEL, Worded(None, _too_few(trials[0])))]
+    odd = [turn for turn in turns if turn.odd]
+    odd_trials = len({turn.log for turn in odd})
+    return [StatisticValue(KEY, LABEL, Worded(odd_trials, _compared(turns, odd)), bool(odd))]
 
 
-def _hidden(trial: ResultSummary) -> float:
+def _too_few(trial: ResultSummary) -> str:
+    hidden = _hidden_rad_s(trial)
+    return (
+        f"{NONE} (one camera does not tell a pose that turns by up to {hidden:.1f} "
+        f"rad/s while its robot drives from unequal wheels; {LEAST} trials are compared)"
+    )
+
+
+def _compared(turns: Sequence[_Turn], odd: Sequence[_Turn]) -> str:
+    """Return the text on trials that were compared, of which some are odd."""
+    trials = len({turn.log for turn in turns})
+    odd_trials = len({turn.log for turn in odd})
+    text = f"{odd_trials} of {trials} trials"
+    if not odd:
+        largest = max(turn.limit for turn in turns)
+        return f"{text}, turns above {largest:.2f} rad/s would be seen"
+    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in odd]
+    return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
+
+
+def _hidden_rad_s(trial: ResultSummary) -> float:
     """Return the fastest turn [rad/s] of a pose that wheels within `wheel_error` explain: of one
     that is so much too slow and one that is so much too fast."""
     setup = trial.experiment.setup
@@ -98,11 +134,13 @@ def _hidden(trial: ResultSummary) -> float:
 
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:
     """Return each robot's rate and its standard error, None if they are unknown."""
-    verdict, names = trial.result.verdict, trial.experiment.setup.names
     if trial.simulated or trial.experiment.setup.wheel_radius is None:
         return {}
-    nothing = (math.inf,) * len(names)
-    rates, errors = verdict.turn or nothing, verdict.turn_std or nothing
+    names = trial.experiment.setup.names
+    verdict = trial.result.verdict
+    unknown = (math.inf,) * len(names)
+    rates = verdict.turn or unknown
+    errors = verdict.turn_std or unknown
     items = dict[str, Any]()
     for name, rate, error in zip(names, rates, errors, strict=True):
         known = math.isfinite(error)

@@ -8,6 +8,8 @@ from support.batches import DISTURBED, batch, experiment, group
 
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin
+from tetractl.results.as_json import contrast_items
+from tetractl.results.batch_rows import texts_by_label
 from tetractl.results.contrast import contrast
 from tetractl.results.tables import summary
 
@@ -131,7 +133,7 @@ def test_unlike_plants_have_a_difference_but_no_test_and_no_verdict():
     unknown = (first.rank_p, first.p_holm, first.difference.p_value)
     assert all(map(math.isnan, (*unknown, first.detects)))
     assert tested.p_holm == tested.difference.p_value  # nothing else is tested
-    items = first.record
+    items = contrast_items(first)
     assert (items["comparable"], items["verdict_reason"]) == (False, first.reason)
 
 
@@ -140,10 +142,10 @@ def test_given_directions_have_no_rank_among_controllers():
     given = {"type": "sequence", "period": 0.2, "directions": [0.1]}
     hindsight = arm("given", ERRORS / 100, controller=given)
     found = only(hindsight, arm("mpc", ERRORS))
-    assert (found.given, found.verdict) == (True, None)
+    assert (found.no_controller, found.verdict) == (True, None)
     assert found.reason == "directions were given: no controller decided"
     assert all(map(math.isnan, (found.rank_p, found.p_holm, found.detects)))
-    assert hindsight.rows["given directions"].startswith("no controller decided")
+    assert texts_by_label(hindsight)["given directions"].startswith("no controller decided")
     (table,) = summary(contrast([hindsight, arm("mpc", ERRORS)]))
     assert "no verdict (directions were given" in table.note
 

@@ -14,7 +14,9 @@ from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.describe import flagged
+from tetractl.results.as_json import batch_items
+from tetractl.results.batch_rows import batch_rows
+from tetractl.results.flagged import flagged
 from tetractl.results.open_batch import Batch, Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
@@ -28,7 +30,7 @@ def test_the_order_of_the_logs_changes_nothing(random):
     one, other = group(trials), group(mixed)
     assert other.total == one.total
     assert other.robots == one.robots
-    assert (other.items, other.rows) == (one.items, one.rows)
+    assert batch_rows(other) == batch_rows(one)
 
 
 def test_only_trials_that_ran_to_their_end_enter_the_means():
@@ -39,7 +41,7 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
     trials.append(trial("lost.mcap", spec, result([math.nan, 1, 1]), 5))
     found = group(trials)
     assert (len(found.batch.trials), found.counted) == (6, 3)
-    assert (found.items["aborted"], found.items["interrupted"]) == (1, 1)
+    assert (batch_items(found)["aborted"], batch_items(found)["interrupted"]) == (1, 1)
     assert found.total.mean == pytest.approx(ERRORS[:3].sum(axis=1).mean())
 
 
@@ -49,7 +51,7 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
 def test_outcomes_decided_by_the_controller_count(outcome):
     found = group(batch(ERRORS.tolist(), outcome=outcome))
     assert found.counted == 20
-    assert found.items["outcomes"][outcome.value] == 20
+    assert batch_items(found)["outcomes"][outcome.value] == 20
 
 
 def test_arrivals_are_not_known_where_nothing_says_what_arriving_is():
@@ -57,8 +59,8 @@ def test_arrivals_are_not_known_where_nothing_says_what_arriving_is():
         group(batch(ERRORS.tolist(), experiment(controller={"arrival_tolerance": tolerance})))
         for tolerance in (0, 20)
     ]
-    assert [found.items["arrived"] for found in arrived] == [None, 0]
-    assert [found.items["arrived_ci95"] is None for found in arrived] == [True, False]
+    assert [batch_items(found)["arrived"] for found in arrived] == [None, 0]
+    assert [batch_items(found)["arrived_ci95"] is None for found in arrived] == [True, False]
 
 
 def test_solve_times_are_over_all_steps_of_all_trials():
@@ -69,10 +71,10 @@ def test_solve_times_are_over_all_steps_of_all_trials():
     trials[1] = replace(trials[1], result=result([2.0], solve_ns=(900_000_000,), deadline_misses=1))
     found = group(trials)
     times = [*range(99), 900]
-    assert found.items["solve_ms"]["p50"] == pytest.approx(np.percentile(times, 50))
-    assert found.items["solve_ms"]["p99"] == pytest.approx(np.percentile(times, 99))
-    assert found.items["solve_ms"]["max"] == 900
-    assert found.items["deadline_misses"] == 1
+    assert batch_items(found)["solve_ms"]["p50"] == pytest.approx(np.percentile(times, 50))
+    assert batch_items(found)["solve_ms"]["p99"] == pytest.approx(np.percentile(times, 99))
+    assert batch_items(found)["solve_ms"]["max"] == 900
+    assert batch_items(found)["deadline_misses"] == 1
 
 
 def test_the_published_result_is_compared_by_welch():
@@ -81,17 +83,17 @@ def test_the_published_result_is_compared_by_welch():
     test = stats.ttest_ind_from_stats(
         totals.mean(), totals.std(ddof=1), 20, 648.6, 225.1, 20, equal_var=False
     )
-    comparison = found.items["reference"]
+    comparison = batch_items(found)["reference"]
     assert comparison["difference"] == pytest.approx(totals.mean() - 648.6)
     assert comparison["p_value"] == pytest.approx(test.pvalue)
     low, high = comparison["ci95"]
     assert low < comparison["difference"] < high
-    assert group(batch(ERRORS.tolist())).items["reference"] is None
+    assert batch_items(group(batch(ERRORS.tolist())))["reference"] is None
 
 
 def test_errors_scale_by_the_ratio_of_speeds():
     spec = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
-    found = group(batch([[200, 300, 358.8]] * 3, spec)).items["scaled"]
+    found = batch_items(group(batch([[200, 300, 358.8]] * 3, spec)))["scaled"]
     speed = (180 + 200 + 150) / 3
     assert found["mean"] == pytest.approx(858.8 / 3 * 300 / speed)
     assert found["body_lengths"] == pytest.approx(found["mean"] / 50)
@@ -102,7 +104,7 @@ def test_errors_scale_by_the_ratio_of_speeds():
 def test_robots_that_stand_still_have_no_scaled_error():
     still = experiment(1).robots[0].model_copy(update={"speed": 0.0})
     spec = experiment(1, scale=SCALE, plant=DISTURBED).model_copy(update={"robots": (still,)})
-    found = group(batch([[1.0], [2.0]], spec)).items["scaled"]
+    found = batch_items(group(batch([[1.0], [2.0]], spec)))["scaled"]
     assert math.isnan(found["mean"])
     assert found["ci95"] is None
 
@@ -166,7 +168,7 @@ def test_only_real_robots_or_a_disturbed_plant_stand_beside_a_published_result(
     spec = experiment(reference=REFERENCE, scale=SCALE, plant=plant)
     found = group([replace(trial, origin=origin) for trial in batch(ERRORS.tolist(), spec)])
     assert found.origin is origin
-    items = found.items
+    items = batch_items(found)
     assert items["reference"]["comparable"] == (items["scaled"] is not None) == compared
 
 
@@ -185,7 +187,7 @@ def test_an_attempt_is_told_apart_whatever_it_is_called(name):
     spec = trials[0].experiment
     stopped = result([9e5] * 3, outcome=Outcome.ABORTED, reason="the cable came off")
     found = group([*trials, trial(name, spec, stopped, 0)], [Damaged(f"{name}x", "torn")])
-    assert (len(found.batch.trials), found.counted, found.items["aborted"]) == (3, 3, 0)
+    assert (len(found.batch.trials), found.counted, batch_items(found)["aborted"]) == (3, 3, 0)
     assert [attempt.log for attempt in found.batch.attempts] == [name]
     last = flagged(found.batch)[-1]
     assert (last.log, last.outcome) == (name, "aborted")
@@ -197,7 +199,7 @@ def test_an_attempt_is_told_apart_whatever_it_is_called(name):
 def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
     lost = Damaged("trial-000.attempt-1.mcap.part", "not an MCAP file")
     found = group(batch(ERRORS[:3].tolist()), [lost])
-    assert (found.items["n_attempts"], found.batch.lost, found.batch.whole) == (1, (), True)
+    assert (batch_items(found)["n_attempts"], found.batch.lost, found.batch.whole) == (1, (), True)
     assert flagged(found.batch)[0].notes[-1] == "not an MCAP file"
 
 

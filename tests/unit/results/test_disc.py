@@ -34,12 +34,11 @@ def test_the_disc_is_that_of_the_true_path_without_the_first_5_s(folder):
 def test_the_mean_has_an_interval_and_a_trial_its_own(folder):
     trials = read_batch(folder).trials
     ours = [DISC.of_trial(trial)["disc_bacterium"] for trial in trials]
-    found = DISC.of_batch(trials)
-    assert found.items["disc_bacterium"]["mean"] == pytest.approx(np.mean(ours))
-    low, high = found.items["disc_bacterium"]["ci95"]
-    assert low < np.mean(ours) < high
-    ((label, _),) = found.rows
-    assert label == "diameter of the disc of 95 % of the hold (disc_bacterium), mean [um]"
+    (value,) = DISC.of_batch(trials)
+    assert value.number.distribution.mean == pytest.approx(np.mean(ours))
+    interval = value.number.distribution.ci95
+    assert interval.low < np.mean(ours) < interval.high
+    assert value.label == "diameter of the disc of 95 % of the hold (disc_bacterium), mean [um]"
 
 
 def test_without_a_hold_or_a_whole_log_there_is_none(folder):

@@ -9,6 +9,7 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 
 from tetractl.core.plan import Outcome
 from tetractl.core.table.table_files import csv_text, json_text
+from tetractl.results.as_json import comparison_items
 from tetractl.results.contrast import contrast
 from tetractl.results.open_batch import Damaged
 from tetractl.results.tables import data_table
@@ -19,7 +20,7 @@ SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
 
 
 def as_json(*groups):
-    return json.loads(json_text(contrast(groups).record))
+    return json.loads(json_text(comparison_items(contrast(groups))))
 
 
 def rows_of(*groups):

@@ -5,7 +5,9 @@ from support.batches import batch, experiment, group
 
 from tetractl.core.commands import Verdict
 from tetractl.core.poses import Poses
-from tetractl.results.describe import flagged
+from tetractl.results.as_json import batch_items
+from tetractl.results.batch_rows import texts_by_label
+from tetractl.results.flagged import flagged
 from tetractl.results.trial_tables import trials_table
 
 INF = float("inf")
@@ -23,15 +25,15 @@ def test_trials_that_left_the_arena_are_counted_and_the_nearest_of_all_is_told()
         judged(1, (9.0, 8.0), (200.0, 200.0), (INF, -3.0)),
         judged(2, (7.0, 3.0), (INF, INF)),
     ]
-    items = group(trials).items
+    items = batch_items(group(trials))
     assert items["left_arena"] == 1
     assert (items["clearance"], items["edge"], items["apart"]) == (-3.0, -1.0, 95.0)
 
 
 def test_logs_without_those_distances_are_left_out():
-    items = group([judged(0), judged(1, (4.0, 6.0), (80.0, 80.0))]).items
+    items = batch_items(group([judged(0), judged(1, (4.0, 6.0), (80.0, 80.0))]))
     assert (items["left_arena"], items["edge"], items["apart"]) == (0, 4.0, 80.0)
-    alone = group([judged(0, clearance=(INF, INF))]).items
+    alone = batch_items(group([judged(0, clearance=(INF, INF))]))
     assert alone["clearance"] is alone["edge"] is alone["apart"] is None
 
 
@@ -43,11 +45,11 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
         judged(2, (48.0, 60.0), (95.0, 95.0), (48.0, 60.0), spec),
     ]
     found = group(trials)
-    items = found.record
+    items = batch_items(found)
     assert items["body_radius"] == 47
     assert (items["obstacle_violations"], items["left_arena"]) == (0, 1)
     assert (items["body_in_obstacle"], items["body_over_edge"], items["bodies_touch"]) == (1, 2, 1)
-    rows = found.rows
+    rows = texts_by_label(found)
     assert rows["left the arena"] == "2 of 3 (95 % interval 21 to 94 %), counting bodies"
     assert rows["touched one another"].startswith("1 of 3")
     columns = trials_table(found.batch).as_dict()
@@ -62,7 +64,8 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
 
 def test_without_a_radius_centres_are_counted_and_said_to_be():
     found = group([judged(0, (-1.0, 5.0), (200.0, 200.0))])
-    rows = found.rows
+    rows = texts_by_label(found)
     assert rows["left the arena"] == "1 of 1 (95 % interval 21 to 100 %), counting centres"
     assert rows["touched one another"] == "- (no radius)"
-    assert found.items["body_over_edge"] is found.items["bodies_touch"] is None
+    items = batch_items(found)
+    assert items["body_over_edge"] is items["bodies_touch"] is None

@@ -11,6 +11,7 @@ from support.batches import batch, group
 from tetractl.core.registries import STATISTICS
 from tetractl.core.table.table_files import csv_text
 from tetractl.core.table.terminal_table import TEXTS, print_tables
+from tetractl.results.as_json import comparison_items
 from tetractl.results.contrast import contrast
 from tetractl.results.statistic import number
 from tetractl.results.tables import data_table, tables
@@ -34,7 +35,7 @@ def test_it_is_in_every_table(capsys):
 
 def test_it_is_in_json_and_csv():
     described = contrast([group(batch(ERRORS))])
-    found = described.record
+    found = comparison_items(described)
     assert found["worst_error"]["mean"] == pytest.approx(np.max(ERRORS, axis=1).mean())
     assert found["worst_error"]["n"] == 20
     assert found["trials"][3]["worst_error"] == max(ERRORS[3])

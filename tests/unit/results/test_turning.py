@@ -12,8 +12,10 @@ from support.batches import batch, experiment, group
 from tetractl.core.plan import Outcome
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.log.read.trial_log import Origin
+from tetractl.results.as_json import batch_items
+from tetractl.results.batch_rows import texts_by_label
 from tetractl.results.contrast import contrast
-from tetractl.results.describe import flagged
+from tetractl.results.flagged import flagged
 from tetractl.results.tables import summary
 from tetractl.results.turning import turned_otherwise
 
@@ -56,7 +58,7 @@ def test_a_trial_in_which_a_robot_turns_unlike_in_the_others_is_marked_and_count
     }
     found = group(trials)
     assert [one.log for one in flagged(found.batch)] == sorted(marks)
-    assert found.items["less_certain"] == 3
+    assert batch_items(found)["less_certain"] == 3
     assert found.counted == 20  # only marked: one trial cannot show which of the two it was
     said = printed(found, summary)
     assert len(said.splitlines()) <= 12
@@ -84,15 +86,18 @@ def test_honest_batches_are_hardly_ever_marked(spread):
 
 def test_what_would_be_seen_is_told_in_full_and_few_trials_are_not_compared():
     found = group(turned(20))
-    assert found.rows["less certain"] == "0 of 20 trials, turns above 0.05 rad/s would be seen"
-    assert found.items["less_certain"] == 0
+    assert (
+        texts_by_label(found)["less certain"]
+        == "0 of 20 trials, turns above 0.05 rad/s would be seen"
+    )
+    assert batch_items(found)["less_certain"] == 0
     assert "less certain" not in printed(found, summary)
     few = group(turned(5, trial_3=[0.3, 0.0, 0.0]))
-    assert few.rows["less certain"] == (
+    assert texts_by_label(few)["less certain"] == (
         "- (one camera does not tell a pose that turns by up to 0.6 rad/s while its robot drives "
         "from unequal wheels; 6 trials are compared)"
     )
-    assert few.items["less_certain"] is None
+    assert batch_items(few)["less_certain"] is None
     shown = " ".join(printed(few, summary).split())
     assert "does not tell a pose that turns by up to 0.6 rad/s" in shown, "run prints this"
 
@@ -103,15 +108,15 @@ def test_robots_that_did_not_drive_and_older_logs_are_left_out():
     trials[2] = changed(trials[2], turn=(), turn_std=())
     assert turned_otherwise(trials) == {}
     found = group(trials)
-    columns = found.record["trials"]
+    columns = batch_items(found)["trials"]
     assert columns[0]["turn_blue_rad_s"] == trials[0].result.verdict.turn[1]
     assert columns[0]["turn_std_blue_rad_s"] == ERROR
     assert columns[1]["turn_green_rad_s"] is columns[2]["turn_blue_rad_s"] is None
     old = group([changed(trial, turn=(), turn_std=()) for trial in trials])
-    assert "less certain" not in old.rows
+    assert "less certain" not in texts_by_label(old)
 
 
 def test_a_simulation_has_no_such_figures():
     found = group(batch([[1.0, 2.0, 3.0]] * 6))
-    assert "less certain" not in found.rows
-    assert not [key for key in found.record["trials"][0] if key.startswith("turn")]
+    assert "less certain" not in texts_by_label(found)
+    assert not [key for key in batch_items(found)["trials"][0] if key.startswith("turn")]

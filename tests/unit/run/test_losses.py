@@ -15,7 +15,7 @@ from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
-from tetractl.results.describe import _notes
+from tetractl.results.flagged import trial_notes
 from tetractl.results.outcomes import LOST
 from tetractl.run.task import log_path, run_trial
 
@@ -150,7 +150,7 @@ def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(
     forged = with_entry(contents, tmp_path / "forged.mcap", at, ("lost", 0))
     assert [one.field for one in verify(forged).problems] == ["/result[0].lost.0"]
     assert LOST.of_trial(read_result(path)) == {"lost": sum(result.lost)}
-    assert any("lost" in note for note in _notes(read_result(path)))
+    assert any("lost" in note for note in trial_notes(read_result(path)))
 
 
 def test_a_robot_of_a_list_cannot_be_replaced():

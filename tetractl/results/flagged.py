@@ -1,0 +1,83 @@
+"""The logs of a batch that should be examined, each with the reasons."""
+
+from dataclasses import dataclass
+
+from tetractl.core.plan import Outcome
+from tetractl.core.tour import STOOD
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.open_batch import Batch, counts
+from tetractl.results.outcomes import SAFETY
+from tetractl.results.turning import turned_otherwise
+
+ATTEMPT = "an earlier attempt, excluded"
+
+
+@dataclass(frozen=True, slots=True)
+class Flagged:
+    """A log to be examined: its path, the outcome of its trial, and the reasons."""
+
+    log: str
+    outcome: str
+    notes: tuple[str, ...]
+
+
+def flagged(batch: Batch) -> list[Flagged]:
+    """Return the flagged trials, then the earlier attempts.
+
+    A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle,
+    left the arena, touched another one, was lost, stood while others drove or turned
+    otherwise than in the other trials, or the trial ended at `steps max` or `time limit`. Warnings
+    flag trials in a lab only, since in a simulation the spec requests the disturbances.
+    """
+    logs: list[Flagged] = []
+    turned = turned_otherwise(batch.trials)
+    for trial in batch.trials:
+        notes = [*trial_notes(trial), *turned.get(trial.log, ())]
+        if notes and not counts(trial):
+            notes.insert(0, "excluded")
+        if notes:
+            logs.append(Flagged(trial.log, trial.outcome.value, tuple(notes)))
+    for trial in batch.attempts:
+        notes = (ATTEMPT, *trial_notes(trial))
+        logs.append(Flagged(trial.log, trial.outcome.value, notes))
+    lost = [
+        Flagged(log.log, "cannot be read", (ATTEMPT, log.problem)) for log in batch.lost_attempts
+    ]
+    return [*logs, *lost]
+
+
+def trial_notes(trial: ResultSummary) -> list[str]:
+    """Return the reasons to flag a trial, without regard to the other ones."""
+    result = trial.result
+    notes = _unsafe_robots(trial)
+    lost = sum(result.lost)
+    if lost:
+        notes.append(f"{lost} {_plural('robot', lost)} lost")
+    if trial.outcome is Outcome.STEPS_MAX:
+        notes.append(f"did not end in {result.steps} steps")
+    if trial.outcome is Outcome.TIME_LIMIT:
+        notes.append(f"did not end in {trial.experiment.controller.time_limit:g} s")
+    if trial.warnings and not trial.simulated:
+        notes.append(f"{trial.warnings} {_plural('warning', trial.warnings)}")
+    if trial.recovered:
+        notes.append("read from a damaged log")
+    if not counts(trial) or result.reason.endswith(STOOD):
+        notes.append(result.reason or "its errors are unknown")
+    return notes
+
+
+def _unsafe_robots(trial: ResultSummary) -> list[str]:
+    """Return texts such as "green, red left the arena"."""
+    names = [robot.name for robot in trial.experiment.robots]
+    radius = trial.experiment.controller.body_radius
+    notes: list[str] = []
+    for label, of in SAFETY.items():
+        did = of(trial.result.verdict, radius)
+        if any(did):
+            robots = [name for name, unsafe in zip(names, did, strict=True) if unsafe]
+            notes.append(f"{', '.join(robots)} {label}")
+    return notes
+
+
+def _plural(noun: str, count: int) -> str:
+    return noun if count == 1 else f"{noun}s"

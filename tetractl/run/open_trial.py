@@ -15,14 +15,14 @@ from tetractl.control.sequence import SequenceController, SequenceSection
 from tetractl.core.commands import Command, Note, PlantInfo, Sample
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import Observation
+from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
 from tetractl.experiment.section_abilities import AcceptsSum
-from tetractl.model.path_check import PathCheck
+from tetractl.model.obstacles import Obstacles
 from tetractl.run import task
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
@@ -72,20 +72,26 @@ class TruthWatch:
     as camera frames show it. The trial's result knows it from the finest samples."""
 
     def __init__(self, setup: Setup) -> None:
-        self._path = PathCheck.of(setup)
-
-    @property
-    def failed(self) -> bool:
+        self._arena = setup.arena
+        self._obstacles = Obstacles.of(setup.obstacles)
+        self._last: Poses | None = None
+        self.failed = False
         """Whether any robot did so."""
-        return bool(self._path.entered.any() or (self._path.edge < 0).any())
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Add the true poses of new frames."""
+        """Look at the true poses of new frames, and at the straight ways to them."""
         poses = [sample.truth for sample in samples if sample.truth is not None]
-        if poses:
-            x = np.array([truth.x for truth in poses])
-            y = np.array([truth.y for truth in poses])
-            self._path.add(x, y)
+        if not poses:
+            return
+        before = [poses[0] if self._last is None else self._last, *poses[:-1]]
+        self._last = poses[-1]
+        x = np.array([pose.x for pose in poses])
+        y = np.array([pose.y for pose in poses])
+        x_before = np.array([pose.x for pose in before])
+        y_before = np.array([pose.y for pose in before])
+        outside = self._arena.inside(x, y) < 0
+        entered = self._obstacles.cross(x_before, y_before, x, y)
+        self.failed = self.failed or bool(outside.any() or entered.any())
 
     def on_start(self, start: Start) -> None:
         """Do nothing."""

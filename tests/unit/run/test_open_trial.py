@@ -85,6 +85,16 @@ def test_a_robot_outside_the_arena_has_failed():
     assert trial.failed
 
 
+def test_a_robot_that_drives_through_an_obstacle_between_two_frames_has_failed():
+    thin = {"type": "circle", "center": [301.5, 500], "radius": 0.5}  # frames show 300 and 303.3
+    plant = {"type": "sim", "camera_rate": 30}
+    trial = tetractl.open_trial(SPEC | {"obstacles": [thin], "plant": plant})
+    drive(trial, 18, direction=0.0)  # of 5 mm: to 290
+    assert not trial.failed
+    drive(trial, 4, direction=0.0)
+    assert trial.failed
+
+
 def test_its_first_observation_is_at_the_starts():
     trial = tetractl.open_trial(SPEC | {"plant": {"type": "sim"}})
     np.testing.assert_allclose(trial.observation.poses.xy, [[200, 500], [200, 300]])

@@ -16,6 +16,8 @@ and e is then the greatest sum of distances that the arena allows, whatever was 
 
 An episode is terminated if the robots have arrived or one has failed in that way, and truncated at
 the limit of time, or if the trial is aborted.
+
+Picture, in the render mode "rgb_array": the arena and the measured ways so far.
 """
 
 import math
@@ -31,6 +33,7 @@ from tetractl import api
 from tetractl.control.policy import features, features_of
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.examples import examples
 from tetractl.run.open_trial import OpenTrial
@@ -43,6 +46,9 @@ BENCHMARKS = "benchmark"
 SEEDS = 2**31
 """Number of seeds from which `reset` draws one if none is given."""
 
+RENDER_MODES = ["rgb_array"]
+"""The modes of Gymnasium in which an environment shows itself."""
+
 Features = NDArray[np.float32]
 """What a learner sees, (4 N + 2,)."""
 
@@ -53,11 +59,15 @@ class TrialEnv(gymnasium.Env[Features, Features]):
     `trial` is the trial that runs, an `OpenTrial`: its `save` writes a log of a finished episode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as gymnasium.Env has it
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012 - gymnasium.Env's
 
-    def __init__(self, spec: api.Spec) -> None:
+    def __init__(self, spec: api.Spec, render_mode: str | None = None) -> None:
+        if render_mode not in (None, *RENDER_MODES):
+            raise UsageError(f"render_mode {render_mode!r} is not known", f"use {RENDER_MODES[0]}")
         self._spec = api.stepped(spec)
         setup = self._spec.experiment.setup
+        self.render_mode = render_mode
+        self.metadata = {"render_modes": RENDER_MODES, "render_fps": round(1 / setup.period_s)}
         self._start_error = float(setup.starts.distances(setup.targets).sum())
         self._worst_error = greatest_error(setup)
         size = features_of(len(setup.names))
@@ -66,6 +76,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         self.observation_space = spaces.Box(-high, high, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
         self._trial: OpenTrial | None = None
+        self._ways: list[Floats] = []  # measured places (N, 2) of the episode so far
         self._error = self._start_error
 
     @property
@@ -87,6 +98,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         trial_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
         trial = int((options or {}).get("trial", 0))
         self._trial = OpenTrial(self._spec, trial, trial_seed)
+        self._ways = [self._trial.observation.poses.xy]
         self._error = self._start_error
         return self._observed(), {}
 
@@ -96,7 +108,8 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         At the end of an episode, `info` has the `outcome` and the `total_error` e [length unit].
         """
         along_x, along_y = np.asarray(action, dtype=np.float64)
-        self.trial.step(math.atan2(along_y, along_x))
+        observation = self.trial.step(math.atan2(along_y, along_x))
+        self._ways.append(observation.poses.xy)
         if self.trial.failed and self.trial.result is None:
             self.trial.stop()
         result = self.trial.result
@@ -107,6 +120,14 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         terminated = failed or result.outcome is Outcome.ARRIVED
         info = {"outcome": "failed" if failed else result.outcome.value, "total_error": error}
         return self._observed(), self._progress(error), terminated, not terminated, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return a picture (H, W, 3) of the episode so far, None without a render mode."""
+        if self.render_mode is None:
+            return None
+        from tetractl.view.arena_picture import arena_picture  # matplotlib, only if drawn
+
+        return arena_picture(self.trial.setup, np.array(self._ways))
 
     def _progress(self, error: float) -> float:
         """Return by how much the sum of distances has decreased to `error`, over that at the

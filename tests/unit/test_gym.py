@@ -52,6 +52,31 @@ def test_the_checker_of_gymnasium_has_nothing_to_say(name):
         check_env(gymnasium.make(f"tetractl/{name}-v0").unwrapped)
 
 
+def test_a_picture_shows_the_arena_and_where_the_robots_have_been():
+    env = TrialEnv(SPEC, render_mode="rgb_array")
+    env.reset(seed=1)
+    before = env.render()
+    env.step(EAST)
+    after = env.render()
+    assert before.shape == (250, 500, 3)  # the arena is twice as wide as high
+    assert (before != after).any()
+    assert TrialEnv(SPEC).render() is None
+    with pytest.raises(UsageError, match="render_mode 'human' is not known"):
+        TrialEnv(SPEC, render_mode="human")
+
+
+@pytest.mark.system
+def test_the_checks_of_stable_baselines3_have_nothing_to_say():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    builder = pytest.importorskip("stable_baselines3.common.env_util")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(TrialEnv(SPEC))
+        environments = builder.make_vec_env("tetractl/one-cell-v0", n_envs=2, seed=1)
+        environments.reset()
+        environments.step(np.array([EAST, WEST]))
+
+
 def test_rewards_add_up_to_what_tables_print():
     """1 - e/d, with e the true error and d the distance at the start."""
     env = TrialEnv(SPEC)

@@ -25,7 +25,7 @@ from solverbench.problems import OURS, PAPER
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.control.filter import Ahead, FilterBank
+from tetractl.control.filter import FilterBank, Forecast
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
@@ -146,24 +146,24 @@ class Heard:
         each = (problem.only(one) for one in np.eye(len(problem.a), dtype=np.bool_))
         self.banks = [FilterBank(nothing(one, dead_time_s)) for one in each]
 
-    def sent(self, command: Command) -> None:
+    def add_command(self, command: Command) -> None:
         for bank, heard in zip(self.banks, command.delivered, strict=True):
             if heard:
-                bank.sent(command)
+                bank.add_command(command)
 
-    def seen(self, seen: Observation, earlier: Sequence[Observation] = ()) -> None:
-        rows = zip(self.banks, seen.poses.array()[:, None], seen.valid[:, None], strict=True)
+    def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
+        rows = zip(self.banks, newest.poses.array()[:, None], newest.valid[:, None], strict=True)
         for bank, pose, valid in rows:
-            bank.seen(replace(seen, poses=Poses.of(pose), valid=valid))
+            bank.add_frames(replace(newest, poses=Poses.of(pose), valid=valid))
 
     def restart(self, robots: Sequence[int]) -> None:
         pass
 
-    def ahead(self, sent: int) -> Ahead:
-        each = [bank.ahead(sent) for bank in self.banks]
-        poses = Poses.of(np.vstack([one.poses.array() for one in each]))
-        held = np.concatenate([one.held for one in each])
-        return each[0]._replace(poses=poses, held=held)
+    def forecast(self, sent_ns: int) -> Forecast:
+        forecasts = [bank.forecast(sent_ns) for bank in self.banks]
+        poses = Poses.of(np.vstack([forecast.poses.array() for forecast in forecasts]))
+        directions = np.concatenate([forecast.directions for forecast in forecasts])
+        return forecasts[0]._replace(poses=poses, directions=directions)
 
 
 class Knowing(Mpc):

@@ -75,21 +75,21 @@ class StateEstimator:
         replaced = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
         if self.left is not left_before and not self.left.any():
             raise ControlError("every robot is lost")
-        self.filter.seen(observation, earlier)
+        self.filter.add_frames(observation, earlier)
         self.filter.restart(replaced)
-        ahead = self.filter.ahead(self.sends(observation))
-        estimate = ahead.estimate
-        self._held = ahead.held
+        forecast = self.filter.forecast(self.sends(observation))
+        estimate = forecast.estimate
+        self._held = forecast.directions
         assert estimate.dead_time is not None
         self.dead_time_s = estimate.dead_time
         if self.estimate is None:
-            return replace(self.problem, poses=ahead.poses).only(self.left)
+            return replace(self.problem, poses=forecast.poses).only(self.left)
         self.estimate = estimate
         problem = replace(
             self.problem,
-            poses=ahead.poses,
-            bias=ahead.bias,
-            flow=ahead.flow,
+            poses=forecast.poses,
+            bias=forecast.turn_bias,
+            flow=forecast.flow,
             a=estimate.a,
             speed=estimate.speed,
             side=estimate.side,
@@ -103,7 +103,7 @@ class StateEstimator:
             self._last_sent = None if command.direction is None else command.sent_ns
         if self.estimate is None:
             command = replace(command, sent_ns=self._newest_ns)
-        self.filter.sent(command)
+        self.filter.add_command(command)
 
     def sends(self, observation: Observation) -> int:
         """Return the time to which the dead time of a direction decided on a frame is added [ns].

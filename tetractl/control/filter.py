@@ -1,9 +1,16 @@
 """Estimates the robots' poses and motion from the camera's frames and all directions sent.
 
-**The model.** Each robot has a state that a Kalman filter follows from frame to frame: the position
-(x, y) and the heading theta of its course, its turning rate a and speed v, a turn bias beta, a
-marker bias m that is added to the measured heading, and the flow (f_x, f_y) that carries the robot,
-or with which it slides. Under a direction u
+A controller calls this once a control step, with what has become known since the last one, and asks
+where the robots will be when its next command acts:
+
+    filters.add_frames(newest, earlier)
+    forecast = filters.forecast(now_ns)
+    filters.add_command(command)
+
+**State.** Each robot has a state that a Kalman filter follows from frame to frame: the position
+(x, y) and the heading theta in which it travels, its turning rate a and speed v, a turn bias beta,
+a marker bias m that is added to the measured heading, and the flow (f_x, f_y) that carries the
+robot, or with which it slides. Under a direction u
 
     dx/dt = v cos theta + f_x,   dy/dt = v sin theta + f_y,   dtheta/dt = a sin(u + beta - theta).
 
@@ -16,38 +23,43 @@ A camera measures, each with its noise,
 
     x - p sin theta,   y + p cos theta,   theta + m + atan(w q / v).
 
-The state has the logarithms of a, v and w, and all parameters drift as random walks, so that old
+The filter has ln a, ln v and ln w, and all parameters drift as random walks, so that old
 measurements lose their weight. Robots may turn faster to one side, and motors of wheels may
-saturate (`tetractl.model.motion.turn_rate`). If the lag T of the wheels is given, turning rate and
-speed approach the commanded ones with the time constant T, and the direction acts on the heading
-theta + T dtheta/dt, in which the robot would come to rest. The states are in
-`kernels.filter_state`, and what is assumed of them in `body_model`.
+saturate: they turn no faster than at some rate (`tetractl.model.motion.turn_rate`). If the lag T of
+the wheels is given, turning rate and speed approach the commanded ones with the time constant T,
+and the direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
 
-**A hypothesis** is a state with its covariance, what the robot may be doing, and a weight. A robot
-may not follow the latest direction: its hypotheses are that it does, that it follows one of the two
-before, because later ones were lost, and that it is stuck and stands still. A pose that fits no
-hypothesis is an outlier; after some time without a fit, all start from the camera's pose
-(`kernels.filter`).
+**Hypothesis, filter, bank.** One Kalman filter is not enough, as it is not known what robots do:
 
-**A filter** has these hypotheses, and a dead time: the time from the sending of a direction to the
-moment when it acts. Its score is the ln of the likelihood of the robot's frames.
+    hypothesis  a state with its covariance, the direction that the robot follows, and how likely
+                this is: a robot follows the last command, or one of the two before, because it
+                missed the later ones, or it is stuck and stands (`kernels.filter`)
+    filter      the hypotheses of one robot for one *dead time*, from the sending of a command to
+                the moment when it acts. Its score is the ln of the likelihood of the robot's frames
+    group       the filters of one robot for a grid of dead times; for what cannot be found from
+                any start, such as the frequency of a helix, there is one group for each of some
+                values to start from (`bank_start`)
+    bank        all filters of all robots
 
-**A bank** is the filters of a robot, one for each dead time of a grid, which is refined around
-likely values. Most probably all robots have the same dead time, so that each robot's frames say
-something of that of the others (`kernels.bank`). A cell has such a grid for each of some
-frequencies w to start from: the filters of one frequency are a group.
+Most probably all robots have the same dead time, so that each robot's frames say something of that
+of the others. By all of them, filters that are unlikely end, and the grid is refined around those
+that are likely (`kernels.bank`). A *forecast* is by each robot's likeliest hypothesis.
 
 **Frames** are used if they are 30 ms apart, and each control step's newest one: wheels whose lag is
 not given respond over tens of milliseconds, and at shorter intervals the start of the response
 would bias dead time and turning rate to smaller values.
 
-**Misfit.** If the model is right, what a frame shows beyond the prediction, the innovation, is
+**Misfit.** If the model is right, what a frame shows beyond the prediction, the *innovation*, is
 independent of those before. Sums over blocks of frames test this, and standard deviations grow by
-what they are found to be. While the model does not fit robots on wheels, the bank is opened again:
-with another dead time, and, if the heading does not fit, with motors that saturate.
+what they are found to be. While the model does not fit robots on wheels, the bank is *opened
+again*: their dead time may have changed, so that its filter is gone, and if it is the heading that
+does not fit, their motors may saturate.
 
 A prior without uncertainty identifies nothing: each frame's poses are taken as they are, and only
 the prediction over the dead time remains.
+
+Units are seconds, radians and the spec's length unit; N is the number of robots. What is assumed of
+robots and camera is in `body_model`, and the arrays are in `kernels.filter_state`.
 """
 
 from collections.abc import Sequence
@@ -55,19 +67,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.body_model import (
-    SATURATION_DRIFT,
-    SATURATION_STD,
-    body_model,
-    filter_model,
-    first_std,
-)
+from tetractl.control.bank_start import bank_with_replaced, first_bank, reopened_bank
+from tetractl.control.body_model import SATURATION_DRIFT, body_model, filter_model
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     GRID,
-    LN_A,
     LN_SATURATION,
-    STATES,
     Bank,
     NextFilters,
     Outlook,
@@ -84,50 +89,57 @@ from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 
 SPACING_S = 0.03
 """Least time between two frames used [s]; docs/decisions/filter.md has errors with others."""
-SATURATED = -3.0
-"""ln of the probability of motors that saturate, at first: 5 %."""
+REOPEN_S = 4.0
+"""Least time from the start of a trial, or from opening the bank again, to doing so again [s]:
+until then too few blocks of frames test the model. Chosen, not measured."""
 HEADING_MISFIT = INNOVATIONS.index("heading")
 """Column of a misfit that is about the heading."""
-REOPEN_STD_S = 0.05
-"""Standard deviation of a dead time's change [s]."""
-REOPEN_S = 4.0
-"""Least time from the start of a trial, or from opening the bank again, to doing so again [s]."""
+COMMANDS_AT_FIRST = 64
+"""Number of commands for which there is room; it is doubled when they are more."""
 
 
-class Ahead(NamedTuple):
-    """N robots at the moments when the next command acts on each."""
+class Forecast(NamedTuple):
+    """What N robots do at the moment when the next command acts on each, if it does nothing else
+    before than what it was sent."""
 
     poses: Poses
-    bias: Floats
-    """(N,) turn biases [rad]."""
+    turn_bias: Floats
+    """(N,) difference of the directions that robots turn to from those sent [rad]."""
     flow: Floats
     """(N, 2) [length unit/s]."""
-    held: Floats
+    directions: Floats
     """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
     estimate: Estimate
     """What is known of the robots' motion."""
 
 
 class RunningFilters(NamedTuple):
-    """The filters that follow the robots, and what they say together."""
+    """A bank, and what fits only this bank."""
 
     bank: Bank
     shared: SharedTimes
+    """What its filters say together."""
     step_s: Floats
-    """(N,) spacing of each robot's dead times [s]."""
+    """(N,) how far each robot's dead times are apart [s]."""
 
 
 class CommandRecord:
     """The directions and stops that were sent."""
 
     def __init__(self) -> None:
-        self._room = np.empty((2, 64))
-        self.all = SentCommands(*self._room[:, :0])
-        """All of them, in the order of their times."""
+        self._sent_s = np.empty(COMMANDS_AT_FIRST)
+        self._directions = np.empty(COMMANDS_AT_FIRST)
+        self.number = 0
+        """How many there are."""
         self.first_ns: int | None = None
         """The time at which the first one was sent [ns]."""
         self.turning = False
-        """Whether robots have turned on the spot since the last direction."""
+        """Whether robots were sent to turn on the spot since the last direction."""
+
+    @property
+    def all(self) -> SentCommands:
+        """All of them, in the order of their times."""
+        return SentCommands(self._sent_s[: self.number], self._directions[: self.number])
 
     def add(self, command: Command) -> None:
         """Add a direction or a stop."""
@@ -135,28 +147,21 @@ class CommandRecord:
             self.first_ns = command.sent_ns
         if not isinstance(command.action, Stop):
             self.turning = isinstance(command.action, Turn)
-        number = len(self.all.sent_s)
-        if number == self._room.shape[1]:
-            self._room = np.append(self._room, np.empty_like(self._room), axis=1)  # twice as much
-        self._room[0, number] = command.sent_ns / SECOND
-        self._room[1, number] = np.nan if command.direction is None else command.direction
-        self.all = SentCommands(*self._room[:, : number + 1])
+        if self.number == len(self._sent_s):
+            self._sent_s = np.append(self._sent_s, np.empty_like(self._sent_s))
+            self._directions = np.append(self._directions, np.empty_like(self._directions))
+        self._sent_s[self.number] = command.sent_ns / SECOND
+        self._directions[self.number] = np.nan if command.direction is None else command.direction
+        self.number += 1
 
 
 class FilterBank:
     """The filters that identify N robots during one trial.
 
-    `sent` adds a command and `seen` adds frames, in the order in which they become known; a command
-    counts from its time on. `ahead` says where the robots will be, and changes nothing: it can be
-    called after the first frame, any number of times. `restart` is for robots that were replaced by
-    others, after the frame in which they were seen first. A control step is
-
-        filters.seen(newest, earlier)
-            _spaced, _use   follow the robots through the frames, or start at a frame's poses
-            _select         find how likely each filter is, drop and refine
-            _reopen         where the model does not fit
-        ahead = filters.ahead(now_ns)
-        filters.sent(command)
+    `add_frames` and `add_command` are called in the order in which frames and commands become
+    known; a command counts from its own time on. `forecast` changes nothing: it can be called after
+    the first frame, any number of times. `restart` is for robots that were replaced by others,
+    after the frames in which these are seen first.
 
     With `drive_first`, robots drive a square before the first plan, and the filters start when the
     first direction acts.
@@ -167,15 +172,14 @@ class FilterBank:
         self.body = body_model(prior)
         self.model = filter_model(prior, self.body)
         self.commands = CommandRecord()
-        self.last: Observation | None = None
-        """The last frame used."""
+        self.last_frame: Observation | None = None
+        """The last frame used: the filters are at its time."""
         self.reopened_ns = 0
         """Time at which the bank was opened again, 0 if it never was [ns]."""
         self._drive_first = drive_first
         self._noisy = False
-        """Whether robots were measured at different poses before the first command."""
-        first_step_s = np.full(len(prior.a), GRID.step_s)
-        self._running = self._run(self._first_bank(), first_step_s)
+        """Whether robots that were not sent anything were measured at different poses."""
+        self._running = self._sharing(first_bank(prior, self.body), self._first_steps())
 
     @property
     def bank(self) -> Bank:
@@ -189,61 +193,65 @@ class FilterBank:
 
     @property
     def step_s(self) -> Floats:
-        """(N,) spacing of each robot's dead times [s]."""
+        """(N,) how far each robot's dead times are apart [s]."""
         return self._running.step_s
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
-        """Return the index of each robot's likeliest hypothesis in the bank: its filter, robot and
-        slot, (N,) each."""
+        """Return the index of each robot's likeliest hypothesis in arrays of the bank: its filter,
+        robot and slot, (N,) each."""
+        filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
-        filters = self.shared.score.argmax(axis=0)
         slots = self.bank.weight[filters, robots].argmax(axis=1)
         return filters, robots, slots
 
-    def sent(self, command: Command) -> None:
-        """Add a direction or a stop with the time at which it was sent."""
+    # ---- what becomes known ----
+
+    def add_command(self, command: Command) -> None:
+        """Add a command with the time at which it was sent."""
         if isinstance(command.action, FieldOff):
-            return
+            return  # it turns no robot
         self.commands.add(command)
 
-    def seen(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Update the filters by those `earlier` frames that are at least SPACING_S apart, and by
-        the `newest` frame."""
-        misfits = self._misfits() if self._may_reopen(newest) else None  # as `ahead` said it last
-        self._use(self._spaced(newest, earlier))
+    def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
+        """Bring the filters to the `newest` frame of a control step, by way of the `earlier` frames
+        since the newest of the step before.
+
+        Whether the bank is opened again is decided by the misfit that the last forecast reported,
+        before these frames.
+        """
+        misfits = self._misfits()
+        self._follow_frames(self._spaced(newest, earlier))
         if not self.prior.certain:
-            self._select()
-        if misfits is not None and misfits.any():
+            self._refine()
+        if misfits.any() and self._may_reopen(newest):
             self._reopen(newest, misfits[:, HEADING_MISFIT])
 
     def restart(self, robots: Sequence[int]) -> None:
-        """Reset the filters of replaced robots to the new robots' poses in the last frame."""
+        """Let replaced robots begin with first filters, in their poses of the last frame."""
         if not robots:
             return
+        assert self.last_frame is not None, "a robot can be replaced only after a frame"
         replaced = np.zeros(len(self.prior.a), dtype=np.bool_)
         replaced[robots] = True
-        assert self.last is not None, "a robot can be replaced only after a frame"
-        first = self._first_bank()
-        size = max(len(self.bank.score), len(first.score))
-        bank = self.bank.padded(size)
-        for column, new in zip(bank, first.padded(size), strict=True):
-            column[:, replaced] = new[:, replaced]
-        step_s = np.where(replaced, GRID.step_s, self.step_s)
-        self._running = self._run(bank, step_s)
-        self._place(self.last, replaced)
+        bank = bank_with_replaced(self.bank, first_bank(self.prior, self.body), replaced)
+        step_s = np.where(replaced, self._first_steps(), self.step_s)
+        self._running = self._sharing(bank, step_s)
+        self._place(self.last_frame, replaced)
 
-    def ahead(self, sent_ns: int) -> Ahead:
+    # ---- what is known ----
+
+    def forecast(self, sent_ns: int) -> Forecast:
         """Return the robots as each will be when a command sent at `sent_ns` [ns] acts on it."""
         from tetractl.control.kernels.bank import forecast
 
-        assert self.last is not None, "poses are predicted from those of a frame"
+        assert self.last_frame is not None, "poses are predicted from those of a frame"
         outlook = Outlook.empty(len(self.prior.a))
         dead_time_s, dead_time_std_s = forecast(
             self.bank,
             self.model,
             self.shared,
             self.commands.all,
-            self.last.seconds,
+            self.last_frame.seconds,
             sent_ns / SECOND,
             outlook,
         )
@@ -262,82 +270,93 @@ class FilterBank:
             saturation=outlook.saturation,
             stands=outlook.stands,
         )
-        return Ahead(
+        return Forecast(
             poses=Poses(outlook.x, outlook.y, outlook.heading),
-            bias=outlook.turn_bias,
+            turn_bias=outlook.turn_bias,
             flow=outlook.flow,
-            held=outlook.held_direction,
+            directions=outlook.held_direction,
             estimate=estimate,
         )
 
-    def _may_reopen(self, newest: Observation) -> bool:
-        """Return whether the bank is opened again if the model does not fit."""
-        due_ns = self.reopened_ns + REOPEN_S * SECOND
-        return bool(self.body.later_tried) and newest.sampled_ns >= due_ns
+    def _likeliest_filters(self) -> Integers:
+        """Return each robot's likeliest filter (N,)."""
+        return self.shared.score.argmax(axis=0)
 
     def _misfits(self) -> Bools:
-        """Return for each robot which of INNOVATIONS the model does not fit, (N, 3)."""
-        robots = np.arange(len(self.prior.a))
-        filters = self.shared.score.argmax(axis=0)
+        """Return which of INNOVATIONS each robot's likeliest filter does not fit, (N, 3): the sum
+        over blocks is larger than chance makes it once in a thousand times."""
+        filters = self._likeliest_filters()
+        robots = np.arange(len(filters))
         blocks = np.maximum(self.bank.blocks[filters, robots], ASSUMED.least_blocks)
         limits = np.array([largest_square_sum(number) for number in blocks.tolist()])
         return self.bank.square_sum[filters, robots] > limits[:, None]
 
-    def _spaced(self, newest: Observation, earlier: Sequence[Observation]) -> list[Observation]:
-        """Return the frames that are far enough from those used before, in the order of time.
+    # ---- frames ----
 
-        The newest one needs no distance if others come with it. A prior without uncertainty uses
-        all frames.
-        """
+    def _spaced(self, newest: Observation, earlier: Sequence[Observation]) -> list[Observation]:
+        """Return the frames that are used, in the order of time: those SPACING_S after the one used
+        before. The newest one needs no such distance if others come with it: one per control step
+        does no harm. A prior without uncertainty uses all."""
         if self.prior.certain:
             return [*earlier, newest]
         used = list[Observation]()
-        last = self.last
+        last = self.last_frame
         for frame in (*earlier, newest):
-            apart_ns = 1 if earlier and frame is newest else round(SPACING_S * SECOND)
+            closes_step = bool(earlier) and frame is newest
+            apart_ns = 1 if closes_step else round(SPACING_S * SECOND)
             if last is None or frame.sampled_ns >= last.sampled_ns + apart_ns:
                 used.append(frame)
                 last = frame
         return used
 
-    def _use(self, frames: Sequence[Observation]) -> None:
-        """Follow the robots through some frames, from the last one used before on; or from the last
-        one whose poses are taken as they are, which the first one of a trial is."""
-        taken = [k for k, frame in enumerate(frames) if self._takes_poses(frame)]
-        if self.last is None and not taken:
-            taken = [0]
-        if taken:
-            frames = frames[taken[-1] :]
-            self._place(frames[0], np.ones(len(self.prior.a), dtype=np.bool_))
+    def _follow_frames(self, frames: Sequence[Observation]) -> None:
+        """Follow the robots from the last frame used before through some more.
+
+        If the poses of one of them are taken as they are, what was before does not matter: the
+        robots are placed there, and followed from there on.
+        """
+        start = self._start(frames)
+        if start is None:
+            assert self.last_frame is not None
+            way = [self.last_frame, *frames]
         else:
-            assert self.last is not None
-            frames = [self.last, *frames]
-        if len(frames) > 1:
-            self._follow(frames)
-        self.last = frames[-1]
+            way = frames[start:]
+            self._place(way[0], np.ones(len(self.prior.a), dtype=np.bool_))
+        if len(way) > 1:
+            self._follow(way)
+        self.last_frame = way[-1]
+
+    def _start(self, frames: Sequence[Observation]) -> int | None:
+        """Return the index of the last frame whose poses are taken as they are, None if there is
+        none. The first frame of a trial is such a frame."""
+        for index in reversed(range(len(frames))):
+            if self._takes_poses(frames[index]):
+                return index
+        return 0 if self.last_frame is None else None
 
     def _takes_poses(self, frame: Observation) -> bool:
         """Return whether a frame's poses are taken as they are: there is nothing to identify, or
-        the filters cannot follow the robots yet, or robots turn on the spot."""
+        robots turn on the spot, of which the filters have no model, or robots do not yet drive the
+        first square for certain."""
         if self.prior.certain or self.commands.turning:
             return True
         if not self._drive_first:
             return False
         if self.commands.first_ns is None:
             return True
-        settled_s = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
-        return frame.sampled_ns < self.commands.first_ns + round(settled_s * SECOND)
+        longest_s = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
+        return frame.sampled_ns < self.commands.first_ns + round(longest_s * SECOND)
 
     def _place(self, frame: Observation, placed: Bools) -> None:
-        """Set the poses of the robots `placed` (N,) to those of a frame, and let them follow the
-        last command that acts at or before the frame's exposure."""
+        """Place the robots `placed` (N,) at their poses of a frame, in all their filters; they
+        follow the last command that acts by then."""
         from tetractl.control.kernels.filter import place  # late: checking a spec needs no compiler
 
         poses = frame.poses.array()
         place(self.bank, self.model, self.commands.all, frame.seconds, poses, placed)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
-        """Follow the robots from the first to the last of some frames."""
+        """Follow the robots from the first to the last of some frames, by all their filters."""
         from tetractl.control.kernels.filter import follow
 
         measured = PoseFrames(
@@ -345,114 +364,61 @@ class FilterBank:
             poses=np.array([frame.poses.array() for frame in frames]),
             valid=np.array([frame.valid for frame in frames]),
         )
-        if not len(self.commands.all.sent_s) and not self._noisy:
-            moved = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
-            seen = measured.valid[1:].any(axis=1)
-            self._noisy = bool((moved & seen).any())
+        self._note_noise(measured)
         step_s = float(self.step_s.max())
         follow(self.bank, self.model, self.commands.all, measured, self._noisy, step_s)
 
-    def _select(self) -> None:
-        """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
+    def _note_noise(self, measured: PoseFrames) -> None:
+        """Note whether measurements are noisy: poses differ though nothing was sent yet. Then equal
+        poses are no new measurements."""
+        if self.commands.number > 0 or self._noisy:
+            return
+        differ = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
+        is_seen = measured.valid[1:].any(axis=1)
+        self._noisy = bool((differ & is_seen).any())
+
+    # ---- the bank changes ----
+
+    def _refine(self) -> None:
+        """Compute how likely each filter is by the frames of all robots; end those that are
+        unlikely, and refine each robot's grid around likely dead times."""
         from tetractl.control.kernels.bank import select, share
 
         bank, shared, step_s = self._running
         share(bank, shared, step_s)
         filters, robots = bank.score.shape
-        going_on = NextFilters.empty(max(filters, 3 * self.body.groups_max), robots)
-        commanded = len(self.commands.all.sent_s) > 0
-        if not select(bank, shared, step_s, self.body.tried, commanded, going_on):
-            return
-        goes_on = going_on.rows >= 0
-        number = goes_on.sum(axis=0)
-        rows = np.minimum(np.arange(number.max())[:, None], number - 1)  # the last fills the rest
-        chosen = bank.part(np.take_along_axis(going_on.rows, rows, axis=0))
-        chosen.dead_time_s[:] = np.take_along_axis(going_on.dead_time_s, rows, axis=0)
-        chosen.score[:] = np.take_along_axis(going_on.score, rows, axis=0)
-        chosen.score[~goes_on[: len(rows)]] = -np.inf
-        self._running = self._run(chosen, step_s)
+        most = max(filters, GRID.refined * self.body.groups_max)
+        going_on = NextFilters.empty(most, robots)
+        commanded = self.commands.number > 0
+        changed = select(bank, shared, step_s, self.body.tried, commanded, going_on)
+        if changed:  # and step_s where the grid is finer now
+            self._running = self._sharing(going_on.taken_from(bank), step_s)
 
-    def _first_bank(self) -> Bank:
-        """Return filters for the dead times of the prior, in the first groups."""
-        dead_times_s = self._first_dead_times()
-        values = self.body.first_tried
-        group = np.repeat(np.arange(len(values)), len(dead_times_s))
-        mean = np.zeros((len(group), len(self.prior.a), STATES))
-        mean[..., self.body.tried] = np.array(values)[group, None]
-        std = first_std(self.prior, self.body)
-        return Bank.start(np.tile(dead_times_s, len(values)), mean, std, group)
-
-    def _first_dead_times(self) -> Floats:
-        """Return the dead times to start from [s]: a grid around that of the prior."""
-        reach_s = GRID.reach * self.prior.dead_time_std
-        least_s = max(0.0, self.prior.dead_time - reach_s)
-        return np.arange(least_s, self.prior.dead_time + reach_s + 1e-9, GRID.step_s)
+    def _may_reopen(self, newest: Observation) -> bool:
+        """Return whether the bank is opened again if the model does not fit: not for cells, whose
+        own doings are no other dead time, nor too soon."""
+        due_ns = self.reopened_ns + REOPEN_S * SECOND
+        return bool(self.body.later_tried) and newest.sampled_ns >= due_ns
 
     def _reopen(self, frame: Observation, heading_misfits: Bools) -> None:
-        """Open the bank again: with the first dead times, each in the state of the robot's
-        likeliest filter, and, for robots whose heading does not fit, SATURATIONS of their motors.
-
-        The dead time may have changed, and filters of others are gone by then. The likeliest one
-        stays so until frames show otherwise; how well the model fits is tested again.
-        """
-        filters, robots, slots = self.likeliest()
-        old = self.bank
-        dead_times_s = self._first_dead_times()
-        groups = 1 + len(self.body.later_tried)  # the first one tries no saturation
-        group = np.repeat(np.arange(groups), len(dead_times_s))
-        mean = np.repeat(old.state[filters, robots, slots][None], len(group), axis=0)
-        std = first_std(self.prior, self.body)
-        bank = Bank.start(np.tile(dead_times_s, groups), mean, std, group)
-        bank.cov[:, :, 0] = old.cov[filters, robots, slots]
-        bank.noise_scale[:] = old.noise_scale[filters, robots]
-        later_s = bank.dead_time_s - old.dead_time_s[filters, robots]
-        bank.score[:] = -((later_s / REOPEN_STD_S) ** 2) / 2
-        for k, ln_saturation in enumerate(self.body.later_tried, 1):
-            rows = group == k
-            # the filter without a limit has explained the turns by a small a, and is sure of it
-            self._forget(bank, rows, LN_A, std[:, LN_A])
-            self._forget(bank, rows, LN_SATURATION, SATURATION_STD)
-            bank.state[rows, :, :, LN_SATURATION] = ln_saturation
-            bank.score[rows] += np.where(heading_misfits, SATURATED, -np.inf)
-        self.model.walk[LN_SATURATION] = SATURATION_DRIFT
+        """Open the bank again at a frame: begin with the first dead times, and with motors that may
+        saturate for robots with `heading_misfits` (N,)."""
+        bank = reopened_bank(self.bank, self.likeliest(), heading_misfits, self.prior, self.body)
+        self.model.walk[LN_SATURATION] = SATURATION_DRIFT  # it was known to be none until now
         self.reopened_ns = frame.sampled_ns
-        self._running = self._run(bank, np.full(len(robots), GRID.step_s))
-        self._place(frame, np.ones(len(robots), dtype=np.bool_))
+        self._running = self._sharing(bank, self._first_steps())
+        self._place(frame, np.ones(len(self.prior.a), dtype=np.bool_))
 
-    @staticmethod
-    def _forget(bank: Bank, rows: Bools, state: int, std: Floats | float) -> None:
-        """Let the filters `rows` (B,) know of a state no more than its deviation, (N,) or that of
-        all."""
-        cov = bank.cov[rows]
-        cov[..., state, :] = 0.0
-        cov[..., state] = 0.0
-        cov[:, :, 0, state, state] = std**2
-        bank.cov[rows] = cov
+    def _first_steps(self) -> Floats:
+        """Return how far the dead times of each robot are apart at first (N,) [s]."""
+        return np.full(len(self.prior.a), GRID.step_s)
 
-    def _run(self, bank: Bank, step_s: Floats) -> RunningFilters:
-        """Return filters with what they say together; dead times are `step_s` (N,) apart [s].
-
-        If a filter is right, the robot's dead time is that of the filter, give or take half a step;
-        that of another robot is the same with the probability 1 - GRID.own, else it differs by
-        GRID.own_s.
-        """
+    def _sharing(self, bank: Bank, step_s: Floats) -> RunningFilters:
+        """Return a bank, whose dead times are `step_s` (N,) apart [s], with what its filters say
+        together."""
         from tetractl.control.kernels.bank import share
 
-        half_step_s = GRID.finest_s / 2
-        times_s = np.arange(0, float(bank.dead_time_s.max()) + GRID.finest_s, half_step_s)
-        gaps_s = times_s[:, None, None] - bank.dead_time_s
-        width_s = np.maximum(step_s, GRID.finest_s) / 2
-        near = (1 - GRID.own) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
-        near += GRID.own * np.exp(-((gaps_s / GRID.own_s) ** 2) / 2) / GRID.own_s
-        deviations = (times_s - self.prior.dead_time) / (self.prior.dead_time_std or 1.0)
-        shared = SharedTimes(
-            near=near,
-            prior=-(deviations**2) / 2,
-            scratch=np.empty((len(times_s), len(step_s))),
-            score=bank.score.copy(),
-            mean_s=bank.dead_time_s[0].copy(),
-            std_s=np.zeros(len(step_s)),
-        )
+        shared = SharedTimes.start(bank, step_s, self.prior)
         if not self.prior.certain:
             share(bank, shared, step_s)
         return RunningFilters(bank, shared, step_s)
@@ -465,7 +431,7 @@ def warm_up(prior: Prior, starts: Poses) -> None:
     first = Observation(0, 0, 0, starts, valid)
     second_ns = round(SPACING_S * SECOND)
     second = Observation(1, second_ns, second_ns, starts, valid)
-    filters.seen(first)
-    filters.ahead(0)
-    filters.seen(second)
-    filters.ahead(second_ns)
+    filters.add_frames(first)
+    filters.forecast(0)
+    filters.add_frames(second)
+    filters.forecast(second_ns)

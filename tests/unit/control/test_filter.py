@@ -295,7 +295,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
 
     def compare(k, estimator, plant):
         if k > 4:
-            held = estimator.filter.ahead(0).held
+            held = estimator.filter.forecast(0).directions
             right.append(np.abs(held - plant.drive.held.direction) < 1e-9)
 
     drive(settings, 40, 2, watch=compare)
@@ -320,7 +320,7 @@ def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
     estimate, plant, estimator = drive(settings, 6, 20)
     assert estimate.dead_time == pytest.approx(0.01, abs=0.01)
     assert estimate.a == pytest.approx(plant.a, rel=0.03)
-    rests = estimator.filter.ahead(plant.clock.now()).poses
+    rests = estimator.filter.forecast(plant.clock.now()).poses
     plant.stop()
     assert plant.settle().final.array() == pytest.approx(rests.array(), abs=1.5)
 
@@ -362,7 +362,7 @@ def test_a_cell_that_rests_is_said_to_stand_within_three_to_five_pictures():
     said = {}  # by the number of pictures since the rest began
 
     def compare(k, estimator, plant):
-        since = round((estimator.filter.last.sampled_ns / SECOND - 4) * rate)
+        since = round((estimator.filter.last_frame.sampled_ns / SECOND - 4) * rate)
         said.setdefault(since, []).append(estimator.estimate.stands > 0.5)
 
     for seed in range(3):
@@ -390,9 +390,9 @@ def test_a_cell_that_backs_off_and_turns_is_followed():
 def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
     filters = drive(rate=20, seconds=2).filters
     let_all_be_stuck(filters)
-    now_ns = filters.last.sampled_ns
-    filters.sent(Command(Steer(1.0), now_ns + 1, (True,) * 3))
-    assert np.isnan(filters.ahead(now_ns + 1).held).all()  # as it would act
+    now_ns = filters.last_frame.sampled_ns
+    filters.add_command(Command(Steer(1.0), now_ns + 1, (True,) * 3))
+    assert np.isnan(filters.forecast(now_ns + 1).directions).all()  # as it would act
 
 
 def let_all_be_stuck(filters):
@@ -573,8 +573,8 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
     filters = drive(rate=20, seconds=2).filters
     filters.bank.cov[...] *= 1e16
     for _ in range(3):
-        last = filters.last
-        filters.seen(replace(last, sampled_ns=last.sampled_ns + SECOND // 25))
+        last = filters.last_frame
+        filters.add_frames(replace(last, sampled_ns=last.sampled_ns + SECOND // 25))
         used = filters.bank.weight > -np.inf
         cov = filters.bank.cov[used]
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
@@ -641,7 +641,7 @@ def test_frames_of_one_robot_alone_may_repeat():
     poses = Poses(np.zeros(1), np.zeros(1), np.zeros(1))
     for k in range(20):
         now_ns = k * SECOND // 25
-        filters.seen(Observation(k, now_ns, now_ns, poses, np.array([True])))
+        filters.add_frames(Observation(k, now_ns, now_ns, poses, np.array([True])))
     first_var = filters.model.noise[0, 0] ** 2
     filter_row, robot, slot = (index[0] for index in filters.likeliest())
     assert filters.bank.cov[filter_row, robot, slot, X, X] < first_var
@@ -652,7 +652,7 @@ def test_where_robots_will_be_can_be_asked_any_number_of_times():
 
     def ask(k, estimator, plant):
         for later_ns in (0, SECOND):
-            estimator.filter.ahead(plant.clock.now() + later_ns)
+            estimator.filter.forecast(plant.clock.now() + later_ns)
 
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
     quiet = drive(settings, 6, 20, disturbance=Turns(most=1.5))
@@ -665,4 +665,4 @@ def test_where_robots_will_be_can_be_asked_any_number_of_times():
 def test_poses_are_predicted_only_after_a_frame():
     filters = FilterBank(Prior(np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 0.05, 0.05))
     with pytest.raises(AssertionError, match="poses are predicted from those of a frame"):
-        filters.ahead(0)
+        filters.forecast(0)

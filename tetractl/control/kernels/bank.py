@@ -138,9 +138,9 @@ def select(bank, shared, step_s, tried, commanded, going_on):
         if number < count:
             changed = True
         dead_times = _number_of_dead_times(bank, i, chosen[:number])
-        if dead_times > 3 or not commanded:
+        if dead_times > GRID.refined or not commanded:
             continue
-        if step_s[i] > GRID.finest_s and dead_times == 3:
+        if step_s[i] > GRID.finest_s and dead_times == GRID.refined:
             step_s[i] /= 2
         elif _is_inside(bank, i, chosen[:number], best):
             continue

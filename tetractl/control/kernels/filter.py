@@ -1,19 +1,29 @@
 """How the filters of `tetractl.control.filter` follow robots from frame to frame.
 
-Each filter b of robot i has a dead time tau and some hypotheses, which are the slots of its arrays:
-in each slot but the last, the robot follows one of the latest commands; in the last, it is stuck.
-A hypothesis has a weight, the ln of its probability, -inf if there is none. `follow` goes from each
-frame to the next, and for each robot and each of its filters
+Commands reach robots by radio: they act after a dead time, and a robot may miss one, or be stuck.
 
-    _predict    predicts all hypotheses to the next frame; when a command acts on the way, sent
-                tau before, each robot hears it with the probability 1 - lost: `_switch`, `_branch`
-    _update     updates all hypotheses by the pose: weight <- weight + ln of its likelihood, less
-                the ln of their sum; this sum adds to the filter's `score`
-    _stick      lets probability pass from driving to being stuck, and back
+A *filter* follows one robot and assumes one dead time tau. As it cannot know what the robot is
+doing, it keeps some *hypotheses*, each in a slot of its arrays (`filter_state.Hypotheses`): a state
+z with its covariance, the direction u that the robot would follow, and a weight
 
-A weight that falls below `ASSUMED.least_weight` stays there. Commands and frames are in the order
-of their times. Numbers and shapes are those of `filter_state`; the readable twin is
-`tests/oracles/filter.py`.
+    w = ln P(hypothesis is true),    -inf for a slot without a hypothesis.
+
+In the last slot, the robot is stuck: it stands whatever it is sent. In all others it drives, or
+stands because it was commanded to. `follow` takes all filters through some frames, and from each
+frame to the next
+
+    _predict   moves each hypothesis on to the time of the frame, by the motion's equations. When a
+               command acts on the way, hypotheses *branch*: the robot heard it, and follows its
+               direction from then on, or missed it, with the probability `ASSUMED.lost`
+    _update    compares each hypothesis with the pose in the frame, by Bayes' rule:
+               w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
+    _stick     lets some probability pass from driving to being stuck, and back
+    _forget    adds up, over the frames, the filter's score ln L, which is how well its tau does
+
+Symbols: b is a filter, i a robot, s a slot, and f a frame; u is a direction [rad], NaN to stand. A
+time ends with `_s`: seconds on the clock of frames and commands, whose orders are those of their
+times. Shapes and units are those of `filter_state`. `tests/oracles/filter.py` computes the same
+with whole matrices, to be read.
 """
 
 import math
@@ -23,12 +33,17 @@ import numpy as np
 from tetractl.control.kernels.filter_measure import DEPENDS_ON, measure
 from tetractl.control.kernels.filter_motion import advance, parameters_of, turn_rate
 from tetractl.control.kernels.filter_state import (
+    ACROSS,
+    ALONG,
     ASSUMED,
     FOLLOWS,
     HEADING,
+    HEADINGS,
     MARKER_BIAS,
+    POSITIONS,
     TURN_BIAS,
     FilterScratch,
+    Hypotheses,
     X,
     Y,
 )
@@ -40,14 +55,26 @@ _rates = inlined(exact.rates)
 
 LN_HEARD = math.log(1 - ASSUMED.lost)
 """ln of the probability that a robot hears a command."""
-LN_LOST = math.log(ASSUMED.lost)
+LN_MISSED = math.log(ASSUMED.lost)
 """ln of the probability that it does not."""
+HEARD = 0
+"""Row of the branches in which the robot heard a command."""
+MISSED = 1
+"""Row of those in which it did not."""
+NO_SLOT = -1
+"""Instead of a slot, if there is none."""
+
+
+# ---- the start: from the poses of a frame ----
 
 
 @compiled(**ENTRY_FAST)
 def place(bank, model, commands, time_s, poses, placed):
-    """Set the poses of the robots `placed` (N,) to those of a frame, poses (N, 3), and let them
-    follow the last command that acts at or before the time (N,) of each robot's pose [s]."""
+    """Start the robots `placed` (N,) again from the poses (N, 3) of a frame.
+
+    In every hypothesis, a robot has the pose that was measured, and drives by the last command that
+    acts at or before the time of its pose, time_s (N,).
+    """
     for i in range(placed.size):
         if not placed[i]:
             continue
@@ -58,69 +85,81 @@ def place(bank, model, commands, time_s, poses, placed):
 
 @compiled(**INLINE_FAST)
 def _set_pose(bank, model, b, i, pose):
-    """Set the pose of every hypothesis to a measured pose (3,), with twice its deviation."""
+    """Set the pose of every hypothesis to a measured one (3,). It is as uncertain as two deviations
+    of the camera's noise, and has nothing to do with the other states."""
     bank.unfit_s[b, i] = 0.0
-    for slot in range(bank.weight.shape[2]):
-        z = bank.state[b, i, slot]
-        cov = bank.cov[b, i, slot]
-        z[X] = pose[0]
-        z[Y] = pose[1]
-        z[HEADING] = pose[2] - z[MARKER_BIAS]
-        for j in (X, Y, HEADING):
-            for k in range(cov.shape[0]):
-                cov[j, k] = 0.0
-                cov[k, j] = 0.0
-            cov[j, j] = 4 * model.noise[j, i] ** 2
+    for s in range(bank.weight.shape[2]):
+        z = bank.state[b, i, s]
+        cov = bank.cov[b, i, s]
+        z[X] = pose[X]
+        z[Y] = pose[Y]
+        z[HEADING] = pose[HEADING] - z[MARKER_BIAS]
+        for row in (X, Y, HEADING):
+            for column in range(cov.shape[0]):
+                cov[row, column] = 0.0
+                cov[column, row] = 0.0
+            cov[row, row] = 4 * model.noise[row, i] ** 2
 
 
 @compiled(**INLINE_FAST)
 def _follow_last(bank, model, commands, b, i, time_s):
-    """Let every hypothesis but the stuck one follow the last command that acts by a time [s]."""
+    """Let every hypothesis but the stuck one follow the last command that acts by a time."""
     dead_time_s = bank.dead_time_s[b, i]
-    acting = commands.sent_s.size
-    while acting > 0 and commands.sent_s[acting - 1] > time_s - dead_time_s:
-        acting -= 1
-    if acting == 0:
+    number = _number_sent_by(commands, time_s - dead_time_s)
+    if number == 0:
         return
-    bank.coming[b, i] = acting
-    for slot in range(bank.weight.shape[2] - 1):
-        bank.direction[b, i, slot] = commands.directions[acting - 1]
-        bank.until_s[b, i, slot] = commands.sent_s[acting - 1] + model.watchdog_s + dead_time_s
+    bank.coming[b, i] = number
+    for s in range(bank.weight.shape[2] - 1):
+        bank.direction[b, i, s] = commands.directions[number - 1]
+        bank.until_s[b, i, s] = commands.sent_s[number - 1] + model.watchdog_s + dead_time_s
+
+
+@compiled(**INLINE_FAST)
+def _number_sent_by(commands, time_s):
+    """Return how many commands were sent at or before a time."""
+    number = commands.sent_s.size
+    while number > 0 and commands.sent_s[number - 1] > time_s:
+        number -= 1
+    return number
+
+
+# ---- from frame to frame ----
 
 
 @compiled(**ENTRY_FAST)
 def follow(bank, model, commands, frames, noisy, step_s):
-    """Predict every filter from frame to frame, and update it by the poses of each but the first.
+    """Take every filter through the frames; it is at the first one, whose poses it knows already.
 
-    A pose is used if it is valid, newer than that in the frame before, and no repeated one. If the
-    camera is not coarse, that is one that equals the pose before, if measurements are `noisy`; and
-    every pose of a frame that `_is_frozen`. The dead times are uncertain by `step_s` [s]. Returns
-    ln of the likelihoods of the poses (B, N).
+    A pose is used for an update if it is valid and new. A camera may show old poses as new ones:
+    with measurements that are `noisy` a pose equal to the one before is old, unless the camera is
+    so coarse that poses repeat; and in a frame that `_is_frozen` all are. The dead times of a robot
+    are `step_s` apart. Returns the ln of the likelihood of each robot's poses by each of its
+    filters (B, N).
     """
     filters, robots = bank.dead_time_s.shape
-    likelihood = np.zeros((filters, robots))
+    ln_likelihoods = np.zeros((filters, robots))
     scratch = _scratch(bank.cov.shape[4])
     for f in range(1, frames.time_s.shape[0]):
         frozen = _is_frozen(bank, model, commands, frames, f)
         for i in range(robots):
-            since_s = frames.time_s[f - 1, i]
-            until_s = frames.time_s[f, i]
-            if until_s <= since_s:
-                continue
+            before_s = frames.time_s[f - 1, i]
+            now_s = frames.time_s[f, i]
+            if now_s <= before_s:
+                continue  # this robot's pose is no newer than in the frame before
             pose = frames.poses[f, i]
             repeated = noisy and not model.coarse and _equal(pose, frames.poses[f - 1, i])
             used = frames.valid[f, i] and not frozen and not repeated
             for b in range(filters):
                 if bank.score[b, i] == -math.inf:
-                    continue
-                _predict(bank, model, commands, b, i, since_s, until_s, step_s, scratch)
+                    continue  # there is no filter in this row
+                _predict(bank, model, commands, b, i, before_s, now_s, step_s, scratch)
                 if used:
-                    ln = _update(bank, model, b, i, pose, until_s - since_s, scratch)
-                    likelihood[b, i] += ln
-                    bank.score[b, i] += ln
-                _stick(bank, model, b, i, until_s - since_s, until_s)
-            _forget(bank, i, until_s - since_s)
-    return likelihood
+                    ln_likelihood = _update(bank, model, b, i, pose, now_s - before_s, scratch)
+                    ln_likelihoods[b, i] += ln_likelihood
+                    bank.score[b, i] += ln_likelihood
+                _stick(_hypotheses(bank, b, i), model, now_s - before_s, now_s)
+            _forget(bank, i, now_s - before_s)
+    return ln_likelihoods
 
 
 @compiled(**INLINE_FAST)
@@ -139,17 +178,30 @@ def _scratch(states):
 
 
 @compiled(**INLINE_FAST)
+def _hypotheses(bank, b, i):
+    """Return the hypotheses of one filter of a robot, to be read and changed in place."""
+    return Hypotheses(
+        bank.state[b, i],
+        bank.cov[b, i],
+        bank.direction[b, i],
+        bank.until_s[b, i],
+        bank.weight[b, i],
+    )
+
+
+@compiled(**INLINE_FAST)
 def _equal(pose, other):
     """Return whether two poses (3,) are equal."""
-    return pose[0] == other[0] and pose[1] == other[1] and pose[2] == other[2]
+    return pose[X] == other[X] and pose[Y] == other[Y] and pose[HEADING] == other[HEADING]
 
 
 @compiled(**INLINE_FAST)
 def _is_frozen(bank, model, commands, frames, f):
-    """Return whether the camera has repeated a frame: all poses are those of the frame before.
+    """Return whether the camera has shown the frame before again: all its poses are equal.
 
-    One robot may stand, and its pose be measured without noise. So may robots that were commanded
-    to stand, by any of the dead times; and a coarse camera may measure equal poses.
+    They may also be equal because nothing moved, and then they count: a single robot may be stuck,
+    and measured without noise; a coarse camera may not resolve the motion; and all robots may
+    stand, if the last command that has acted by then, whatever the dead time, was a stop.
     """
     robots = len(model.parameters)
     if robots == 1 or model.coarse:
@@ -157,50 +209,56 @@ def _is_frozen(bank, model, commands, frames, f):
     for i in range(robots):
         if not _equal(frames.poses[f, i], frames.poses[f - 1, i]):
             return False
-    first_s = frames.time_s[f - 1, 0]
+    first_s = frames.time_s[f - 1, 0]  # the earliest pose of the frame before
     for i in range(1, robots):
         first_s = min(first_s, frames.time_s[f - 1, i])
-    latest_s = 0.0
+    longest_s = 0.0  # the longest dead time
     for b in range(bank.dead_time_s.shape[0]):
         for i in range(robots):
-            latest_s = max(latest_s, bank.dead_time_s[b, i])
-    acting = commands.sent_s.size - 1
-    while acting >= 0 and commands.sent_s[acting] > first_s - latest_s:
-        acting -= 1
-    return not (acting >= 0 and math.isnan(commands.directions[acting]))
+            longest_s = max(longest_s, bank.dead_time_s[b, i])
+    number = _number_sent_by(commands, first_s - longest_s)
+    stopped = number > 0 and math.isnan(commands.directions[number - 1])
+    return not stopped
+
+
+# ---- predict ----
 
 
 @compiled(**INLINE_FAST)
 def _predict(bank, model, commands, b, i, since_s, until_s, step_s, scratch):
-    """Predict all hypotheses between two times [s], and let commands act on the way."""
-    t = since_s
-    while t < until_s:
+    """Move the hypotheses of a filter on from one time to another. They branch at each command that
+    acts on the way, which is the filter's dead time after it was sent."""
+    hypotheses = _hypotheses(bank, b, i)
+    noise_scale = bank.noise_scale[b, i]
+    now_s = since_s
+    while now_s < until_s:
         coming = bank.coming[b, i]
         acts_s = math.inf
         if coming < commands.sent_s.size:
             acts_s = commands.sent_s[coming] + bank.dead_time_s[b, i]
         acts = acts_s <= until_s  # false for NaN, too
-        end_s = max(t, acts_s) if acts else until_s
-        for slot in range(bank.weight.shape[2]):
-            if bank.weight[b, i, slot] > -math.inf:
-                _predict_one(bank, model, b, i, slot, t, end_s, scratch)
-        t = end_s
+        next_s = max(now_s, acts_s) if acts else until_s
+        for s in range(hypotheses.weight.size):
+            if hypotheses.weight[s] > -math.inf:
+                _predict_one(hypotheses, s, model, i, noise_scale, now_s, next_s, scratch)
+        now_s = next_s
         if acts:
-            if bank.weight.shape[2] > FOLLOWS + 1:
-                _branch(bank, model, b, i, commands.directions[coming], step_s, t)
+            u = commands.directions[coming]
+            if hypotheses.weight.size == FOLLOWS + 1:
+                _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
             else:
-                _switch(bank, model, b, i, commands.directions[coming], step_s, t)
+                _branch_all(hypotheses, model, i, u, now_s, step_s)
             bank.coming[b, i] += 1
 
 
 @compiled(**INLINE_FAST)
-def _predict_one(bank, model, b, i, slot, since_s, until_s, scratch):
-    """Predict one hypothesis: the robot follows its direction until its watchdog stops it."""
-    z = bank.state[b, i, slot]
-    cov = bank.cov[b, i, slot]
-    noise_scale = bank.noise_scale[b, i]
-    stops_s = min(max(bank.until_s[b, i, slot], since_s), until_s)
-    driving = (bank.direction[b, i, slot], stops_s - since_s)
+def _predict_one(hypotheses, s, model, i, noise_scale, since_s, until_s, scratch):
+    """Move one hypothesis on: the robot follows its direction until its watchdog stops it, and then
+    stands."""
+    z = hypotheses.state[s]
+    cov = hypotheses.cov[s]
+    stops_s = min(max(hypotheses.until_s[s], since_s), until_s)
+    driving = (hypotheses.direction[s], stops_s - since_s)
     standing = (math.nan, until_s - stops_s)
     for u, seconds in (driving, standing):
         if seconds > 0:
@@ -209,175 +267,248 @@ def _predict_one(bank, model, b, i, slot, since_s, until_s, scratch):
 
 @compiled(**INLINE_FAST)
 def likeliest(weight, count):
-    """Return the index of the largest of the first `count` weights."""
+    """Return the index of the largest of the first `count` weights, the first one of equals."""
     best = 0
-    for slot in range(1, count):
-        if weight[slot] > weight[best]:
-            best = slot
+    for s in range(1, count):
+        if weight[s] > weight[best]:
+            best = s
     return best
 
 
 @compiled(**INLINE_FAST)
-def _switch(bank, model, b, i, u, step_s, now_s):
-    """Let a command act: add the hypothesis that the robot, in its likeliest state, heard it and
-    follows u [rad] from now on [s], in the slot of the least weight; the others did not hear it.
+def _least_likely(weight, count):
+    """Return the index of the smallest of the first `count` weights, the first one of equals."""
+    least = 0
+    for s in range(1, count):
+        if weight[s] < weight[least]:
+            least = s
+    return least
 
-    If a hypothesis follows u already, it has the weight of one that heard it, and the rest stays.
-    """
-    weight = bank.weight[b, i]
-    direction = bank.direction[b, i]
-    until_s = bank.until_s[b, i]
-    follows = weight.size - 1
-    best = likeliest(weight, follows)
-    heard = weight[best] + LN_HEARD
-    for slot in range(follows):
-        if direction[slot] == u and weight[slot] > -math.inf:
-            if weight[slot] < heard:
-                _copy(bank, b, i, best, slot)
-                weight[slot] = heard
-            until_s[slot] = now_s + model.watchdog_s
-            return
-    least = best
-    for slot in range(follows):
-        if weight[slot] < weight[least]:
-            least = slot
-    _copy(bank, b, i, best, least)
-    for slot in range(follows):
-        weight[slot] += LN_LOST
-    before = direction[best] if now_s < until_s[best] else math.nan
-    _blur(model, i, bank.state[b, i, least], bank.cov[b, i, least], before, u, step_s)
-    direction[least] = u
-    until_s[least] = now_s + model.watchdog_s
-    weight[least] = heard
+
+# ---- a command acts: hypotheses branch ----
 
 
 @compiled(**INLINE_FAST)
-def _branch(bank, model, b, i, u, step_s, now_s):
-    """Let a command act, for logs: each hypothesis becomes two, that the robot heard it and follows
-    u [rad] from now on [s], and that it did not; the likeliest that find a slot stay.
+def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
+    """Branch the likeliest hypothesis when a command to follow u acts. This is how the controller
+    follows robots: it has little time, and a command is rarely missed.
 
-    Two that follow one direction at like headings are one, with the sum of their probabilities.
+    The branch that heard the command takes the slot of the least likely hypothesis,
+
+        w_heard = w_likeliest + ln(1 - lost),
+
+    and all others, the likeliest too, missed it: w <- w + ln(lost). If one of them follows u
+    already, hearing and missing the command are the same: that one gets w_heard if it had less, is
+    commanded again, and the others stay as they are.
     """
-    weight = bank.weight[b, i]
-    direction = bank.direction[b, i]
-    until_s = bank.until_s[b, i]
-    follows = weight.size - 1
-    old_state = bank.state[b, i, :follows].copy()
-    old_cov = bank.cov[b, i, :follows].copy()
-    old_direction = direction[:follows].copy()
-    old_until_s = until_s[:follows].copy()
-    # entry s: hypothesis s heard the command; entry follows + s: it did not
-    new_weight = np.empty(2 * follows)
-    for s in range(follows):
-        if old_direction[s] == u:
-            new_weight[s] = weight[s]
-            new_weight[follows + s] = -math.inf
-        else:
-            new_weight[s] = weight[s] + LN_HEARD
-            new_weight[follows + s] = weight[s] + LN_LOST
-        weight[s] = -math.inf
-    source = np.empty(follows, np.int64)  # the old hypothesis in each slot filled
-    filled = 0
-    for _ in range(2 * follows):
-        best = likeliest(new_weight, 2 * follows)
-        best_weight = new_weight[best]
-        new_weight[best] = -math.inf
-        if not best_weight > -math.inf:  # there is none, or it is no number
+    driving = hypotheses.weight.size - 1
+    best = likeliest(hypotheses.weight, driving)
+    heard_weight = hypotheses.weight[best] + LN_HEARD
+    same = _slot_that_follows(hypotheses, u)
+    if same != NO_SLOT:
+        if hypotheses.weight[same] < heard_weight:
+            _copy_state(hypotheses, best, hypotheses, same)
+            hypotheses.weight[same] = heard_weight
+        hypotheses.until_s[same] = now_s + model.watchdog_s
+        return
+    u_before = _followed(hypotheses, best, now_s)
+    least = _least_likely(hypotheses.weight, driving)
+    for s in range(driving):
+        hypotheses.weight[s] += LN_MISSED
+    _copy_state(hypotheses, best, hypotheses, least)
+    _hear(hypotheses, least, model, i, u_before, u, now_s, step_s)
+    hypotheses.weight[least] = heard_weight
+
+
+@compiled(**INLINE_FAST)
+def _branch_all(hypotheses, model, i, u, now_s, step_s):
+    """Branch each hypothesis when a command to follow u acts, and keep the likeliest branches. This
+    is how logs are followed: their commands may act so soon after each other that frames do not
+    show in between which of them was heard.
+
+    From the likeliest on, each branch takes the next slot. One whose twin has a slot does not: it
+    adds its probability to the twin's. When no slot is left, the other branches are dropped.
+    """
+    driving = hypotheses.weight.size - 1
+    before = _copied(hypotheses, driving)
+    branches = _branch_weights(before, u)
+    origin = np.empty(driving, np.int64)  # which hypothesis before is that of each slot taken
+    for s in range(driving):
+        hypotheses.weight[s] = -math.inf
+    taken = 0  # slots, from the first on
+    for _ in range(branches.size):
+        row, s = _likeliest_branch(branches)
+        weight = branches[row, s]
+        branches[row, s] = -math.inf  # it is not the likeliest again
+        if not weight > -math.inf:  # there is no such branch, or its weight is no number
             continue
-        s = best % follows
-        hears = best < follows
-        follows_now = u if hears else old_direction[s]
-        twin = _find_twin(old_state, old_cov, direction, source, filled, s, follows_now)
-        if twin >= 0:
-            weight[twin] += math.log(1 + math.exp(best_weight - weight[twin]))
-        elif filled < follows:
-            z = bank.state[b, i, filled]
-            cov = bank.cov[b, i, filled]
-            _copy_state(old_state[s], old_cov[s], z, cov)
-            source[filled] = s
-            weight[filled] = best_weight
-            direction[filled] = follows_now
-            until_s[filled] = old_until_s[s]
-            if hears:
-                until_s[filled] = now_s + model.watchdog_s
-                before = old_direction[s] if now_s < old_until_s[s] else math.nan
-                _blur(model, i, z, cov, before, u, step_s)
-            filled += 1
+        u_of_branch = u if row == HEARD else before.direction[s]
+        twin = _find_twin(before, s, u_of_branch, hypotheses, origin[:taken])
+        if twin != NO_SLOT:
+            # ln(exp(w_twin) + exp(w))
+            hypotheses.weight[twin] += math.log(1 + math.exp(weight - hypotheses.weight[twin]))
+        elif taken < driving:
+            _copy_state(before, s, hypotheses, taken)
+            hypotheses.weight[taken] = weight
+            hypotheses.direction[taken] = u_of_branch
+            hypotheses.until_s[taken] = before.until_s[s]
+            if row == HEARD:
+                u_before = _followed(before, s, now_s)
+                _hear(hypotheses, taken, model, i, u_before, u, now_s, step_s)
+            origin[taken] = s
+            taken += 1
 
 
 @compiled(**INLINE_FAST)
-def _find_twin(old_state, old_cov, direction, source, filled, s, follows_now):
-    """Return the first of the slots `filled` whose hypothesis follows the same direction as the old
-    one s now does, from a like heading; -1 if there is none."""
-    for slot in range(filled):
-        gap = old_state[source[slot], HEADING] - old_state[s, HEADING]
-        alike = gap**2 < ASSUMED.alike * old_cov[s, HEADING, HEADING]
-        if alike and direction[slot] == follows_now:
+def _branch_weights(before, u):
+    """Return the weights of both branches of each hypothesis `before`, rows HEARD and MISSED:
+
+        w_heard = w + ln(1 - lost),    w_missed = w + ln(lost).
+
+    To one that follows u already, both are the same: it goes on as HEARD, with all its weight.
+    """
+    number = before.weight.size
+    branches = np.empty((2, number))
+    for s in range(number):
+        if before.direction[s] == u:
+            branches[HEARD, s] = before.weight[s]
+            branches[MISSED, s] = -math.inf
+        else:
+            branches[HEARD, s] = before.weight[s] + LN_HEARD
+            branches[MISSED, s] = before.weight[s] + LN_MISSED
+    return branches
+
+
+@compiled(**INLINE_FAST)
+def _likeliest_branch(branches):
+    """Return row and column of the largest weight; of equals, HEARD comes first."""
+    best_row = 0
+    best_s = 0
+    for row in range(branches.shape[0]):
+        for s in range(branches.shape[1]):
+            if branches[row, s] > branches[best_row, best_s]:
+                best_row = row
+                best_s = s
+    return best_row, best_s
+
+
+@compiled(**INLINE_FAST)
+def _find_twin(before, s, u, hypotheses, origin):
+    """Return the slot of the twin of a branch that comes from hypothesis s `before` and follows u.
+
+    A twin follows the same direction, and comes from a heading that differs by little for its
+    uncertainty: whichever of both is true, the robot moves alike from now on. The slots taken hold
+    branches of the hypotheses `origin`; the first twin counts, NO_SLOT if there is none.
+    """
+    variance = before.cov[s, HEADING, HEADING]
+    for slot in range(origin.size):
+        gap = before.state[origin[slot], HEADING] - before.state[s, HEADING]
+        if gap**2 < ASSUMED.alike * variance and hypotheses.direction[slot] == u:
             return slot
-    return -1
+    return NO_SLOT
 
 
 @compiled(**INLINE_FAST)
-def _blur(model, i, z, cov, before, u, step_s):
-    """Add the uncertainty of the pose because the time at which u replaces the direction `before`
-    is uncertain: it is spread evenly over `step_s` [s], whose variance is step_s^2 / 12."""
-    change = _turning(model, i, z, u) - _turning(model, i, z, before)
-    cov[HEADING, HEADING] += (step_s * change) ** 2 / 12
-    if math.isnan(before) != math.isnan(u):  # the robot starts or stops
+def _slot_that_follows(hypotheses, u):
+    """Return the first hypothesis that follows u, the stuck one aside; NO_SLOT if there is none."""
+    for s in range(hypotheses.weight.size - 1):
+        if hypotheses.direction[s] == u and hypotheses.weight[s] > -math.inf:
+            return s
+    return NO_SLOT
+
+
+@compiled(**INLINE_FAST)
+def _followed(hypotheses, s, now_s):
+    """Return the direction that a robot follows now: NaN once its watchdog has stopped it."""
+    if now_s < hypotheses.until_s[s]:
+        return hypotheses.direction[s]
+    return math.nan
+
+
+@compiled(**INLINE_FAST)
+def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
+    """Let the robot of one hypothesis hear the command to follow u, instead of `u_before`.
+
+    When it did so is as uncertain as the dead time, which is anywhere within a step of the grid. A
+    time that is spread evenly over step_s has the variance step_s^2 / 12; in that time, the robot
+    turns at the one rate or at the other, and if it starts or stops, drives or stands.
+    """
+    hypotheses.direction[s] = u
+    hypotheses.until_s[s] = now_s + model.watchdog_s
+    z = hypotheses.state[s]
+    cov = hypotheses.cov[s]
+    rate_change = _turning_rate(model, i, z, u) - _turning_rate(model, i, z, u_before)
+    cov[HEADING, HEADING] += (step_s * rate_change) ** 2 / 12
+    if math.isnan(u_before) != math.isnan(u):
         speed = parameters_of(model, i, z)[1]
         cov[X, X] += (step_s * speed) ** 2 / 12
         cov[Y, Y] += (step_s * speed) ** 2 / 12
 
 
 @compiled(**INLINE_FAST)
-def _turning(model, i, z, u):
-    """Return how fast a robot turns under the direction u [rad/s], (3); 0 if it stands, NaN."""
+def _turning_rate(model, i, z, u):
+    """Return dtheta/dt of a robot that follows u [rad/s]; 0 if it stands, u = NaN."""
     if math.isnan(u):
         return 0.0
     parameters = parameters_of(model, i, z)
     goal = u + z[TURN_BIAS]
-    c = math.cos(z[HEADING])
-    s = math.sin(z[HEADING])
-    a = turn_rate(c, s, math.cos(goal), math.sin(goal), parameters, 0.0)[0]
+    cosine = math.cos(z[HEADING])
+    sine = math.sin(z[HEADING])
+    a = turn_rate(cosine, sine, math.cos(goal), math.sin(goal), parameters, 0.0)[0]
     return _rates(z[HEADING], goal, a, parameters[1])[2]
 
 
 @compiled(**INLINE_FAST)
-def _copy(bank, b, i, source, slot):
-    """Copy the state and covariance of one hypothesis to another."""
-    z = bank.state[b, i, source]
-    cov = bank.cov[b, i, source]
-    _copy_state(z, cov, bank.state[b, i, slot], bank.cov[b, i, slot])
+def _copied(hypotheses, count):
+    """Return a copy of the first `count` hypotheses."""
+    return Hypotheses(
+        hypotheses.state[:count].copy(),
+        hypotheses.cov[:count].copy(),
+        hypotheses.direction[:count].copy(),
+        hypotheses.until_s[:count].copy(),
+        hypotheses.weight[:count].copy(),
+    )
 
 
 @compiled(**INLINE_FAST)
-def _copy_state(z, cov, z_copy, cov_copy):
-    """Copy a state and its covariance; arrays that are assigned whole take seconds to compile."""
+def _copy_state(source, from_slot, target, to_slot):
+    """Copy the state and covariance of a hypothesis of `source` to a slot of `target`, number by
+    number: arrays that are assigned whole take seconds to compile."""
+    z = source.state[from_slot]
+    cov = source.cov[from_slot]
+    z_copy = target.state[to_slot]
+    cov_copy = target.cov[to_slot]
     for k in range(z.size):
         z_copy[k] = z[k]
-    for k in range(cov.shape[0]):
-        for m in range(cov.shape[0]):
-            cov_copy[k, m] = cov[k, m]
+    for row in range(cov.shape[0]):
+        for column in range(cov.shape[0]):
+            cov_copy[row, column] = cov[row, column]
+
+
+# ---- update ----
 
 
 @compiled(**INLINE_FAST)
 def _update(bank, model, b, i, pose, seconds, scratch):
-    """Update all hypotheses by a pose `seconds` after the one before; return the ln of the pose's
-    likelihood.
+    """Update the hypotheses of a filter by a pose, `seconds` after the one before; return ln L, the
+    ln of the pose's likelihood.
 
-    If the pose fits the likeliest hypothesis, its innovations tell how large the noise is, and
-    whether the model is right. If for some time none fits, all start from the pose.
+    The innovation nu of the likeliest hypothesis, the measured less the expected pose over its
+    deviation, then says how the filter does. If |nu|^2 is within the gate, the pose fits: it tells
+    how large the noise is, and whether the model is right. Else it is an outlier. If these go on
+    for longer than any fault of a camera, the filter has lost the robot, and starts from the pose.
     """
+    noise_scale = bank.noise_scale[b, i]
     innovation = scratch.likeliest_innovation
-    ln_likelihood = _update_weights(bank, model, b, i, pose, scratch)
-    square_xy = innovation[0] ** 2 + innovation[1] ** 2
-    square_heading = innovation[2] ** 2
+    hypotheses = _hypotheses(bank, b, i)
+    ln_likelihood = _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovation)
+    square_xy = innovation[ALONG] ** 2 + innovation[ACROSS] ** 2
+    square_heading = innovation[HEADING] ** 2
     if square_xy + square_heading <= ASSUMED.gate:
         bank.unfit_s[b, i] = 0.0
-        noise_scale = bank.noise_scale[b, i]
-        noise_scale[0] = _averaged(noise_scale[0], 0.5 * square_xy)
-        noise_scale[1] = _averaged(noise_scale[1], square_heading)
-        _add_innovation(bank, b, i, innovation)
+        noise_scale[POSITIONS] = _scale_after(noise_scale[POSITIONS], 0.5 * square_xy)
+        noise_scale[HEADINGS] = _scale_after(noise_scale[HEADINGS], square_heading)
+        _add_to_block(bank, b, i, innovation)
     else:
         bank.unfit_s[b, i] += seconds
         if bank.unfit_s[b, i] > ASSUMED.lost_track_s:
@@ -386,44 +517,57 @@ def _update(bank, model, b, i, pose, seconds, scratch):
 
 
 @compiled(**INLINE_FAST)
-def _update_weights(bank, model, b, i, pose, scratch):
-    """Update the hypotheses and their weights, whose probabilities have the sum 1; return the ln of
-    the pose's likelihood. The likeliest one's innovation is in `scratch.likeliest_innovation`."""
-    weight = bank.weight[b, i]
+def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovation):
+    """Update states and weights by a pose; return ln L, and fill the likeliest's `innovation` (3,).
+
+        w_s <- w_s + ln p(pose | s) - ln L,    ln L = ln sum_s exp(w_s) p(pose | s)
+
+    The probabilities have the sum 1 then. No weight falls below `ASSUMED.least_weight`: what the
+    robot does may become true again.
+    """
+    weight = hypotheses.weight
     most = -math.inf
-    for slot in range(weight.size):
-        if weight[slot] > -math.inf:
-            z = bank.state[b, i, slot]
-            cov = bank.cov[b, i, slot]
-            weight[slot] += measure(model, i, z, cov, bank.noise_scale[b, i], pose, scratch)
-            if weight[slot] > most:
-                most = weight[slot]
-                for k in range(3):
-                    scratch.likeliest_innovation[k] = scratch.innovation[k]
+    for s in range(weight.size):
+        if weight[s] > -math.inf:
+            z = hypotheses.state[s]
+            cov = hypotheses.cov[s]
+            weight[s] += measure(model, i, z, cov, noise_scale, pose, scratch)
+            if weight[s] > most:
+                most = weight[s]
+                for j in range(3):
+                    innovation[j] = scratch.innovation[j]
     total = 0.0
-    for slot in range(weight.size):
-        total += math.exp(weight[slot] - most)
+    for s in range(weight.size):
+        total += math.exp(weight[s] - most)  # the largest is 1: no sum overflows
     ln_likelihood = most + math.log(total)
-    for slot in range(weight.size):
-        if weight[slot] > -math.inf:
-            weight[slot] = max(weight[slot] - ln_likelihood, ASSUMED.least_weight)
+    for s in range(weight.size):
+        if weight[s] > -math.inf:
+            weight[s] = max(weight[s] - ln_likelihood, ASSUMED.least_weight)
     return ln_likelihood
 
 
 @compiled(**INLINE_FAST)
-def _averaged(scale, square):
-    """Return the ratio of observed to expected variances after one more squared deviation."""
+def _scale_after(scale, square):
+    """Return the ratio r of observed to expected variances after one more squared innovation q:
+
+        r <- r (1 + (min(q, q_max) / E - 1) / n),    E = E[min(q, q_max)], if the noise is right.
+
+    It is an average over some n frames, in which outliers count no more than q_max.
+    """
     change = min(square, ASSUMED.capped_square) / ASSUMED.mean_capped - 1
     scale = scale * (1 + change / ASSUMED.scale_memory)
     return min(max(scale, ASSUMED.scale_least), ASSUMED.scale_most)
 
 
 @compiled(**INLINE_FAST)
-def _add_innovation(bank, b, i, innovation):
-    """Add a frame's innovations (3,) to the present block; add a whole block to those before.
+def _add_to_block(bank, b, i, innovation):
+    """Add an innovation nu (3,) to the present block of K frames, and a block that is full to the
+    sum over blocks that tests the model:
 
-    If the model is right, innovations are independent, so that the squared sum of a block's
-    innovations over their number is 1 in the mean, and chi-square over all blocks.
+        square_sum <- square_sum + min((sum_block nu)^2 / K, most_square).
+
+    If the model is right, innovations are independent, and the square is 1 in the mean. If it is
+    not, those of a block have the same sign, and it is larger.
     """
     block_sum = bank.block_sum[b, i]
     for j in range(3):
@@ -439,43 +583,58 @@ def _add_innovation(bank, b, i, innovation):
     bank.block_frames[b, i] = 0.0
 
 
-@compiled(**INLINE_FAST)
-def _stick(bank, model, b, i, seconds, now_s):
-    """Exchange probability between the likeliest driving hypothesis and the stuck one, for the
-    `seconds` before now, in which a stuck robot may have strayed.
+# ---- stuck or driving ----
 
-    A robot gets stuck once in `every_s` on average and stays so for `for_s`. Of two hypotheses that
-    become one, the likelier keeps its state. A robot that is not to drive cannot be stuck.
+
+@compiled(**INLINE_FAST)
+def _stick(hypotheses, model, seconds, now_s):
+    """Let probability pass between the likeliest driving hypothesis and the stuck one, for the
+    `seconds` until now.
+
+    A robot that drives gets stuck once in `every_s`, and a stuck one comes free after `for_s`, both
+    on average. Of two hypotheses that become one, the likelier keeps its state and weight:
+
+        w_likeliest <- max(w_likeliest, w_stuck + ln(seconds / for_s))
+        w_stuck     <- max(w_stuck + ln(1 - seconds / for_s), w_likeliest + ln(seconds / every_s)),
+
+    of which only the one exchange or the other is made. A stuck robot may stray meanwhile. If the
+    likeliest robot is not to drive, being stuck and standing are the same, and no robot is stuck.
     """
-    weight = bank.weight[b, i]
+    weight = hypotheses.weight
     stuck = weight.size - 1
     best = likeliest(weight, stuck)
-    if math.isnan(bank.direction[b, i, best]) or bank.until_s[b, i, best] <= now_s:
+    if math.isnan(hypotheses.direction[best]) or hypotheses.until_s[best] <= now_s:
         weight[stuck] = -math.inf
         return
+    cov = hypotheses.cov[stuck]
     strays2 = model.sticks.strays * model.sticks.strays
     turns2 = model.sticks.turns * model.sticks.turns
-    cov = bank.cov[b, i, stuck]
     cov[X, X] += strays2 * seconds
     cov[Y, Y] += strays2 * seconds
     cov[HEADING, HEADING] += turns2 * seconds
     p_free = min(0.5, seconds / model.sticks.for_s)
     p_stick = min(0.5, seconds / model.sticks.every_s)
-    stays = weight[stuck] + math.log(1 - p_free)
+    stays_stuck = weight[stuck] + math.log(1 - p_free)
     comes_free = weight[stuck] + math.log(p_free)
     gets_stuck = weight[best] + math.log(p_stick)
     if comes_free > weight[best]:
-        _copy(bank, b, i, stuck, best)
+        _copy_state(hypotheses, stuck, hypotheses, best)
         weight[best] = comes_free
-    elif gets_stuck > stays:
-        _copy(bank, b, i, best, stuck)
-        stays = gets_stuck
-    weight[stuck] = stays
+        weight[stuck] = stays_stuck
+    elif gets_stuck > stays_stuck:
+        _copy_state(hypotheses, best, hypotheses, stuck)
+        weight[stuck] = gets_stuck
+    else:
+        weight[stuck] = stays_stuck
+
+
+# ---- scores ----
 
 
 @compiled(**INLINE_FAST)
 def _forget(bank, i, seconds):
-    """Scale a robot's scores to the best one, 0, and let their differences decay with time."""
+    """Let a robot's scores be 0 for its best filter, and their differences decay with time: a dead
+    time may change. score <- (score - largest score) exp(-seconds / forget_s)."""
     filters = bank.score.shape[0]
     most = -math.inf
     for b in range(filters):

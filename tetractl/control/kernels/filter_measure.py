@@ -20,13 +20,17 @@ import numpy as np
 
 from tetractl.control.kernels.filter_motion import parameters_of
 from tetractl.control.kernels.filter_state import (
+    ACROSS,
+    ALONG,
     ASSUMED,
     HEADING,
+    HEADINGS,
     HELIX_COSINE,
     HELIX_SINE,
     LN_FREQUENCY,
     LN_SPEED,
     MARKER_BIAS,
+    POSITIONS,
     X,
     Y,
 )
@@ -122,10 +126,10 @@ def _compare(model, i, z, cov, noise_scale, pose, columns, scratch):
     ln_variances = 0.0
     for j in range(3):
         off[j] = pose[j] - scratch.expected[j]
-        scale = noise_scale[0]
-        if j == 2:
+        scale = noise_scale[POSITIONS]
+        if j == HEADING:
             off[j] = wrapped(off[j])
-            scale = noise_scale[1]
+            scale = noise_scale[HEADINGS]
         variance[j] = model.noise[j, i] ** 2 * scale
         total = variance[j]
         for n in range(columns):
@@ -134,10 +138,10 @@ def _compare(model, i, z, cov, noise_scale, pose, columns, scratch):
         distance2 += off[j] * off[j] / total
         ln_variances += math.log(total)
         innovation[j] = off[j] / math.sqrt(total)
-    along = c * innovation[0] + s * innovation[1]
-    across = c * innovation[1] - s * innovation[0]
-    innovation[0] = along
-    innovation[1] = across
+    along = c * innovation[X] + s * innovation[Y]
+    across = c * innovation[Y] - s * innovation[X]
+    innovation[ALONG] = along
+    innovation[ACROSS] = across
     return distance2, ln_variances
 
 

@@ -27,6 +27,7 @@ from tetractl.control.kernels.filter_state import (
     FLOW_X,
     FLOW_Y,
     HEADING,
+    HEADINGS,
     HELIX_COSINE,
     HELIX_SINE,
     LN_A,
@@ -34,6 +35,7 @@ from tetractl.control.kernels.filter_state import (
     LN_SATURATION,
     LN_SPEED,
     PACE,
+    POSITIONS,
     SIDE,
     SWING,
     TURN_BIAS,
@@ -267,9 +269,9 @@ def _add_walk(model, i, cov, noise_scale, t):
     for k in range(cov.shape[0]):
         scale = 1.0
         if k <= Y:
-            scale = noise_scale[0]
+            scale = noise_scale[POSITIONS]
         elif k == HEADING:
-            scale = noise_scale[1]
+            scale = noise_scale[HEADINGS]
         cov[k, k] += scale * model.walk[k, i] * model.walk[k, i] * t
 
 

@@ -11,12 +11,13 @@ slots before the last, or it is stuck, the last slot.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.control.prior import Sticks
+from tetractl.control.prior import Prior, Sticks
 from tetractl.core.poses import Bools, Floats
 
 # Slots of the state.
@@ -60,6 +61,15 @@ STATES_OF_CELLS = LN_FREQUENCY + 1
 """Number of states of a cell that have a variance."""
 STATES = PACE + 1
 """Number of slots of a state."""
+
+ALONG = 0
+"""Place of an innovation along the course; the third one is that of the HEADING."""
+ACROSS = 1
+"""Place of an innovation across the course."""
+POSITIONS = 0
+"""Place of the positions' `Bank.noise_scale`."""
+HEADINGS = 1
+"""Place of the headings' one."""
 
 FOLLOWS = 3
 """Number of latest commands that a robot may follow."""
@@ -118,6 +128,8 @@ class BankGrid(NamedTuple):
     """Spacing of the dead times at first [s]."""
     finest_s: float = 0.005
     """Spacing of dead times that is not refined further [s]: a sixth of the time between frames."""
+    refined: int = 3
+    """Number of dead times of a grid that is refined."""
     reach: float = 3.0
     """Half width of the grid at first, in standard deviations of the prior."""
     unlikely: float = 25.0
@@ -252,6 +264,15 @@ class Bank(NamedTuple):
             group=np.repeat(group[:, None], robots, axis=1),
         )
 
+    @classmethod
+    def joined(cls, banks: Sequence[Self]) -> Self:
+        """Return the filters of some banks of the same robots, one bank after the other."""
+        return cls._make(np.concatenate(columns) for columns in zip(*banks, strict=True))
+
+    def copied(self) -> Self:
+        """Return the same filters, to be changed."""
+        return self._make(column.copy() for column in self)
+
     def part(self, rows: NDArray[np.int64]) -> Self:
         """Return the filters `rows` (R, N) of each robot."""
         robots = np.arange(rows.shape[1])
@@ -264,6 +285,21 @@ class Bank(NamedTuple):
         padded = self.part(rows[:, None].repeat(robots, axis=1))
         padded.score[size:] = -np.inf
         return padded
+
+
+class Hypotheses(NamedTuple):
+    """What one robot may be doing, by one filter: S hypotheses, named as in a `Bank`."""
+
+    state: Floats
+    """(S, STATES)"""
+    cov: Floats
+    """(S, n, n)"""
+    direction: Floats
+    """(S,)"""
+    until_s: Floats
+    """(S,)"""
+    weight: Floats
+    """(S,)"""
 
 
 class FilterScratch(NamedTuple):
@@ -288,7 +324,8 @@ class FilterScratch(NamedTuple):
 
 
 class SharedTimes(NamedTuple):
-    """What the filters of N robots say of their dead times, at T times of a grid."""
+    """What the filters of N robots say together of the robots' dead times (`kernels.bank.share`),
+    by a grid of T times."""
 
     near: Floats
     """(T, B, N) density of a time of the others, given a filter's dead time [1/s]."""
@@ -303,9 +340,37 @@ class SharedTimes(NamedTuple):
     std_s: Floats
     """(N,) its standard deviation [s]."""
 
+    @classmethod
+    def start(cls, bank: Bank, step_s: Floats, prior: Prior) -> Self:
+        """Return what is to be said of the filters of a bank, before it is: `score` is that of the
+        robot's own frames, and the dead time that of its first filter.
+
+        If filter b of robot i is right, the robot's dead time is tau_b, give or take half the step
+        of its grid, step_s (N,). That of another robot is the same, but for a probability
+        GRID.own, with which it differs by GRID.own_s or so:
+
+            near = (1 - own) g(t - tau_b, step_s / 2) + own g(t - tau_b, own_s),
+
+        up to a factor, where g(d, s) = exp(-(d/s)^2 / 2) / s.
+        """
+        times_s = np.arange(0, float(bank.dead_time_s.max()) + GRID.finest_s, GRID.finest_s / 2)
+        gaps_s = times_s[:, None, None] - bank.dead_time_s
+        width_s = np.maximum(step_s, GRID.finest_s) / 2
+        near = (1 - GRID.own) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
+        near += GRID.own * np.exp(-((gaps_s / GRID.own_s) ** 2) / 2) / GRID.own_s
+        deviations = (times_s - prior.dead_time) / (prior.dead_time_std or 1.0)
+        return cls(
+            near=near,
+            prior=-(deviations**2) / 2,
+            scratch=np.empty((len(times_s), len(step_s))),
+            score=bank.score.copy(),
+            mean_s=bank.dead_time_s[0].copy(),
+            std_s=np.zeros(len(step_s)),
+        )
+
 
 class NextFilters(NamedTuple):
-    """Room for the C filters of each of N robots that go on (`kernels.bank.select`)."""
+    """The C filters of each of N robots that go on, filled by `kernels.bank.select`."""
 
     rows: NDArray[np.int64]
     """(C, N) filters of the bank, -1 after the last one."""
@@ -319,6 +384,19 @@ class NextFilters(NamedTuple):
         """Return room for `size` filters of each of some robots."""
         shape = (size, robots)
         return cls(np.empty(shape, np.int64), np.empty(shape), np.empty(shape))
+
+    def taken_from(self, bank: Bank) -> Bank:
+        """Return the bank of these filters, each with the dead time and the score that it takes. If
+        a robot has fewer than others, copies of its last one fill the rest, which are no filters.
+        """
+        goes_on = self.rows >= 0
+        number = goes_on.sum(axis=0)  # of filters of each robot (N,)
+        places = np.minimum(np.arange(number.max())[:, None], number - 1)
+        chosen = bank.part(np.take_along_axis(self.rows, places, axis=0))
+        chosen.dead_time_s[:] = np.take_along_axis(self.dead_time_s, places, axis=0)
+        chosen.score[:] = np.take_along_axis(self.score, places, axis=0)
+        chosen.score[~goes_on[: len(places)]] = -np.inf
+        return chosen
 
 
 class Outlook(NamedTuple):

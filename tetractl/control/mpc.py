@@ -1,34 +1,43 @@
 """The recommended controller: model predictive control in which one value decides.
 
-A *signal* is the direction that all robots follow for a signal period, a *plan* a sequence of
-signals. A plan is *under way* while robots follow it; the signals of it that are left are `warm`.
-Without one robots are *at rest*: before the first plan, after a rest or a turn on the spot, and
-when a leg begins. A *leg* is the part of a trial up to a way-point or to the targets, or the hold
-after them.
+A *signal* is the direction [rad] that all robots follow for a signal period, a *plan* a sequence of
+signals. A plan is *under way* while robots follow it; the signals of it that are left are `warm`,
+as searches start from them. Without one robots are *at rest*: before the first plan, after a rest
+or a turn on the spot, and when a leg begins. A *leg* is the part of a trial up to a way-point or to
+the targets, or the hold after them. A robot *sticks* if it stands though it is sent a direction.
 
-In each control step the proposers of one of two lists are asked in turn, and the first answer is
-what the robots do. What they compare is a value, a predicted error [length unit], the less the
-better, of `tetractl.control.value`.
+As in Algorithm 2 of the paper, each control step searches plans of several lengths, from what is
+left of the plan under way, and only the first signal is exerted. Besides driving by a plan, robots
+can stop. What there is to choose from has a *value*, the less the better: the predicted sum of
+distances to the targets at its end [length unit], and what its time and its risk cost in the same
+unit (`tetractl.control.value`).
+
+The rules of one of two lists are asked in turn, and the first answer is what the robots do. Each is
+the method of its name.
 
     under way                                        at rest
 
     pass     go on through a passage                 stay     in a hold: all are within its radius
-    stop     in the coming period, if no plan can    finish   if no plan can be worth an attempt,
-             be worth more                                    or none fits into the time left
+    stop     in the coming period, if no plan can    finish   if no plan can have a lesser value,
+             have a lesser value                              or none fits into the time left
     (plans are searched)                             (plans are searched)
     go on    by the safe plan of least value         turn     on the spot, if none found is safe:
-    rest     if a plan from rest can be worth more,           other headings allow other plans
-             or no plan found is safe                give up  if none is safe after all turns
+    rest     if a plan from rest can have a lesser            other headings allow other plans
+             value, or no plan found is safe         give up  if none is safe after all turns
                                                      drive    by the plan of least value
 
-What robots do then is the `state` of the plan. docs/reference/controllers/mpc.md draws the states.
-As in Algorithm 2 of the paper, plans of several lengths are searched, each from what is left of the
-plan under way, and only the first signal is exerted.
+Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
+robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and
+docs/decisions/controller.md has what was tried instead, with figures.
+
+Times are in seconds if a name ends with `_s`, else in signals; N is the number of robots that are
+not lost, and L the number of signals of a plan.
 """
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +46,13 @@ from tetractl.control.corners import NOT_TURNING, Turning, next_facing
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.fixed_sequence import best_stop, given_search, least_error, make_plan
+from tetractl.control.fixed_sequence import (
+    StopForecast,
+    best_stop,
+    given_search,
+    least_error,
+    make_plan,
+)
 from tetractl.control.holding import CircleSearch
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins
@@ -71,13 +86,21 @@ from tetractl.experiment.lab_section import REACTION_S
 RESTED_S = 2.0
 """Least time that a plan is driven before a rest for a better one [s]: with an optimiser that finds
 only poor plans robots would rest after each step."""
-SEARCH_S = 1.0  # time after which the searches of a step end for standing robots [s]
-LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
+SEARCH_S = 1.0
+"""Time after which the searches of a step end for standing robots [s]. Those of driving robots end
+after the spec's `deadline`, as they drive on meanwhile."""
+LATE = 2.0
+"""Number of dead times after which a stop has acted for certain: it may be lost once, and is sent
+again."""
 SILENT_NEXT = 2
 """Number of next signals of the plan under way after which robots that receive nothing must keep
 clear. Later ones are searched again before they are sent."""
-SILENT_LAST = 2  # number of last signals of any plan after which this is not asked
-SILENT_ROOM = 0.2  # clearance while robots receive nothing, as a fraction of their radius
+SILENT_LAST = 2
+"""Number of last signals of a plan after which this is not tested: near the end of a plan hardly
+any other would be left to choose. Chosen, not measured."""
+SILENT_ROOM = 0.2
+"""Clearance of robots that receive nothing, as a fraction of their radius: with 0.4, trials took a
+quarter longer (docs/decisions/safety.md)."""
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg begins."""
 
@@ -102,8 +125,8 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Where robots go in a leg: `present` (N,) tells which are not lost, and `targets` (M, 2) are
-    those of these M robots; `margins` are the distances that they keep to everything."""
+    """Where robots go in a leg: `present` tells which of all robots are not lost, `targets` (N, 2)
+    are those of these N robots, and `margins` the distances that they keep to everything."""
 
     present: Bools
     targets: Floats
@@ -114,8 +137,9 @@ class Course:
 class TrialProgress:
     """What the controller keeps from step to step.
 
-    `k` is the number of the step, `last` the plan of the step before, None if the leg begins,
-    `began` the step in which the plan under way began, or from which one may begin.
+    `k` is the number of the step, `last` the plan of the step before, None if the leg begins, and
+    `began` the step in which robots began to drive without a pause; while they are at rest, that of
+    the last time. `turning` is how they have turned on the spot.
     """
 
     leg: Leg
@@ -139,6 +163,11 @@ class TrialProgress:
         """Whether a plan of this leg is under way."""
         return self.last is not None and not self.last.pauses
 
+    @property
+    def steps_driven(self) -> int:
+        """For how many steps robots have driven without a pause, if a plan is under way."""
+        return self.k - self.began
+
     def after(self, plan: Plan) -> "TrialProgress":
         """Return the progress after a step in which `plan` was decided."""
         began = self.began if self.under_way else self.k
@@ -150,9 +179,10 @@ class TrialProgress:
 class ControlStep:
     """What a step begins with.
 
-    The `problem` is how robots stand and move, to their targets; `warm` (L,) are the signals left
-    of the plan under way, None if none is; `horizon_max` is the longest plan and `signals_left` the
-    time until the limit, both in signals; `value` is how plans are valued.
+    The `problem` is to bring robots from where they will be when the next command acts to their
+    targets; `warm` (L,) are the signals left of the plan under way, None if none is; `horizon_max`
+    is the longest plan and `signals_left` the time until the limit of time, both in signals;
+    `value` is how plans are valued.
     """
 
     problem: Problem
@@ -177,20 +207,25 @@ class ControlStep:
         return min(length, self.horizon_max) <= left
 
 
-class LengthBounds(NamedTuple):
-    """The least values of what robots can do instead of a stop: to go on, by the plan under way or
-    by a new one, and to rest for a new plan; inf for what they cannot do."""
+class LeastValues(NamedTuple):
+    """The least values that what robots can do instead of a stop may turn out to have, before plans
+    are searched; inf for what they cannot do."""
 
     go_on: float
     rest: float
 
+    @property
+    def least(self) -> float:
+        """That of the better one of both."""
+        return min(self.go_on, self.rest)
+
 
 class Candidate(NamedTuple):
-    """A plan found: its value, the number of its search and its prediction."""
+    """A plan found: its value, the number of its search, and what is predicted for it."""
 
     value: float
     number: int
-    seen: Foreseen
+    foreseen: Foreseen
 
 
 class Searched(NamedTuple):
@@ -298,7 +333,8 @@ class Mpc:
     @property
     def _in_last_leg(self) -> bool:
         """Whether the trial ends with this leg: the hold, or without one the leg to the targets."""
-        return self.progress.leg.index == len(self.legs) - (0 if self.setup.hold else 1)
+        last = len(self.legs) if self.setup.hold else len(self.legs) - 1
+        return self.progress.leg.index == last
 
     # a step
 
@@ -315,26 +351,46 @@ class Mpc:
         return self._under_way(step, step.warm)
 
     def _step(self, motion: Problem) -> ControlStep:
-        """Return what the step begins with, given the robots' states and motion."""
+        """Return what the step begins with, given the robots' states and motion.
+
+        A plan may hold each signal for several control periods. The lengths of plans and the time
+        left count from the beginning of the signal that is held now; in the prediction, only the
+        rest of it is still to come.
+        """
         section = self.section
-        held_periods = 0  # for which the present signal has been held
-        warm = None
-        if self.progress.last is not None and not self.progress.last.pauses:
-            held_periods = (self.progress.k - self.progress.began) % section.signal_periods
-            used = 1 if held_periods == 0 else 0
-            warm = self.progress.last.signals[used:]
-        first_period = (section.signal_periods - held_periods) * section.period
-        motion = replace(motion, targets=self.course.targets, first_period=first_period)
-        problem = self._with_margins(motion, self.estimator.known)
-        value = Worth(
-            accept=section.accept_error,
-            spent_s=self.time.passed_s - self.progress.leg.began_s,
-            period_s=problem.period,
-            patience_s=section.patience_s(self.setup),
-            sticking_hz=self._sticking_hz,
-        )
+        held_periods = self._held_periods()
+        rest_periods = section.signal_periods - held_periods
+        first_period_s = rest_periods * section.period
+        motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
         left_s = self.time.left_s + held_periods * section.period
-        return ControlStep(problem, warm, section.horizon_max, left_s / problem.period, value)
+        return ControlStep(
+            problem=self._with_margins(motion, self.estimator.known),
+            warm=self._signals_left(held_periods),
+            horizon_max=section.horizon_max,
+            signals_left=left_s / motion.period,
+            value=Worth(
+                accept=section.accept_error,
+                spent_s=self.time.passed_s - self.progress.leg.began_s,
+                period_s=motion.period,
+                patience_s=section.patience_s(self.setup),
+                sticking_hz=self._sticking_hz,
+            ),
+        )
+
+    def _held_periods(self) -> int:
+        """Return for how many control periods the present signal has been held: 0 if the next one
+        is due, or none is held."""
+        if not self.progress.under_way:
+            return 0
+        return self.progress.steps_driven % self.section.signal_periods
+
+    def _signals_left(self, held_periods: int) -> Floats | None:
+        """Return what is left of the plan under way (L,), None if none is. Its first signal is over
+        if it is not held any longer."""
+        last = self.progress.last
+        if last is None or last.pauses:
+            return None
+        return last.signals[1:] if held_periods == 0 else last.signals
 
     @property
     def _sticking_hz(self) -> float:
@@ -360,14 +416,14 @@ class Mpc:
         return None
 
     def _circle(self, step: ControlStep) -> Plan:
-        """Return a plan that keeps robots near their targets if they cannot stand still."""
+        """Return a plan by which robots that cannot stand hold: they swim within its radius."""
         assert self.setup.hold is not None
         problem = replace(step.problem, within=self.setup.hold.radius)
         length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
         limits = Limits(None, self._expired())
         search = self.circler.search(problem, length, step.warm, self._step_key, limits)
-        seen = compiled_foresee(problem, search.signals)
-        return replace(make_plan([search], 0, self._step_key, seen), state=State.HOLDING)
+        foreseen = compiled_foresee(problem, search.signals)
+        return replace(make_plan([search], 0, self._step_key, foreseen), state=State.HOLDING)
 
     # under way
 
@@ -375,93 +431,152 @@ class Mpc:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._pass(step, warm)
-        bounds = self._bounds(step, warm)
-        decision = self._stop(step, warm, bounds)
-        if decision is not None:
-            return decision
-        found = self._search_under_way(step, warm)
-        decision = self._go_on(found, bounds)
-        if decision is not None:
-            return decision
-        return self._rest(found)
+        instead = self._least_values(step, warm)
+        stop = self._stop(step, warm, instead.least)
+        if stop is not None:
+            return stop
+        searched = self._search_under_way(step, warm)
+        plan = self._go_on(searched, instead.rest)
+        if plan is not None:
+            return plan
+        return self._rest(searched)
 
-    def _bounds(self, step: ControlStep, warm: Floats) -> LengthBounds:
-        """Return the least values of going on and of a rest."""
-        go_on = np.inf
-        rest = np.inf
-        if len(warm):
-            go_on = self._value(step, warm, compiled_foresee(step.problem, warm))
-        least = least_length(step.problem)
-        if step.allows(least, 0.0):  # time for a new attempt
-            go_on = min(go_on, step.value.plan(0.0, len(warm) + 2, new=True))
-            driven_s = (self.progress.k - self.progress.began) * self.section.period
-            wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
-            may_rest = self.stands and self._in_last_leg and driven_s > RESTED_S
-            if may_rest and step.allows(least, wait_s):
-                rest = step.value.rest(least, wait_s)
-        return LengthBounds(go_on, rest)
+    def _least_values(self, step: ControlStep, warm: Floats) -> LeastValues:
+        """Return the least values that going on and a rest can have.
+
+        They are known before plans are searched: a search takes up to a control period, in which
+        robots would drive on past the moment of a stop that is better than whatever it finds.
+        """
+        return LeastValues(self._least_of_going_on(step, warm), self._least_of_rest(step))
+
+    def _least_of_going_on(self, step: ControlStep, warm: Floats) -> float:
+        """Return the least value of going on: that of the plan under way as it is, or of the
+        shortest new plan if it led exactly to the targets. There must be time for a new plan."""
+        least = np.inf
+        if len(warm) > 0:
+            least = self._value(step, warm, compiled_foresee(step.problem, warm))
+        if step.allows(least_length(step.problem), wait_s=0.0):
+            shortest_new = len(warm) + 2  # one signal more is still the plan under way
+            least = min(least, step.value.plan(0.0, shortest_new, new=True))
+        return least
+
+    def _least_of_rest(self, step: ControlStep) -> float:
+        """Return the least value of a rest: that of the shortest plan from rest if it led exactly
+        to the targets. It is inf, as robots go on, if
+
+            they cannot stand, or are on their way to a way-point, where errors do not count;
+            they have driven for less than RESTED_S: they would rest again and again;
+            there would be no time for the plan after the rest.
+        """
+        driven_s = self.progress.steps_driven * self.section.period
+        if not (self.stands and self._in_last_leg and driven_s > RESTED_S):
+            return np.inf
+        wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
+        length = least_length(step.problem)
+        if not step.allows(length, wait_s):
+            return np.inf
+        return step.value.rest(length, wait_s)
 
     def _pass(self, step: ControlStep, warm: Floats) -> Plan:
-        """Go on through a passage: search the next AHEAD signals again, to bring robots where the
-        plan from rest led them then; the rest of that plan stays. Rest if they would miss it.
+        """Go on through a passage by a long plan made at rest: search only its next AHEAD signals
+        again, so that they bring robots to where the plan led them after these; keep the others.
 
-        Errors of the model in the first of some 90 signals would otherwise add up until the last.
+        Errors of the model in the first of some 90 signals add up until the last, and the plan
+        would lead robots into the wall; but a search of all 90 would not find the passage again.
+        Robots rest for another plan if they stray from this one, or would touch something.
         """
         last = self.progress.last
         assert last is not None
-        way = last.path[len(last.signals) - len(warm) :]
-        near = ahead(step.problem, way)
+        planned = last.path[len(last.signals) - len(warm) :]  # poses before each signal left
+        problem = ahead(step.problem, planned)
         limits = Limits(None, self._expired())
-        search = self.optimizer.search(near, AHEAD, warm[:AHEAD], self._step_key, limits)
-        seen = compiled_foresee(near, search.signals)
-        left = float(Poses.of(way[AHEAD]).distances(step.problem.targets).sum())
-        driven_s = (self.progress.k - self.progress.began) * self.section.period
-        misses = seen.target > MISS_MAX * self.section.accept_error + MISS_OF_WAY * left
-        strays = misses and driven_s > TRUSTED_S
+        search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, limits)
+        foreseen = compiled_foresee(problem, search.signals)
+        strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
         if self.stands and (strays or self._enters(step.problem, search.signals)):
             return self._standing(step.problem, State.RESTING, [search])
         signals = np.append(search.signals, warm[AHEAD:])
         plan = self._given(step.problem, signals, State.PASSING, [search])
-        return replace(plan, path=np.concatenate([seen.path, way[AHEAD + 1 :]]))
+        return replace(plan, path=np.concatenate([foreseen.path, planned[AHEAD + 1 :]]))
 
-    def _stop(self, step: ControlStep, warm: Floats, bounds: LengthBounds) -> Decision | None:
-        """Stop at the best moment of the coming control period if nothing can be worth more than
-        the error that is left then: searches take time in which robots would drive on."""
-        problem = step.problem
-        period_s = self.section.period if self._in_last_leg else 0.0
-        if least_error(problem, period_s) > min(bounds):
-            return None
-        held = self.estimator.held_at_action
-        stop = best_stop(problem, held, period_s)
-        seconds = stop.delay_ns / SECOND + REACTION_S  # the guard looks so far ahead
-        if stop.delay_ns and self.stands and self.course.margins.meets(problem, held, seconds):
-            stop = best_stop(problem, held, 0.0)
-        if stop.error > min(bounds):
+    def _strays(self, planned: Poses, miss: float) -> bool:
+        """Return whether robots that pass would miss their `planned` poses by too much.
+
+        A small miss is mended by the next steps, the more of them are left: so a fraction of what
+        robots have to go from there is added to the limit. As before a rest, the plan must have
+        been driven for a while.
+        """
+        driven_s = self.progress.steps_driven * self.section.period
+        to_go = float(planned.distances(self.course.targets).sum())
+        limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
+        return miss > limit and driven_s > TRUSTED_S
+
+    def _stop(self, step: ControlStep, warm: Floats, instead: float) -> Decision | None:
+        """Stop at the best moment of the coming control period, if the error that is left then is
+        at most the least value `instead`: robots would drive past their targets, on a detour that
+        costs more than it can win.
+
+        Robots that can stand rest at first on the last leg. They are measured there, and the next
+        step ends the leg (`_finish`) or finds a plan from where they really are. Others, and those
+        at a way-point, end the leg at once.
+        """
+        # at a way-point the next leg begins with a new plan: a later moment is not worth waiting
+        within_s = self.section.period if self._in_last_leg else 0.0
+        if least_error(step.problem, within_s) > instead:
+            return None  # no moment can be good enough: so it is in most steps, and costs no time
+        stop = self._best_stop(step.problem, within_s)
+        if stop.error > instead:
             return None
         if self._holds or (self.stands and self._in_last_leg):
-            return replace(self._standing(problem, State.RESTING), delay_ns=stop.delay_ns)
-        outcome = Outcome.NO_BETTER_PLAN if len(warm) else Outcome.SEQUENCE_COMPLETED
-        return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
+            rest = self._standing(step.problem, State.RESTING)
+            return replace(rest, delay_ns=stop.delay_ns)
+        outcome = Outcome.NO_BETTER_PLAN if len(warm) > 0 else Outcome.SEQUENCE_COMPLETED
+        if stop.delay_ns > 0:
+            return End(outcome, stop.delay_ns)
+        return outcome
 
-    def _go_on(self, found: Searched, bounds: LengthBounds) -> Plan | None:
-        """Follow the plan of least value that is safe, unless a rest can be worth more."""
-        for candidate in found.candidates:
+    def _best_stop(self, problem: Problem, within_s: float) -> StopForecast:
+        """Return the stop within a time that leaves the least error; until then robots follow what
+        they were sent last.
+
+        It is a stop now if a body would come near something before a later one. The guard aborts a
+        trial if a body would touch something within its time to react; it does not know that a stop
+        is due.
+        """
+        held = self.estimator.held_at_action
+        stop = best_stop(problem, held, within_s)
+        seconds = stop.delay_ns / SECOND + REACTION_S
+        if stop.delay_ns > 0 and self.stands and self.course.margins.meets(problem, held, seconds):
+            return best_stop(problem, held, 0.0)
+        return stop
+
+    def _go_on(self, searched: Searched, rest: float) -> Plan | None:
+        """Follow the plan of least value that is safe, unless a rest can have a lesser value.
+
+        Robots that cannot stand follow the first: there is nothing safer that they could do.
+        """
+        for candidate in searched.candidates:
             if not self.stands:
-                return self._planned(found, candidate)
-            if candidate.value > bounds.rest:
+                return self._planned(searched, candidate)
+            if candidate.value > rest:
                 return None
-            plan = self._planned(found, candidate)
-            if not self._enters(found.problem, plan.signals):
+            plan = self._planned(searched, candidate)
+            if not self._enters(searched.problem, plan.signals):
                 return plan
         return None
 
-    def _rest(self, found: Searched) -> Plan:
-        """Stop, and search a new plan while the robots stand."""
-        return self._standing(found.problem, State.RESTING, found.searches)
+    def _rest(self, searched: Searched) -> Plan:
+        """Stop, and search a new plan while the robots stand: there is more time for it, and no
+        error of a dead time."""
+        return self._standing(searched.problem, State.RESTING, searched.searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
-        """Search plans about as long as the one under way, and longer ones as far as these can be
-        worth more; end if one of the former is good enough."""
+        """Search plans about as long as the one under way, and longer ones as far as these can have
+        a lesser value; end at once if one of the former is good enough.
+
+        Longer plans are detours: near the end of a plan, the few signals left cannot correct what
+        has gone wrong.
+        """
         searcher = self._searcher(step)
         good_enough = self.section.optimizer.good_enough or 0.0
         candidates: list[Candidate] = []
@@ -469,7 +584,7 @@ class Mpc:
             if start is None:
                 least = step.value.plan(0.0, length, new=True)
                 if least >= min(candidate.value for candidate in candidates):
-                    continue
+                    continue  # it could not win even if it led exactly to the targets
             search = searcher.search(length, start)
             if search is None:  # the deadline has passed
                 break
@@ -483,17 +598,16 @@ class Mpc:
         return Searched(step.problem, searcher.found, candidates)
 
     def _lengths(self, step: ControlStep, warm: Floats) -> Iterator[tuple[int, Floats | None]]:
-        """Yield the lengths to search, with the signals to begin with: what is left of the plan
-        under way, without its first signal, and with one more; then longer plans, searched afresh,
-        which continue after the longest that the step before searched."""
-        assert self.progress.last is not None
-        count = len(warm)
-        most = step.signals_max
-        starts = (count, warm), (count - 1, warm[1:]), (count + 1, np.append(warm, 0.0))
-        for length, start in starts:
-            if 0 < length <= max(most, 1):
-                yield length, start
-        for length in longer(count, most, self.progress.last.searches[-1].length):
+        """Yield the lengths to search, each with the signals to begin with: what is left of the
+        plan under way, without its first signal, and with one more; then longer plans, searched
+        afresh from None. A deadline ends the searches of most steps, so these go on above the
+        length that the step before searched last."""
+        last = self.progress.last
+        assert last is not None
+        for start in (warm, warm[1:], np.append(warm, 0.0)):
+            if 0 < len(start) <= max(step.signals_max, 1):
+                yield len(start), start
+        for length in longer(len(warm), step.signals_max, after=last.searches[-1].length):
             yield length, None
 
     # at rest
@@ -504,87 +618,99 @@ class Mpc:
             decision = propose(step)
             if decision is not None:
                 return decision
-        found = self._search_at_rest(step)
-        best = self._planned(found, found.candidates[0])
+        searched = self._search_at_rest(step)
+        best = self._planned(searched, searched.candidates[0])
         for propose_for in (self._turn, self._give_up):
-            plan = propose_for(found, best)
+            plan = propose_for(searched, best)
             if plan is not None:
                 return plan
-        return self._drive(found, best)
+        return self._drive(searched, best)
 
     def _stay(self, step: ControlStep) -> Plan | None:
-        """Stand on in a hold while all robots are within its radius."""
+        """Stand on in a hold while all robots are within its radius; to drive nearer could lead
+        them out of it, and counts for nothing."""
         gaps = step.problem.poses.distances(step.problem.targets)
         if self._holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
             return self._standing(step.problem, State.RESTING)
         return None
 
     def _finish(self, step: ControlStep) -> Plan | Outcome | None:
-        """End the leg, or stand on in a hold, if robots stand and no plan can be worth an attempt
-        or none fits into the time left."""
+        """End the leg, or stand on in a hold, if robots stand and the error is at most the least
+        value of a new plan, the shortest if it led exactly to the targets; or if there is no time
+        for it. Without this rule, robots would try again until the limit of time.
+
+        The first step of a trial does not end it: a plan is what it is for. Nor do robots that
+        drive, as when a leg begins, stand where they are measured.
+        """
         if self.progress.k == 0 or self.progress.moving:
             return None
-        least = least_length(step.problem)
+        length = least_length(step.problem)
+        longest = max(1, step.signals_max)
+        least = step.value.plan(0.0, min(length, longest), new=True)
         error = float(step.problem.poses.distances(step.problem.targets).sum())
-        attempt = step.value.plan(0.0, min(least, max(1, step.signals_max)), new=True)
-        if error > attempt and step.allows(least, 0.0):
+        if error > least and step.allows(length, wait_s=0.0):
             return None
         if self._holds:
             return self._standing(step.problem, State.RESTING)
         return Outcome.NO_BETTER_PLAN
 
-    def _turn(self, found: Searched, best: Plan) -> Plan | None:
-        """Turn on the spot if a body would touch something on the way of the best plan found; not
-        after all turns were in vain."""
+    def _turn(self, searched: Searched, best: Plan) -> Plan | None:
+        """Turn on the spot if a body would touch something on the way of the best plan found: it
+        is no way out, as from a corner that robots face. Not after all turns were in vain."""
         touches = self.course.margins.entered(best.path)
-        if not (self.stands and (touches or self._enters(found.problem, best.signals))):
+        if not (self.stands and (touches or self._enters(searched.problem, best.signals))):
             return None
         apart = self.section.collision.separation
         turning = self.progress.turning
-        facing = next_facing(found.problem, self.course.margins, apart, turning)
+        facing = next_facing(searched.problem, self.course.margins, apart, turning)
         if facing is None:
             return None
-        standing = self._standing(found.problem, State.TURNING, found.searches)
+        standing = self._standing(searched.problem, State.TURNING, searched.searches)
         return replace(standing, instead=Turn(facing))
 
-    def _give_up(self, found: Searched, best: Plan) -> Plan | None:
-        """Stand, and end the trial in the next step, if the best plan found would bring a body into
-        something before a stop can act."""
-        if self.stands and self._enters(found.problem, best.signals):
+    def _give_up(self, searched: Searched, best: Plan) -> Plan | None:
+        """Stand, and end the trial in the next step (`_outcome`), if the best plan found would
+        bring a body into something before a stop can act. The log then has what was searched.
+
+        A plan that touches something later is driven after all: it is searched again on the way.
+        """
+        if self.stands and self._enters(searched.problem, best.signals):
             return replace(best, state=State.STUCK, instead=Stop())
         return None
 
-    def _drive(self, found: Searched, best: Plan) -> Plan:
-        """Follow the best plan found."""
-        if found.passes and best.search.length > AHEAD:
+    def _drive(self, searched: Searched, best: Plan) -> Plan:
+        """Follow the best plan found; if a tree led to it, pass by it (`_pass`)."""
+        if searched.passes and best.search.length > AHEAD:
             return replace(best, state=State.PASSING)
         return best
 
     def _search_at_rest(self, step: ControlStep) -> Searched:
-        """Search plans of growing lengths until one is good and, if none is, the plans to which a
-        tree of directions leads."""
-        searcher = self._searcher(step)
-        most = max(1, step.signals_max)
-        reached = searcher.spread(
-            least_length(step.problem), most, lambda search: self._good(step, step.problem, search)
-        )
-        if reached or self.progress.moving or not self.section.collision.walls:
-            return self._found(step, step.problem, searcher.found, passes=False)
-        later = self._with_margins(step.problem, None)  # the motion will be identified by then
-        passes = searcher.onward(
-            later,
-            ways(later, self.setup.arena, most, self._step_key),
-            lambda search: self._good(step, later, search),
-        )
-        return self._found(step, later if passes else step.problem, searcher.found, passes)
+        """Search plans of growing lengths until one is good. If none is, search from the plans to
+        which a tree of directions leads: through gaps, or of many robots at once.
 
-    def _good(self, step: ControlStep, problem: Problem, search: Search) -> bool:
+        A tree takes long, so robots must stand; and it needs the walls that bound it. Its plans may
+        take half a minute: they keep the margins of a motion that is known for certain, as it will
+        be identified by the time that it matters, and wider ones would close a gap.
+        """
+        searcher = self._searcher(step)
+        longest = max(1, step.signals_max)
+        problem = step.problem
+        is_good = partial(self._is_good, step, problem)
+        reached = searcher.spread(least_length(problem), longest, is_good)
+        if reached or self.progress.moving or not self.section.collision.walls:
+            return self._searched(step, problem, searcher.found, passes=False)
+        certain = self._with_margins(problem, None)
+        starts = ways(certain, self.setup.arena, longest, self._step_key)
+        passes = searcher.onward(certain, starts, partial(self._is_good, step, certain))
+        return self._searched(step, certain if passes else problem, searcher.found, passes)
+
+    def _is_good(self, step: ControlStep, problem: Problem, search: Search) -> bool:
         """Return whether a plan found for a problem needs no better one."""
         if search.cost > (self.section.optimizer.good_enough or 0.0):
             return False
         return self._safe(step, search.signals, compiled_foresee(problem, search.signals))
 
-    def _found(
+    def _searched(
         self, step: ControlStep, problem: Problem, searches: Sequence[Search], passes: bool
     ) -> Searched:
         """Return all plans that searches found, as candidates for the problem."""
@@ -606,7 +732,8 @@ class Mpc:
         return Searcher(self.optimizer, step.problem, self._step_key, self._expired())
 
     def _expired(self) -> Callable[[int], bool]:
-        """Return whether the deadline of the step, which begins now, has passed."""
+        """Return a function that says whether the deadline of the step's searches, which begin now,
+        has passed, whatever number of evaluations it is given."""
         seconds = self.section.deadline if self.progress.moving else SEARCH_S
         end_ns = self.timer() + round(seconds * SECOND)
         return lambda _: self.timer() >= end_ns
@@ -614,11 +741,12 @@ class Mpc:
     def _candidate(self, step: ControlStep, searches: Sequence[Search], number: int) -> Candidate:
         """Return the plan that a search found as a candidate."""
         search = searches[number]
-        seen = compiled_foresee(step.problem, search.signals)
-        return Candidate(self._value(step, search.signals, seen, search.cost), number, seen)
+        foreseen = compiled_foresee(step.problem, search.signals)
+        value = self._value(step, search.signals, foreseen, search.cost)
+        return Candidate(value, number, foreseen)
 
     def _value(
-        self, step: ControlStep, signals: Floats, seen: Foreseen, cost: float = np.inf
+        self, step: ControlStep, signals: Floats, foreseen: Foreseen, cost: float = np.inf
     ) -> float:
         """Return the value of a plan of given signals (L,), whose cost may be known.
 
@@ -627,26 +755,28 @@ class Mpc:
         error = cost
         touches = False
         if cost >= step.problem.obstacle_weight:
-            error = seen.target
-            touches = seen.obstacle > 0
-        unheard = not self._safe(step, signals, seen)
+            error = foreseen.target
+            touches = foreseen.obstacle > 0
+        unheard = not self._safe(step, signals, foreseen)
         return step.value.plan(error, len(signals), step.is_new(signals), touches, unheard)
 
-    def _planned(self, found: Searched, candidate: Candidate) -> Plan:
+    def _planned(self, searched: Searched, candidate: Candidate) -> Plan:
         """Return the plan of a candidate."""
-        return make_plan(found.searches, candidate.number, self._step_key, candidate.seen)
+        searches = searched.searches
+        return make_plan(searches, candidate.number, self._step_key, candidate.foreseen)
 
     def _given(
         self, problem: Problem, signals: Floats, state: State, searches: Iterable[Search] = ()
     ) -> Plan:
         """Return a plan of given signals (L,); the `searches` before found no better one."""
-        seen = compiled_foresee(problem, signals)
-        every = [*searches, given_search(problem, signals, seen)]
-        return replace(make_plan(every, len(every) - 1, self._step_key, seen), state=state)
+        foreseen = compiled_foresee(problem, signals)
+        all_searches = [*searches, given_search(problem, signals, foreseen)]
+        chosen = len(all_searches) - 1
+        return replace(make_plan(all_searches, chosen, self._step_key, foreseen), state=state)
 
     def _standing(self, problem: Problem, state: State, searches: Iterable[Search] = ()) -> Plan:
-        """Return a plan by which robots stand, after `searches` that are kept for the log. It has
-        one signal, which is not sent."""
+        """Return a plan by which robots stand; `searches` are those of this step, for the log. Its
+        one signal is not sent: a stop is, or a turn."""
         return replace(self._given(problem, np.zeros(1), state, searches), instead=Stop())
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
@@ -657,28 +787,30 @@ class Mpc:
         return replace(problem, obstacles=grown, separation=apart)
 
     def _enters(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether a body enters an obstacle before the next stop can act."""
+        """Return whether a body enters an obstacle before a stop can act, which the next step may
+        send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         held = np.full(len(problem.a), signals[0])
         return self.course.margins.meets(problem, held, seconds)
 
-    def _safe(self, step: ControlStep, signals: Floats, seen: Foreseen) -> bool:
+    def _safe(self, step: ControlStep, signals: Floats, foreseen: Foreseen) -> bool:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
-        command for `silence` or until their watchdog stops them.
+        command for `silence` or until their watchdog stops them. Without this test, a plan could
+        head for a wall at full speed and turn off just before it.
 
         The last SILENT_LAST signals are not tested; of the plan under way, only the first
         SILENT_NEXT are.
         """
         collision = self.section.collision
-        count = len(signals) - SILENT_LAST
+        tested = len(signals) - SILENT_LAST
         if not step.is_new(signals):
-            count = min(count, SILENT_NEXT)
-        if not collision.silence or count <= 0:
+            tested = min(tested, SILENT_NEXT)
+        if not collision.silence or tested <= 0:
             return True
         return self.course.margins.clear_unheard(
             step.problem,
-            seen.path,
-            signals[:count],
+            foreseen.path,
+            signals[:tested],
             seconds=min(collision.silence + self.section.period, self.setup.watchdog_s),
             margin=SILENT_ROOM * collision.radius,
             apart=collision.separation,

@@ -304,15 +304,18 @@ class Guard:
 
         Returns None for a frame that was exposed before, or together with, a frame already checked;
         such a frame is dropped and counted.
+
+        Robots are compared with what was accepted before this frame: first all poses are decided
+        on, then all decisions take effect, and last the checks compare the robots with each other.
+        Whether a run is on is asked once, before: the poses were exposed while it was, even if one
+        of them ends it.
         """
         if frame.fault:
             self.abort(frame.fault)
         if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
-            if self._in_run and self._stream.dropped == 1:
-                behind = self._stream.outdated.behind
-                self._warnings.add_once(f"a camera frame {behind} was dropped")
+            self._note_dropped()
             return None
-        in_run = self._in_run  # all poses were exposed in the run, even if it ends by one of them
+        in_run = self._in_run
         readings = self._readings(frame)
         times = tuple(reading.exposed_ns for reading in readings)
         self._checks.motion.take_frame(times)
@@ -322,14 +325,9 @@ class Guard:
         if self.rules.goes_on:
             self._lose_unseen()
         decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(readings)]
-        for robot, reading, decision in zip(self._robots, readings, decisions, strict=True):
-            self._record_pose(robot, reading, decision)
-        for decision in decisions:
-            self._record(decision.findings)
+        self._record_poses(readings, decisions)
         accepted = self._accepted(frame)
-        for check in self._checks.checks:
-            if self._in_run:
-                self._record(check.frame(frame.sampled_ns, times, accepted.poses))
+        self._check_accepted(accepted, times)
         return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
@@ -359,10 +357,20 @@ class Guard:
 
     # ---- a frame ----
 
+    def _note_dropped(self) -> None:
+        """Warn of the first frame that is dropped in a run."""
+        if self._in_run and self._stream.dropped == 1:
+            behind = self._stream.outdated.behind
+            self._warnings.add_once(f"a camera frame {behind} was dropped")
+
     def _readings(self, frame: CameraFrame) -> tuple[PoseReading, ...]:
-        """Return the robots' readings; to be called before the motion check takes the frame."""
+        """Return the robots' readings; to be called before the motion check takes the frame.
+
+        Where poses have times of their own, a frame may show a pose again that was measured for one
+        before: it is new only if it is later than that accepted, and than that compared, last.
+        """
         times = frame.times([robot.poses.last_ns for robot in self._robots])
-        compared = self._checks.motion.times  # times of the poses that were compared last
+        compared = self._checks.motion.times
         readings: list[PoseReading] = []
         for i, robot in enumerate(self._robots):
             is_new = not frame.exposed_ns or times[i] > max(robot.poses.last_ns, compared[i])
@@ -376,17 +384,29 @@ class Guard:
             robot.absence.count(self._stream.newest_ns, recent_until_ns)
 
     def _lose_unseen(self) -> None:
-        """Lose each robot that was not tracked until the newest frame, even if it is in it."""
+        """Lose each robot that was not tracked until the newest frame, even if it is in it: after
+        so long, what is shown there may be another body."""
         limit_ns = self.rules.limits.untracked_abort * SECOND
         for i, robot in enumerate(self._robot_situations()):
             if robot.untracked_ns >= limit_ns:
                 self.lose_robot(i, untracked_text(robot))
 
     def _decide_pose(self, i: int, reading: PoseReading, in_run: bool) -> PoseDecision:
-        """Return what becomes of the pose of robot i; only its checks remember anything of it."""
+        """Return what becomes of the pose of robot i; only its checks remember anything of it.
+
+        The first of these rows that fits decides:
+
+            there is none, or the run goes on without the robot     missing
+            it is the measurement of a frame before                 unchanged
+            the robot is a ghost, or cannot have come there         refused
+            it is the robot's first one, or no run has begun yet    accepted
+            no run is on, but one was: it may show a motion         accepted, and checks note it
+            it equals the last one to the bit                       `_decide_repeat`
+            it shows a motion, which commands explain or not        `_compare_in_run`
+        """
         robot = self._robots[i]
         pose = reading.pose
-        before = robot.poses.last
+        last = robot.poses.last
         if pose is None or robot.lost:
             return PoseDecision(PoseStatus.MISSING)
         if not reading.is_new:
@@ -394,35 +414,56 @@ class Guard:
         fault = robot.ghost or robot.poses.fault(pose, reading.exposed_ns, self._pace.driven)
         if fault:
             return PoseDecision(PoseStatus.REFUSED, fault)
-        if before is None or not self._pace.driven:
+        if last is None or not self._pace.driven:
             return PoseDecision(PoseStatus.ACCEPTED)
         if not in_run:
-            return self._compare_in_pause(i, before, reading)
-        if pose != before:
-            return self._compare_in_run(i, before, pose)
-        # a robot may stand, or a picture is frozen: this is not a motion to compare
-        if robot.refused == REPEATS or self._checks.motion.must_have_moved(i):
+            return self._compare_in_pause(i, last, reading)
+        if pose == last:
+            return self._decide_repeat(i)
+        return self._compare_in_run(i, last, pose)
+
+    def _decide_repeat(self, i: int) -> PoseDecision:
+        """Return what becomes of a pose that equals the last one: it is no motion to compare.
+
+        The robot may stand. But if its commands must have moved it by now, the camera shows a
+        frozen picture; then equal poses are refused until another one comes, whatever is commanded
+        meanwhile.
+        """
+        frozen_before = self._robots[i].refused == REPEATS
+        if frozen_before or self._checks.motion.must_have_moved(i):
             return PoseDecision(PoseStatus.REFUSED, REPEATS)
         return PoseDecision(PoseStatus.ACCEPTED)
 
-    def _compare_in_pause(self, i: int, before: Pose, reading: PoseReading) -> PoseDecision:
-        """Return that a pose is accepted, and what the checks note: a stop may be lost and sent
-        again."""
+    def _compare_in_pause(self, i: int, last: Pose, reading: PoseReading) -> PoseDecision:
+        """Return that a pose is accepted, and what the checks note: robots that move although no
+        run is on have perhaps not heard the stop, which is then sent again."""
         assert reading.pose is not None
         findings: list[Finding] = []
         for check in self._checks.checks:
-            findings.extend(check.pause(i, before, reading.pose, reading.exposed_ns))
+            findings.extend(check.pause(i, last, reading.pose, reading.exposed_ns))
         return PoseDecision(PoseStatus.ACCEPTED, findings=tuple(findings))
 
-    def _compare_in_run(self, i: int, before: Pose, pose: Pose) -> PoseDecision:
-        """Return what becomes of a pose by the checks; the first refusal is its reason."""
+    def _compare_in_run(self, i: int, last: Pose, pose: Pose) -> PoseDecision:
+        """Return what becomes of a pose by the checks. All of them see it; the first that refuses
+        it gives the reason."""
         findings: list[Finding] = []
         for check in self._checks.checks:
-            findings.extend(check.pose(i, before, pose))
+            findings.extend(check.pose(i, last, pose))
         for finding in findings:
             if isinstance(finding, Refuse):
-                return PoseDecision(PoseStatus.REFUSED, finding.text, True, tuple(findings))
+                return PoseDecision(
+                    PoseStatus.REFUSED, finding.text, disobeys=True, findings=tuple(findings)
+                )
         return PoseDecision(PoseStatus.ACCEPTED, findings=tuple(findings))
+
+    def _record_poses(
+        self, readings: Sequence[PoseReading], decisions: Sequence[PoseDecision]
+    ) -> None:
+        """Let the decisions on all robots' poses take effect, and then what checks have found."""
+        for robot, reading, decision in zip(self._robots, readings, decisions, strict=True):
+            self._record_pose(robot, reading, decision)
+        for decision in decisions:
+            self._record(decision.findings)
 
     def _record_pose(self, robot: RobotTrack, reading: PoseReading, decision: PoseDecision) -> None:
         """Let the decision on a robot's pose take effect."""
@@ -434,6 +475,13 @@ class Guard:
             self._stream.refused += 1
         if decision.status is PoseStatus.ACCEPTED and reading.pose is not None:
             robot.poses.accept(reading.pose, reading.exposed_ns)
+
+    def _check_accepted(self, accepted: AcceptedFrame, times: tuple[int, ...]) -> None:
+        """Let the checks look for what only the poses of all robots show, up to the first abort;
+        `times` (N,) are those of the poses."""
+        for check in self._checks.checks:
+            if self._in_run:
+                self._record(check.frame(accepted.frame.sampled_ns, times, accepted.poses))
 
     def _accepted(self, frame: CameraFrame) -> AcceptedFrame:
         """Return a frame with the accepted poses, which are recorded."""

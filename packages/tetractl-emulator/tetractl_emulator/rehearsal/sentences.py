@@ -392,13 +392,20 @@ def _counts(truth: Truth) -> Iterator[Violation]:
 
 
 def _late_in_a_row(truth: Truth) -> int:
-    """Return the most control steps in a row that the log shows to be late by a period."""
+    """Return the most control steps in a row that the log shows to be late by a period.
+
+    A step begins when its frame has come and the step before has ended: a silent camera makes
+    frames old, and no step late.
+    """
     assert truth.trial is not None
     period_ns = truth.setup.period_s * 1e9
-    most = count = 0
+    most = 0
+    count = 0
+    ended_ns = 0
     for step in truth.trial.steps:
-        late = step.command.sent_ns - step.observation.received_ns > period_ns
-        count = count + 1 if late else 0
+        began_ns = max(step.observation.received_ns, ended_ns)
+        ended_ns = step.command.sent_ns
+        count = count + 1 if ended_ns - began_ns > period_ns else 0
         most = max(most, count)
     return most
 

@@ -111,10 +111,9 @@ def test_no_robot_is_driven_blind(events, wrong):
 def test_no_robot_is_driven_without_a_direction(sent_s, whole, wrong):
     """Regression: what a log that a full disk broke off no longer has counted as not sent."""
     truth = day(GOOD)
-    step = SimpleNamespace(command=SimpleNamespace(sent_ns=round(sent_s * 1e9)))
     known = dict.fromkeys(TrialLog.__dataclass_fields__)
     result = SimpleNamespace() if whole else None
-    vars(truth)["log"] = TrialLog(**known | {"steps": [step], "result": result})
+    vars(truth)["log"] = TrialLog(**known | {"steps": [step(sent_s, sent_s)], "result": result})
     assert names_of(0, truth) == ({"driven blind"} if wrong else set())
 
 
@@ -289,17 +288,23 @@ def complete(fault=LOST, events=(), steps=()):
     return truth
 
 
+def step(received_s, sent_s):
+    return SimpleNamespace(
+        observation=SimpleNamespace(received_ns=round(received_s * 1e9)),
+        command=SimpleNamespace(sent_ns=round(sent_s * 1e9)),
+    )
+
+
 def late_steps(count):
-    """Control steps of which the middle ones are late by 10 ms."""
-    return [
-        SimpleNamespace(
-            observation=SimpleNamespace(received_ns=0),
-            command=SimpleNamespace(
-                sent_ns=round((SETUP.period_s + 0.01) * 1e9) * (0 < k <= count)
-            ),
-        )
-        for k in range(count + 2)
-    ]
+    """Control steps, one after another, of which the middle ones take 10 ms more than a period."""
+    took_s = SETUP.period_s + 0.01
+    late = [step(k * took_s, (k + 1) * took_s) for k in range(count)]
+    return [step(0.0, 0.0), *late, step(count * took_s, count * took_s)]
+
+
+def steps_without_frames(count):
+    """Control steps once in a period, all of the last frame before the camera fell silent."""
+    return [step(0.0, k * SETUP.period_s) for k in range(count)]
 
 
 @pytest.mark.parametrize(
@@ -313,6 +318,7 @@ def late_steps(count):
         (complete(events=[truth_at(4.0, unseen=(800.0, 10.0, 10.0))]), True),
         (complete(steps=late_steps(5)), False),
         (complete(steps=late_steps(6)), True),
+        (complete(steps=steps_without_frames(9)), False),
     ],
 )
 def test_a_trial_counts_only_if_nothing_was_wrong_with_it(truth, wrong):

@@ -10,6 +10,7 @@ from pydantic_core import ErrorDetails
 from tetractl.experiment.controller import retired_hint
 from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.schema import alternatives, child, describe, homes, schema_of, tag
+from tetractl.experiment.yaml.core_yaml import with_space
 from tetractl.experiment.yaml.document import Document, frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
 
@@ -156,7 +157,7 @@ def words(details: ErrorDetails, value: Any) -> str:
     if kind in MESSAGES:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
         message = MESSAGES[kind].format(**numbers) + _quotes(kind, value)
-        hint = (_with_space(value) or _with_point(value)) if isinstance(value, str) else ""
+        hint = _hint(kind, value)
         return f"{message}; {hint}" if hint else message
     if kind == "unknown_color":
         known = context["known"]
@@ -167,7 +168,7 @@ def words(details: ErrorDetails, value: Any) -> str:
 
 
 def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str:
-    if spaced := _with_space(key):
+    if spaced := with_space(key):
         return f"unknown key; {spaced}"
     if told := retired_hint(key, _at(data, parent)):
         return f"unknown key; {told}"
@@ -181,11 +182,13 @@ def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str
     return f"unknown key; known here: {', '.join(known)}"
 
 
-def _with_space(text: str) -> str:
-    """Return a hint for a key and its value without a space between, which YAML reads as one text;
-    "" for other texts."""
-    match = re.fullmatch(r"([A-Za-z_]\w*):([^\s/:].*)", text)
-    return f"a space is missing after the colon: {match[1]}: {match[2]}" if match else ""
+def _hint(kind: str, value: Any) -> str:
+    """Return how a value was probably meant, "" if nothing says so."""
+    if isinstance(value, str):
+        return with_space(value) or _with_point(value)
+    if kind == "too_long" and all(isinstance(entry, int | float) for entry in value):
+        return "a decimal number has a point, not a comma"
+    return ""
 
 
 def _with_point(text: str) -> str:

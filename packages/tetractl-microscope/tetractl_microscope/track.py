@@ -179,7 +179,8 @@ def _identify(
     from tetractl_microscope.foreign_tracks import pose_rows
 
     ui.refuse_existing(out)
-    found = csv_tracks([tracks, field], partial(pose_rows, um_px=scale, rate_hz=rate), SHORTEST_S)
+    rows_of = partial(pose_rows, um_px=scale, rate_hz=rate)
+    found = csv_tracks([tracks, field], rows_of, SHORTEST_S, on_wheels=False)
     if left_out := [name for track in found for name in track.left_out]:
         ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")
     tell_remarks(found)

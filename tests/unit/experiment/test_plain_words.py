@@ -46,6 +46,11 @@ def test_an_unknown_colour_is_told_what_is_known():
     [
         ("trials: {count:5}", "trials.count:5: unknown key; a space is missing after the colon"),
         ("trials: count:5", "a space is missing after the colon: count: 5"),
+        ("trials:\n  count:5\n  seed: 1", "a space is missing after the colon: count: 5"),
+        (
+            "obstacles: [{type: circle, center: [0,5, 1], radius: 9}]",
+            "not 3; a decimal number has a point",
+        ),
         ("units: {time: 0,5}", "a decimal number has a point, not a comma"),
         ("controller: {type: mpc, period: '0,5'}", "a decimal number has a point: 0.5"),
     ],

@@ -29,7 +29,7 @@ def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
     (tmp_path / "p.csv").write_text(POSES)
     (tmp_path / "c.csv").write_text("time_s,direction_rad,lag_ms\n0,0.5,40\n0.2,0.7,40\n")
     (track,) = csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
-    assert track.lag == pytest.approx(0.04)
+    assert track.lag == pytest.approx(0.04) and track.on_wheels
     (tmp_path / "c.csv").write_text("time_s,direction_rad,lag_s\n0,0.5,-1\n0.2,0.7,1\n")
     with pytest.raises(UsageError, match="line 2: lag_s must not be negative"):
         csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
@@ -183,6 +183,7 @@ REFUSED = {
         "column time \\(fortnights\\) is in fortnights",
     ),
     "decimal commas": (*PLAIN, "0,5,1,2\n", "line 2: has 4 entries, the header has 2"),
+    "quoted decimal commas": (*PLAIN, '0,"1,5"\n', "direction_rad: '1,5' is not a number"),
     "no header": (PLAIN[0], "0,0", "1,1\n", "has no header"),
     "a column twice": (PLAIN[0], "time_s,direction_rad,time_s", "0,0,0\n", "two columns time_s"),
     "a null character": (*PLAIN, "0,0\n1,\0\n", "line 3: is not a CSV file"),
@@ -198,8 +199,9 @@ def test_what_cannot_be_right_is_refused(tmp_path, case):
     poses, header, rows, says = REFUSED[case]
     paths = files(tmp_path, poses, "time_s,direction_rad")
     paths[1].write_text(f"{header}\n{rows}")
-    with pytest.raises(UsageError, match=says):
+    with pytest.raises(UsageError, match=says) as error:
         csv_tracks(paths)
+    assert ("decimal comma" in str(error.value)) == ("decimal comma" in case)
 
 
 @pytest.mark.parametrize("degrees", [True, False])

@@ -122,20 +122,23 @@ def test_intervals_that_hold_too_seldom_are_not_stated():
     )
 
 
-def test_a_heading_that_does_not_fit_leaves_no_interval_of_what_it_gives():
+def test_a_lag_that_nothing_states_leaves_no_interval_of_what_it_may_spoil():
     """Regression: the tables of `export` said nothing of the wheels' lag, and `identify` printed
     2.78 (2.74 to 2.81) rad/s for a robot of 3.0."""
     value = SampleInterval(0.0123, 0.01, 0.02)
     fitting = RobotFound("one", *[value] * 6, 0, 100, ("across the path",))
     odd = replace(fitting, name="two", misfits=("heading",))
     bounded = IdentifiedRobots("CSV", ("p.csv",), "mm", 9, value, None, (fitting, fitting))
-    told = stated(replace(bounded, robots=(fitting, odd)))
+    told = stated(replace(bounded, robots=(fitting, odd), lag_unstated=True))
     for robot in told.robots:  # the dead time is that of both
         assert np.isnan([robot.a.low, robot.heading_bias.high, told.dead_time.low]).all()
         assert robot.speed == value
     (table,) = tables(told)
-    assert "without intervals" in table.note
-    assert stated(bounded).robots[0].a == stated(bounded).dead_time == value
+    assert "have no intervals" in table.note
+    fits = stated(replace(bounded, lag_unstated=True))
+    of_cells = stated(replace(bounded, robots=(fitting, odd)))
+    for found in (fits, of_cells):
+        assert found.robots[0].a == found.dead_time == value
 
 
 def noise_is_right(*found):

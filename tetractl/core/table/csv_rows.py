@@ -26,6 +26,8 @@ SEPARATORS = (",", ";", "\t")
 BLANKS = " "
 """The separator of entries between which there are only blanks."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?|[+-]?\d+,")
+DECIMAL_COMMA = "a decimal comma needs semicolons or tabs between entries"
+"""Hint for numbers with a decimal comma."""
 _SEPARATOR_LINE = re.compile(r"sep=(.)$", re.IGNORECASE)
 
 
@@ -137,7 +139,12 @@ def _entries(line: str, separator: str) -> list[str]:
     stripped = [entry.strip() for entry in entries]
     if separator == ",":
         return stripped
-    return [e.replace(",", ".") if _DECIMAL_COMMA.fullmatch(e) else e for e in stripped]
+    return [e.replace(",", ".") if has_decimal_comma(e) else e for e in stripped]
+
+
+def has_decimal_comma(entry: str) -> bool:
+    """Return whether an entry is a number with a decimal comma."""
+    return _DECIMAL_COMMA.fullmatch(entry) is not None
 
 
 def is_number(entry: str) -> bool:
@@ -166,6 +173,6 @@ def _cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict
     if any(entries[len(header) :]):
         raise UsageError(
             f"{path}, line {line}: has {len(entries)} entries, the header has {len(header)}",
-            "a decimal comma needs semicolons or tabs between entries",
+            DECIMAL_COMMA,
         )
     return {name: entry for name, entry in zip_longest(header, entries, fillvalue="") if name}

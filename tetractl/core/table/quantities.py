@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import turn_problem
-from tetractl.core.table.csv_rows import CsvRow
+from tetractl.core.table.csv_rows import DECIMAL_COMMA, CsvRow, has_decimal_comma
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 """Units of times [s]."""
@@ -89,7 +89,8 @@ class NumberColumn:
             value = math.inf
         if not abs(value) <= self.largest:
             wrong = f"{text[:60]!r} is not a number of at most {self.largest:g}"
-            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {wrong}")
+            hint = DECIMAL_COMMA if has_decimal_comma(text) else None
+            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {wrong}", hint)
         return value * self.factor
 
 

@@ -101,12 +101,32 @@ def compose(text: str, origin: str) -> Node | None:
         message = f"not valid YAML: the character U+{error.character:04X} is not allowed"
         raise not_yaml(origin, message, mark) from None
     except MarkedYAMLError as error:
+        if error.problem_mark is not None:
+            _refuse_missing_space(text, origin, error.problem_mark.line)
         context = f" ({error.context})" if error.context else ""
         tabs = "; indent with spaces, not tabs" if "'\\t'" in (error.problem or "") else ""
         message = f"not valid YAML: {error.problem}{context}{tabs}"
         raise not_yaml(origin, message, error.problem_mark or error.context_mark) from None
     unwritten = isinstance(root, ScalarNode) and root.start_mark.index == root.end_mark.index
     return None if unwritten else root
+
+
+def _refuse_missing_space(text: str, origin: str, line: int) -> None:
+    """Raise InvalidSpecError if the line above `line`, from 0, has no space after its colon: YAML
+    reads it as the begin of a text, and refuses the line below."""
+    above = text.splitlines()[max(line - 1, 0) : line]
+    entry = above[0].partition(" #")[0] if above else ""
+    hint = with_space(entry.strip())
+    if hint:
+        mark = Mark("", 0, line - 1, len(entry) - len(entry.lstrip()), None, 0)
+        raise not_yaml(origin, f"not valid YAML: {hint}", mark) from None
+
+
+def with_space(text: str) -> str:
+    """Return a hint for a key and its value without a space between, which YAML reads as one text;
+    "" for other texts."""
+    match = re.fullmatch(r"([A-Za-z_]\w*):([^\s/:].*)", text)
+    return f"a space is missing after the colon: {match[1]}: {match[2]}" if match else ""
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:

@@ -5,7 +5,7 @@ directions or speeds that robots were sent in another.
 import math
 from array import array
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -145,6 +145,7 @@ def csv_tracks(
     paths: list[Path],
     rows_of: Callable[[Path], Iterator[CsvRow]] = read_csv,
     shortest_s: float = 0.0,
+    on_wheels: bool = True,
 ) -> list[Track]:
     """Return the tracks in some CSV files, each of poses or of commands.
 
@@ -153,8 +154,8 @@ def csv_tracks(
     of time_s, left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other
     units and count from anywhere, angles may be in degrees. Columns log and trial, if present,
     assign poses and commands to tracks. `rows_of` reads the rows of a file; robots that are seen
-    for less than `shortest_s` [s] are left out. Raises UsageError if data are missing, very many,
-    or of clocks that do not meet.
+    for less than `shortest_s` [s] are left out. `on_wheels` is False for cells. Raises UsageError
+    if data are missing, very many, or of clocks that do not meet.
     """
     trials: dict[Trial, _Numbers] = {}
     unit = ""
@@ -176,7 +177,8 @@ def csv_tracks(
                 raise UsageError(
                     f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
-    return [_track(numbers, unit, trial, shortest_s) for trial, numbers in trials.items()]
+    tracks = [_track(numbers, unit, trial, shortest_s) for trial, numbers in trials.items()]
+    return [replace(track, on_wheels=on_wheels) for track in tracks]
 
 
 def _columns(path: Path, headers: Collection[str]) -> _Columns:

@@ -50,6 +50,7 @@ class IdentifiedRobots:
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
+    `lag_unstated` says that robots are on wheels whose lag nothing states.
     """
 
     origin: str
@@ -61,6 +62,7 @@ class IdentifiedRobots:
     robots: tuple[RobotFound, ...]
     strength: float | None = None
     strength_unit: str = "mT"
+    lag_unstated: bool = False
 
 
 def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
@@ -104,6 +106,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
         ),
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
+        lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
     )
 
 
@@ -121,8 +124,8 @@ UNSTATED = ("heading_noise", "heading_walk")
 OF_HEADING = ("a", "heading_bias")
 """Those that the equation of the heading gives, with the dead time of all robots."""
 NO_INTERVAL = (
-    "a heading that the model does not fit leaves a, heading bias and dead time without intervals: "
-    "wheels with a lag need wheels.lag in the spec of a log, lag_s in a table"
+    "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
+    "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
 )
 _ABREAST = 3  # largest number of robots in one table
 DECIMALS_MAX = 6  # decimals
@@ -130,10 +133,10 @@ DECIMALS_MAX = 6  # decimals
 
 def stated(found: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
-    fewer than 92 % of the logs of trials (docs/how-to/identify.md). A heading that does not follow
-    the model gives the dead time wrong, which all robots share, and with it a and the bias of each.
+    fewer than 92 % of the logs of trials (docs/how-to/identify.md). A lag of wheels that nothing
+    states gives the dead time wrong, which all robots share, and with it a and the bias of each.
     """
-    if not _odd_headings(found):
+    if not _may_lag(found):
         return replace(found, robots=tuple(_without(robot, UNSTATED) for robot in found.robots))
     robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in found.robots)
     return replace(found, dead_time=_bare(found.dead_time), robots=robots)
@@ -149,9 +152,9 @@ def _bare(interval: SampleInterval) -> SampleInterval:
     return SampleInterval(interval.value, math.nan, math.nan)
 
 
-def _odd_headings(found: IdentifiedRobots) -> bool:
-    """Return whether the heading of a robot does not follow the model."""
-    return any(HEADING in robot.misfits for robot in found.robots)
+def _may_lag(found: IdentifiedRobots) -> bool:
+    """Return whether wheels may have a lag that nothing states: a heading does not fit without."""
+    return found.lag_unstated and any(HEADING in robot.misfits for robot in found.robots)
 
 
 def identified(found: IdentifiedRobots, when: str) -> Identified:
@@ -216,7 +219,7 @@ def _fits(found: IdentifiedRobots) -> str:
     if not misfits:
         return "the model fits: residuals are not correlated in time"
     text = f"the model does not fit {'; '.join(misfits)}: residuals are correlated in time"
-    if _odd_headings(found):
+    if _may_lag(found):
         text += f"\n{NO_INTERVAL}"
     return text
 

@@ -25,11 +25,11 @@ class Track:
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
     command decided on it, None if unknown. `left_out` are robots that were seen too briefly. Robots
     that receive nothing for `watchdog` [s] stop; their wheels follow with the time constant `lag`
-    [s]. `strength` is that of the field in
-    `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are speed
-    [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent none;
-    without any, C is 0. `own` (M, N) are the times of robots' poses [s], `time` for all if it is
-    empty. `remarks` are lines for the user on the data.
+    [s], which is 0 also of robots that are `on_wheels` whose lag nothing states. `strength` is that
+    of the field in `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are
+    speed [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent
+    none; without any, C is 0. `own` (M, N) are the times of robots' poses [s], `time` for all if it
+    is empty. `remarks` are lines for the user on the data.
     """
 
     source: str
@@ -46,6 +46,7 @@ class Track:
     left_out: tuple[str, ...] = ()
     watchdog: float = math.inf
     lag: float = 0.0
+    on_wheels: bool = False
     strength: float | None = None
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
@@ -85,6 +86,7 @@ def track_of(log: TrialLog) -> Track:
         frame_age=float(np.median(ages)) / SECOND if ages else None,
         watchdog=setup.watchdog_s,
         lag=setup.lag_s,
+        on_wheels=setup.wheel_radius is not None,
         strength=setup.strength,
         strength_unit=setup.strength_unit,
     )

@@ -1,73 +1,93 @@
-"""The recommended controller: which candidate is chosen, and the states it leads to."""
+"""The recommended controller: which candidate is chosen, and the states it leads to.
+
+Three m3pi start in a column, all along +x. A `Scripted` optimiser finds plans whose costs depend on
+their lengths alone, so that a test says which plan is good. A start is built by stages: `spec`,
+`begin_trial`, `put_under_way`; then `step` is the control step that is tested.
+"""
 
 import itertools
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
-from support.trials import experiment
+from support.trials import THREE_M3PI, experiment
 
-from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import given_plan
-from tetractl.control.lengths import VAIN
+from tetractl.control.lengths import SPREAD, VAIN
 from tetractl.control.margins import Margins
-from tetractl.control.mpc import ControlStep, Leg, TrialProgress
+from tetractl.control.mpc import LATE, RESTED_S, ControlStep
 from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State, StopReason
-from tetractl.core.poses import Poses
-from tetractl.core.shape import Shape
+from tetractl.experiment.lab_section import REACTION_S
 
+PERIOD_S = 0.2
+PERIOD_NS = 200_000_000
 ACCEPT = 20.0
+"""Total error to accept [mm], and so the least value of a new plan, its time aside."""
+BAD = 500.0
+"""Cost of a plan that is not worth its time: far above ACCEPT [mm]."""
+BODY = 47.0
+"""Radius of an m3pi [mm]."""
+HEARD = (True, True, True)
+STRAIGHT_ON = Command(Steer(0.0), 0, HEARD)
+"""The first direction, in which all robots head already."""
 POINTS = {"walls": False, "adaptive": False, "stop_before_collision": False, "silence": 0}
+"""Robots that are points and cannot stand."""
+RESTS = POINTS | {"stop_before_collision": True}
+"""Robots that are points and can stand."""
 
 
-def spec(collision=POINTS, **controller):
-    fields = {"type": "mpc", "period": 0.2, "accept_error": ACCEPT, "estimate": False}
+def spec(collision=POINTS, sections=None, **controller):
+    """The experiment with a controller of small numbers; `sections` replace others of the spec."""
+    fields = {"type": "mpc", "period": PERIOD_S, "accept_error": ACCEPT, "estimate": False}
     small = {
         "horizon_max": 30,
         "time_limit": 12.2,
         "optimizer": {"type": "multistart", "tolerance": 1},
     }
-    return experiment(controller=fields | small | {"collision": collision} | controller)
+    all_fields = fields | small | {"collision": collision} | controller
+    return experiment(controller=all_fields, **(sections or {}))
 
 
-def driving(costs, left=5, **fields):
-    """A controller of robots under way by a plan of `left` + 1 signals, and its optimiser, which
-    finds plans of the given costs by length."""
-    search = Scripted(dict.fromkeys(range(100), 500.0) | {left + 1: 0.0})
+def begin_trial(controller):
+    """Stage: the first direction is sent, at 0 s; from then on the trial's time counts."""
+    controller.time.seen(seen(STARTS), STRAIGHT_ON)
+    controller.estimator.sent(STRAIGHT_ON)
+
+
+def put_under_way(controller, length, steps=1):
+    """Stage: robots have driven for some steps by a plan that had `length` signals at first."""
+    problem = controller.section.problem(controller.setup)
+    plan = given_plan(problem, np.linspace(0.1, 0.3, length), 0)
+    for _ in range(steps):
+        controller.progress = controller.progress.after(plan)
+
+
+def driving(costs, left=5, steps=1, **fields):
+    """A controller of robots that have driven for some steps, so that `left` signals of their plan
+    are left; and its optimiser, which finds plans of the given costs by length, else BAD ones."""
+    search = Scripted(dict.fromkeys(range(100), BAD) | costs)
     controller = mpc(spec(**fields), 99, search)
-    controller.time.seen(seen(STARTS), Command(Steer(0.0), 0, (True,) * 3))
-    controller.progress = under_way(first(controller, left + 1))
-    search.costs = dict.fromkeys(range(100), 500.0) | costs
-    search.forget()
+    begin_trial(controller)
+    put_under_way(controller, left + 1, steps)  # the first signal is over when the step begins
     return controller, search
 
 
-def under_way(plan, steps=1):
-    """What a controller keeps after so many steps by a plan on the only leg."""
-    return TrialProgress(Leg(0, 0.0, 0, False, Outcome.ARRIVED), k=steps, last=plan, began=0)
-
-
-def first(controller, length):
-    """A plan of so many signals for robots at their starts."""
-    problem = controller.section.problem(controller.setup)
-    return given_plan(problem, np.linspace(0.1, 0.3, length), 0)
-
-
 def lengths(search):
-    """Lengths searched, and whether each began from the plan under way."""
+    """Lengths searched, and whether each search began from the plan under way."""
     return [(length, start is not None) for length, start, *_ in search.forget()]
 
 
-def step(controller, poses=STARTS, now=200_000_000):
+def step(controller, poses=STARTS, now=PERIOD_NS):
+    """What is decided in the control step in which robots are seen at `poses`."""
     return controller.plan(seen(poses, now=now))
 
 
 def near(total):
+    """Poses at the targets, but for green, which is `total` [mm] short of its own."""
     poses = TARGETS.copy()
     poses[0, 0] -= total
     return poses
@@ -139,109 +159,147 @@ def test_arrival_and_the_last_step_end_a_trial():
     assert step(controller, now=400_000_000) is Outcome.TIME_LIMIT
 
 
-def along_x(collision, time_limit=12.2, beyond=None):
-    """Robots that all drive along +x with an empty plan: blue is 200 mm/s fast and 20 mm short of
-    its target, so that all are there in 0.1 s. An obstacle may be `beyond` it."""
-    controller, _ = driving({}, left=0, collision=collision, time_limit=time_limit)
-    if beyond is not None:
-        margins = Margins([beyond], None, TARGETS[:, :2], 47)
-        controller.course = replace(controller.course, margins=margins)
-    controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
+ARRIVES_S = 0.1
+MOMENTS_NS = 5_000_000
+"""Time between two of the 40 moments of a period at which a stop may come."""
+
+
+def arriving(**fields):
+    """A controller of robots that drive along +x, have no signal left, and will all be at their
+    targets in ARRIVES_S; and what it decides."""
+    controller, _ = driving({}, left=0, **fields)
     poses = TARGETS.copy()
-    poses[:, 0] -= [18, 20, 15]
+    poses[:, 0] -= controller.setup.speed * ARRIVES_S
     return controller, step(controller, poses)
 
 
 def test_the_stop_comes_between_two_steps_where_that_is_best():
-    _, ended = along_x(POINTS)
+    _, ended = arriving(collision=POINTS)
     assert isinstance(ended, End)
     assert ended.outcome is Outcome.SEQUENCE_COMPLETED
-    assert ended.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
+    assert ended.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
 
 
-RESTS = POINTS | {"stop_before_collision": True}
-
-
-@pytest.mark.parametrize(("gap", "delay_ms"), [(79, 100), (75, 0)])
-def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(gap, delay_ms):
+@pytest.mark.parametrize(("room", "delay_s"), [(2, ARRIVES_S), (-2, 0)])
+def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(room, delay_s):
     """Regression: robots that were to stop 0.2 s later drove towards an obstacle until the guard,
-    which looks 30 mm ahead, aborted the trial."""
-    box = np.array([[0, -50], [100, -50], [100, 50], [0, 50]])
-    beyond = np.array([TARGETS[1, 0] + gap, TARGETS[1, 1]])
-    _, rest = along_x(RESTS, beyond=Shape(box + beyond))
-    assert rest.delay_ns == pytest.approx(delay_ms * 1e6, abs=3_000_000)
+    which looks 0.15 s ahead, aborted the trial.
+
+    Blue drives 200 mm/s. As the guard sees it, its body will reach 47 + 0.15 * 200 = 77 mm beyond
+    the place of the stop, its target. An obstacle there leaves `room` [mm]. A stop at once leaves
+    all robots 0.1 s short of their targets, 53 mm in total, which is accepted.
+    """
+    x, y = TARGETS[1, :2]
+    reach = BODY + 200 * REACTION_S
+    box = {"left": x + reach + room, "bottom": y - 50, "width": 100, "height": 100}
+    obstacles = [{"type": "rectangle"} | box]
+    bodies = RESTS | {"radius": BODY}
+    _, rest = arriving(collision=bodies, sections={"obstacles": obstacles}, accept_error=60)
+    assert rest.state is State.RESTING
+    assert rest.delay_ns == pytest.approx(delay_s * 1e9, abs=MOMENTS_NS)
 
 
 @pytest.mark.parametrize(
     ("total", "time_limit", "then"),
     [
-        (19, 12.2, Outcome.NO_BETTER_PLAN),
-        (35, 12.2, State.DRIVING),
-        (35, 1.4, Outcome.NO_BETTER_PLAN),
+        (ACCEPT - 1, 12.2, Outcome.NO_BETTER_PLAN),
+        (ACCEPT + 15, 12.2, State.DRIVING),
+        (ACCEPT + 15, 1.4, Outcome.NO_BETTER_PLAN),
     ],
 )
 def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, then):
-    controller, rest = along_x(RESTS, time_limit)
+    """They are seen to stand `total` off. The shortest new plan, of 6 signals for each of three
+    robots, is worth ACCEPT and 0.02 of it for each of its 3.6 s, which is 21.4; a limit of 1.4 s
+    leaves no time for it."""
+    controller, rest = arriving(collision=RESTS, time_limit=time_limit)
     assert rest.state is State.RESTING
-    assert rest.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
-    controller.estimator.sent(Command(Stop(), 300_000_000, (True,) * 3))
+    assert rest.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
+    controller.estimator.sent(Command(Stop(), 300_000_000, HEARD))
     controller.optimizer = Scripted(
-        {length: 0.0 if length > 17 else 500.0 for length in range(100)}
+        dict.fromkeys(range(18), BAD) | dict.fromkeys(range(18, 100), 0.0)
     )
     decision = step(controller, near(total), now=1_000_000_000)
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
-@pytest.mark.parametrize(("steps", "state"), [(9, State.DRIVING), (11, State.RESTING)])
-def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(steps, state):
-    controller, _ = driving({}, collision=RESTS)
-    controller.progress = under_way(controller.progress.last, steps)
+@pytest.mark.parametrize(("more", "state"), [(-1, State.DRIVING), (1, State.RESTING)])
+def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(more, state):
+    steps = round(RESTED_S / PERIOD_S) + more
+    controller, _ = driving({}, steps=steps, collision=RESTS)
     assert step(controller).state is state
 
 
-@pytest.mark.parametrize(("length", "tested"), [(2, None), (3, 1), (5, 2), (6, 2), (7, 5)])
-@pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, 0.8), (0.5, 0.5)])
-def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
-    length, tested, watchdog_s, seconds
-):
-    """The plan under way has 5 signals left, so that one of 7 is new."""
-    controller, _ = driving({}, collision=POINTS | {"silence": 0.6})
+class AskedMargins(Margins):
+    """Stands for margins that any plan keeps. It writes down what it is asked of robots that
+    receive nothing: how many signals are `tested` of plans by their length, and for how long."""
+
+    def __init__(self):
+        super().__init__([], None, TARGETS[:, :2])
+        self.tested = {}
+        self.seconds = set()
+
+    def clear_unheard(self, problem, path, signals, seconds, margin, apart):
+        length = len(path) - 1  # before each signal, and after the last
+        self.tested[length] = len(signals)
+        self.seconds.add(round(seconds, 9))
+        return True
+
+
+def asked_margins(left, watchdog_s=math.inf):
+    """The margins after a step in which a plan of `left` signals is under way and robots are to
+    keep clear for 0.6 s of silence."""
+    controller, _ = driving({}, left=left, collision=POINTS | {"silence": 0.6})
     controller.setup = replace(controller.setup, watchdog_s=watchdog_s)
-    asked = []
-    now = controller._step(controller.estimator.seen(seen()))
-
-    def clear_unheard(problem, path, signals, seconds, margin, apart):
-        asked.append((len(signals), pytest.approx(seconds)))
-
-    margins = SimpleNamespace(clear_unheard=clear_unheard)
+    margins = AskedMargins()
     controller.course = replace(controller.course, margins=margins)
-    signals = np.zeros(length)
-    controller._safe(now, signals, compiled_foresee(now.problem, signals))
-    assert asked == ([] if tested is None else [(tested, seconds)])
+    step(controller)
+    return margins
 
 
-def beside_a_wall(gap, stop=True, radius=0.0, **fields):
-    """A controller of robots of which green drives towards the right wall, 36 mm in a period, and
-    no plan keeps clear."""
+@pytest.mark.parametrize(
+    ("left", "tested"),
+    [(5, {4: 2, 5: 2, 6: 2, 7: 5, 8: 6}), (2, {3: 1, 4: 2, 5: 3}), (1, {3: 1, 4: 2})],
+)
+def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(left, tested):
+    """Two signals of the plan under way, which may become one longer; of a new plan, two signals
+    longer or more, all but the last two. A plan of two signals has none to test."""
+    asked = asked_margins(left).tested
+    shortest_asked = dict(sorted(asked.items())[: len(tested)])
+    assert shortest_asked == tested
+
+
+@pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, 0.6 + PERIOD_S), (0.5, 0.5)])
+def test_robots_that_receive_nothing_drive_on_until_the_silence_or_their_watchdog_ends_it(
+    watchdog_s, seconds
+):
+    """A silence that begins just after a command has lasted a period when the next one is due."""
+    assert asked_margins(5, watchdog_s).seconds == {seconds}
+
+
+def beside_a_wall(gap, stop=True, radius=0.0, left=1, **fields):
+    """A controller of robots of which green drives straight to the right wall, 180 mm/s and `gap`
+    [mm] from it, with its own optimiser; and their poses."""
     collision = POINTS | {"walls": True, "radius": radius, "stop_before_collision": stop}
-    controller, _ = driving({}, collision=collision, **fields)
+    controller, _ = driving({}, left=left, collision=collision, **fields)
     controller.optimizer = controller.section.optimizer
-    controller.progress = under_way(first(controller, 2))
-    controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = STARTS.copy()
     poses[0, 0] = controller.setup.arena.right - gap
     return controller, poses
 
 
 def decisions_beside_a_wall(count):
-    """The decisions from the stop on, with green where it stopped."""
+    """The decisions of so many steps, of which the first is a stop, with green where it stopped:
+    5 mm from the wall that it faces. A step without driving takes PERIOD_S and PAUSE_S."""
     controller, poses = beside_a_wall(5)
-    found, command = [], None
-    for k in range(count):
-        now = 200_000_000 + k * 700_000_000
-        found.append(controller.plan(seen(poses, now=now), command, ()))
-        command = Command(getattr(found[-1], "action", Stop()), now, (True,) * 3)
-    return found
+    decisions = []
+    command = None
+    for number in range(count):
+        now_ns = PERIOD_NS + number * 700_000_000
+        decision = controller.plan(seen(poses, now=now_ns), command)
+        decisions.append(decision)
+        if isinstance(decision, Plan):
+            command = Command(decision.action, now_ns, HEARD)
+    return decisions
 
 
 def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_does():
@@ -272,20 +330,24 @@ def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     assert step(controller, poses).state is State.RESTING
 
 
-@pytest.mark.parametrize(("gap", "enters"), [(70, True), (75, False)])
-def test_a_stop_that_is_lost_once_acts_after_two_dead_times(gap, enters):
-    """Green drives 72 mm in a period and two dead times."""
-    controller, poses = beside_a_wall(gap, dead_time=0.1)
-    problem = replace(controller.estimator.problem, poses=Poses.of(poses))
-    assert controller._enters(problem, np.zeros(1)) is enters
+@pytest.mark.parametrize(("room", "state"), [(-2, State.RESTING), (3, State.DRIVING)])
+def test_a_stop_that_is_lost_once_acts_after_two_dead_times(room, state):
+    """Before a plan of this step acts, robots drive for a dead time; before a stop of the next
+    step acts, for a period and two more: 0.5 s or 90 mm of green. Plans begin nearly straight on,
+    with 0.1 rad, which shortens the way by less than a millimetre."""
+    dead_time_s = 0.1
+    way = 180 * (dead_time_s + PERIOD_S + LATE * dead_time_s)
+    controller, poses = beside_a_wall(way + room, dead_time=dead_time_s)
+    controller.optimizer = Scripted()
+    assert step(controller, poses).state is state
 
 
 def test_robots_stop_before_the_arc_of_a_signal_touches_a_wall_its_ends_do_not():
     """Regression: a body went 0.6 mm over the edge by a plan whose obstacle cost was 0."""
-    collision = {"radius": 47, "margin": 0, "adaptive": False, "silence": 0}
-    controller, _ = driving({5: 0.0}, collision={"stop_before_collision": True} | collision)
+    bodies = RESTS | {"walls": True, "radius": BODY, "margin": 0}
+    controller, _ = driving({5: 0.0}, collision=bodies)
     poses = STARTS.copy()
-    poses[0] = [800, controller.setup.arena.bottom + 47.1, -0.06]
+    poses[0] = [800, controller.setup.arena.bottom + BODY + 0.1, -0.06]
     assert step(controller, poses).state is State.RESTING
 
 
@@ -296,36 +358,37 @@ def test_robots_that_cannot_stand_drive_on():
 
 def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
     """Regression: green, 5 mm of room before it, came to 21 mm from the edge with its centre."""
-    one = spec(collision={"radius": 47, "stop_before_collision": True}, horizon_max=6)
+    in_a_room = spec(collision={"radius": BODY, "stop_before_collision": True}, horizon_max=6)
     poses = STARTS.copy()
-    poses[0] = [one.setup.arena.left + 52, 800, math.pi]
-    assert mpc(one, 99).plan(seen(poses)).state is State.TURNING
+    poses[0] = [in_a_room.setup.arena.left + BODY + 5, 800, math.pi]
+    assert mpc(in_a_room, 99).plan(seen(poses)).state is State.TURNING
 
 
 @pytest.mark.parametrize("turns", [True, False])
 def test_a_first_plan_on_whose_way_a_body_touches_a_wall_is_driven_after_turns_in_vain(
     turns, monkeypatch
 ):
-    """Regression: it was driven at once if a stop could still act before the wall. Green would
-    touch it with the fourth signal."""
-    one = spec(collision={"radius": 47, "stop_before_collision": True}, horizon_max=6)
+    """Regression: it was driven at once if a stop could still act before the wall. Green has 100 mm
+    of room and drives 36 mm with each signal: it would touch the wall with the third."""
+    in_a_room = spec(collision={"radius": BODY, "stop_before_collision": True}, horizon_max=6)
     poses = STARTS.copy()
-    poses[0] = [one.setup.arena.right - 147, 800, 0]
+    poses[0] = [in_a_room.setup.arena.right - BODY - 100, 800, 0]
     if not turns:
         monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
-    plan = mpc(one, 99, Scripted()).plan(seen(poses))
+    plan = mpc(in_a_room, 99, Scripted()).plan(seen(poses))
     assert plan.state is (State.TURNING if turns else State.DRIVING)
 
 
 @pytest.mark.parametrize("shortest", [26, 30, 31, 33, 41, 60])
 def test_the_first_plan_is_the_shortest_that_is_good_enough(shortest):
-    """Red has the longest way: 894 mm at 150 mm/s are 30 signals, which no search begins with."""
+    """Red has the longest way: 894 mm at 150 mm/s are 29.8 signals, so that no shorter plan than of
+    30 is searched. The first one searched is longer, 39 = SPREAD times that."""
     search = Scripted(
-        dict.fromkeys(range(shortest), 500.0) | dict.fromkeys(range(shortest, 200), 0.5)
+        dict.fromkeys(range(shortest), BAD) | dict.fromkeys(range(shortest, 200), 0.5)
     )
     plan = mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
     asked = [length for length, *_ in search.asked]
-    assert asked[0] == 39
+    assert asked[0] == round(SPREAD * 30)
     assert plan.search.length == max(30, shortest)
     assert min(asked) >= 30
 
@@ -335,7 +398,7 @@ class Lucky(Scripted):
 
     def search(self, problem, length, warm, key, limits):
         tries = sum(length == before for before, *_ in self.asked)
-        self.costs[length] = 0.5 if length >= 39 or (length == 34 and tries == 1) else 500.0
+        self.costs[length] = 0.5 if length >= 39 or (length == 34 and tries == 1) else BAD
         return super().search(problem, length, warm, key, limits)
 
 
@@ -348,7 +411,7 @@ def test_a_length_that_failed_is_searched_again_with_other_random_numbers():
 
 
 def test_searches_for_a_shorter_plan_end_after_vain_ones():
-    search = Scripted(dict.fromkeys(range(39), 500.0) | dict.fromkeys(range(39, 200), 0.5))
+    search = Scripted(dict.fromkeys(range(39), BAD) | dict.fromkeys(range(39, 200), 0.5))
     mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
     assert len(search.asked) == 1 + VAIN  # the first is good, and no shorter one is
 
@@ -364,16 +427,15 @@ def test_spread_lengths_end_with_the_horizon():
 def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_periods():
     """Regression: the first signal was planned for what was left of the signal before."""
     search = Scripted()
-    controller = mpc(spec(signal_periods=2, arrival_tolerance=5), 99, search)
-    legs = np.stack([STARTS[:, :2], TARGETS[:, :2]])
-    controller.legs = replace(controller.setup, way_points=legs[:1]).legs
-    controller._begin(controller.progress.leg, controller.setup.starts)
+    robots = [robot | {"via": [robot["start"]]} for robot in THREE_M3PI["robots"]]
+    fields = {"signal_periods": 2, "arrival_tolerance": 5}
+    controller = mpc(spec(sections={"robots": robots}, **fields), 99, search)
     away = STARTS - np.array([50.0, 0, 0])
     assert step(controller, away).leg == 0
-    plan = step(controller)
+    plan = step(controller)  # the way-point is reached within the first signal
     assert plan.leg == 1
-    way = np.hypot(*(plan.path[1, :, :2] - plan.path[0, :, :2]).T)
-    assert way == pytest.approx(controller.setup.speed * 0.4, rel=0.05)
+    first_way = np.hypot(*(plan.path[1, :, :2] - plan.path[0, :, :2]).T)
+    assert first_way == pytest.approx(controller.setup.speed * 2 * PERIOD_S, rel=0.05)
 
 
 @pytest.mark.parametrize(("wait_s", "allowed"), [(0.0, True), (0.4, True), (0.5, False)])
@@ -396,5 +458,6 @@ def test_searches_for_standing_robots_end_after_a_second(look_s, searches):
     controller = mpc(spec(collision=RESTS, horizon_max=60, time_limit=40.2), 99, search)
     looks = itertools.count(step=round(look_s * 1e9))
     controller.timer = lambda: next(looks)
-    done = [one for one in controller.plan(seen()).searches if one.stopped is not StopReason.FIXED]
+    turn = controller.plan(seen())
+    done = [search for search in turn.searches if search.stopped is not StopReason.FIXED]
     assert len(done) == searches

@@ -82,14 +82,14 @@ test-all: test-long test-system
 # into an environment of its own. Half an hour each on two cores: .ci/run leaves them out.
 test-lowest test-newest: test-%: $(STAMP)
 	@test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
-	@$(BIN)/python packages/versions.py $* >.venv-$*/constraints.txt
+	@$(BIN)/python tools/versions.py $* >.venv-$*/constraints.txt
 	@.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-$*/constraints.txt -e '.[dev]' $(PACKAGES:%=-e %)
 	.venv-$*/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not system" $(TESTS)
 
 # Wheels of all packages, of the core a second one that brings its compiled code: docs/how-to/extend.md.
 DIST ?= dist
 dist: $(STAMP)
-	@$(BIN)/python packages/dist.py $(DIST)
+	@$(BIN)/python tools/dist.py $(DIST)
 
 # All pages as a site, to be opened without a network: build/docs/docs/site/index.html.
 docs: $(STAMP)

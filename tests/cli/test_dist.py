@@ -37,7 +37,7 @@ def done(*command, **variables):
 def python(tmp_path_factory):
     """The interpreter of an empty environment into which the wheels were installed."""
     wheels, place = (tmp_path_factory.mktemp(name) for name in ("wheels", "environment"))
-    done(sys.executable, ROOT / "packages/dist.py", wheels)
+    done(sys.executable, ROOT / "tools/dist.py", wheels)
     pure = next(wheels.glob("tetractl-*-none-any.whl"))
     core = next(wheels.glob("tetractl-*-cp*.whl"), pure)
     others = [one for one in wheels.glob("*.whl") if one not in (core, pure)]

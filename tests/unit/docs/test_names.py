@@ -94,7 +94,16 @@ def test_the_page_for_contributors_is_read_in_ten_minutes():
 
 def test_every_file_that_the_page_for_contributors_names_exists():
     said = re.findall(r"`([\w./-]+(?:\.\w+|/))`", (ROOT / "CONTRIBUTING.md").read_text())
-    roots = ("tetractl", "packages", "docs", "tests", "benchmarks", "experiments", "examples")
+    roots = (
+        "tetractl",
+        "packages",
+        "tools",
+        "docs",
+        "tests",
+        "benchmarks",
+        "experiments",
+        "examples",
+    )
     there = {f"/{one.relative_to(ROOT)}" for root in roots for one in (ROOT / root).rglob("*")}
     there |= {f"/{root}" for root in roots}
     lost = {name for name in said if not any(p.endswith(f"/{name.strip('/')}") for p in there)}

@@ -1,4 +1,4 @@
-"""Build the wheels of all packages: `python packages/dist.py FOLDER`, or `make dist`.
+"""Build the wheels of all packages: `python tools/dist.py FOLDER`, or `make dist`.
 
 The core has two of the same version: one for any Python and system, and one for this Python and
 system that brings its compiled code, for processors of level x86-64-v3. Pip takes the second where

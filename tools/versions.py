@@ -1,4 +1,4 @@
-"""Print constraints for pip: `python packages/versions.py lowest|newest`.
+"""Print constraints for pip: `python tools/versions.py lowest|newest`.
 
 The lowest are the versions after `>=` in each pyproject.toml; the newest are no constraints.
 """

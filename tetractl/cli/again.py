@@ -80,12 +80,12 @@ def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec
     No calibration file is read: the spec in a log of the lab has the calibration's values.
     """
     from tetractl.experiment.lab_section import LabSection
-    from tetractl.experiment.load import LoadedSpec, parse_spec
+    from tetractl.experiment.load import LoadedSpec, parse_written
     from tetractl.experiment.plants import lab_as, on_plant
 
     start, experiment = trial.start, trial.experiment
     if sets:
-        experiment = parse_spec(start.resolved, "the log's spec", sets, written=True).experiment
+        experiment = parse_written(start.resolved, "the log's spec", sets).experiment
     lab = experiment.plant
     spec = LoadedSpec(experiment, start.spec_text, start.spec_name, attached=start.attached)
     if plant == "sim" or not isinstance(lab, LabSection):

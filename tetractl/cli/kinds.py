@@ -114,7 +114,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
         name, equals, text = setting.partition("=")
         if not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
-        fields[name] = frozen(parse_value(text, f"--set {setting}", (name,)))
+        fields[name] = frozen(parse_value(text, printable(f"--set {setting}"), (name,)))
     text = template("check", "check")
     loaded = parse_spec(text, "check") if spec is None else ui.load(spec, None)
     lab = loaded.experiment.lab if spec else None

@@ -41,11 +41,13 @@ def check(
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
+    from tetractl.experiment.load import read_spec
     from tetractl.experiment.plants import on_plant, settings_on
     from tetractl.lab.preflight import look_over
     from tetractl.view.terminal import findings
 
-    loaded = ui.load(spec, settings_on(spec, sets or [], plant))
+    source = read_spec(spec)
+    loaded = source.load(settings_on(source, sets or [], plant))
     experiment = on_plant(loaded, plant).experiment
     rig = ui.rig_of(experiment)
     if experiment.open:
@@ -138,11 +140,14 @@ def calibrate(
     from numpy.random import SeedSequence
 
     from tetractl.core.protocols import LabSupervision
+    from tetractl.experiment.load import read_spec
     from tetractl.experiment.plants import on_plant, settings_on
     from tetractl.plant.lab_plant import RigSection
 
     ui.refuse_existing(out)
-    experiment = on_plant(ui.load(spec, settings_on(spec, sets or [], plant)), plant).experiment
+    source = read_spec(spec)
+    loaded = source.load(settings_on(source, sets or [], plant))
+    experiment = on_plant(loaded, plant).experiment
     lab, setup = experiment.plant, experiment.setup
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     names = robot or list(setup.names)

@@ -51,15 +51,18 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
+    from tetractl.experiment.load import FieldValue, SpecSetting, read_spec
     from tetractl.experiment.plants import on_plant, settings_on
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
-    settings = list(sets or [])
-    settings += [] if trials is None else [f"trials.count={trials}"]
-    settings += [] if seed is None else [f"trials.seed={seed}"]
-    settings = settings_on(spec, settings, plant)
-    loaded = ui.load(spec, settings)
+    source = read_spec(spec)
+    settings: list[SpecSetting] = [*settings_on(source, sets or [], plant)]
+    if trials is not None:
+        settings.append(FieldValue("trials.count", trials, "--trials"))
+    if seed is not None:
+        settings.append(FieldValue("trials.seed", seed, "--seed"))
+    loaded = source.load(settings)
     ui.warn(loaded, settings, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")

@@ -16,7 +16,7 @@ from tetractl.core.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.load import LoadedSpec, SpecSetting
     from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.run.plausibility import PlacedWarning
@@ -44,15 +44,15 @@ def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
 
 
 def warn(
-    loaded: "LoadedSpec", sets: Sequence[str] | None, strict: bool = False
+    loaded: "LoadedSpec", settings: "Sequence[SpecSetting] | None", strict: bool = False
 ) -> "tuple[PlacedWarning, ...]":
-    """Print the warnings of a spec that was loaded with `sets`, and return them.
+    """Print the warnings of a spec that was loaded with `settings`, and return them.
 
     With `strict`, raise UsageError if there are any.
     """
     from tetractl.run.plausibility import find_warnings
 
-    found = find_warnings(loaded, sets or [])
+    found = find_warnings(loaded, settings or [])
     tell(*(f"warning: {warning}" for warning in found))
     if strict and found:
         count = "a warning" if len(found) == 1 else f"{len(found)} warnings"

@@ -19,7 +19,7 @@ from tetractl.experiment.consistency import Entries, errors_of
 from tetractl.experiment.controller import ControllerSection, as_given, without_retired
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot, Trials
 from tetractl.experiment.explain import explain
-from tetractl.experiment.identified import Identified, merge, read_identified
+from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.policy_weights import put_layers, read_weights
 from tetractl.experiment.registry_fields import STRICT, packages
 from tetractl.experiment.yaml.core_yaml import MAX_DEPTH, dump
@@ -34,28 +34,61 @@ from tetractl.experiment.yaml.document import (
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 
-def override(document: Document, setting: str) -> None:
-    """Apply one `path=value` setting to a document; add errors to the document's problems.
+@dataclass(frozen=True, slots=True)
+class FieldValue:
+    """The value that an option such as `--seed 3` states for the field at a path, such as
+    `trials.seed`; problems with the value name the option.
+    """
 
-    A step of the path is a key, an index, or the `name` of an entry: `robots.0.a`,
+    path: str
+    value: Any
+    option: str
+
+    @property
+    def origin(self) -> str:
+        """The option and its value, as typed."""
+        return f"{self.option} {self.value}"
+
+
+SpecSetting = str | FieldValue
+"""A value of one field: `PATH=VALUE`, with a value in YAML, or a `FieldValue`."""
+
+
+def override(document: Document, setting: SpecSetting) -> None:
+    """Apply a setting to a document; add errors to the document's problems.
+
+    A step of its path is a key, an index, or the `name` of an entry: `robots.0.a`,
     `robots.green.a`. Mappings that the spec omits are created.
     """
-    place = Place(f"--set {printable(setting, 200)}")
-    path, equals, text = setting.partition("=")
-    steps = path.strip().split(".")
     try:
-        if not equals or not path.strip():
-            message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
-            raise InvalidSpecError([place.problem((), message)])
-        if len(steps) > MAX_DEPTH:
-            message = f"the path has more than {MAX_DEPTH} steps"
-            raise InvalidSpecError([place.problem((), message)])
-        holder, loc = document.holder(steps, place)
-        value = parse_value(text, place.origin, loc)
+        if isinstance(setting, str):
+            _put_text(document, setting)
+        else:
+            _put_value(document, setting)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
-        return
+
+
+def _put_text(document: Document, setting: str) -> None:
+    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place."""
+    place = Place(f"--set {printable(setting, 200)}")
+    path, equals, text = setting.partition("=")
+    path = path.strip()
+    if not (equals and path):
+        message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
+        raise InvalidSpecError([place.problem((), message)])
+    steps = path.split(".")
+    if len(steps) > MAX_DEPTH:
+        raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} steps")])
+    holder, loc = document.holder(steps, place)
+    value = parse_value(text, place.origin, loc)
     document.put(holder, loc, value, replace(place, text=printable(text, 60) or None))
+
+
+def _put_value(document: Document, setting: FieldValue) -> None:
+    place = Place(setting.origin, text=str(setting.value))
+    holder, loc = document.holder(setting.path.split("."), place)
+    document.put(holder, loc, setting.value, place)
 
 
 Attached = tuple[tuple[str, str], ...]
@@ -88,34 +121,106 @@ class LoadedSpec:
         return spec_hash(self.experiment, self.given)
 
 
-def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
-    """Read and check a spec file; `path=value` settings replace its values.
+@dataclass(frozen=True)
+class SpecText:
+    """The text of a spec, parsed once; `load` makes an experiment of it, with other values each
+    time.
 
-    Raises InvalidSpecError with one line per problem: `file:line:column: field: value: what is
-    wrong; what would be right`.
+    `origin` is its name in messages. The files that it names are in the folder of its own file; a
+    text that comes from no file must not name any.
     """
-    text = read_text(path)
-    experiment, attached, _ = _experiment(text, str(path), sets, path.parent)
-    return LoadedSpec(experiment, text, printable(path.name), path, attached)
+
+    text: str = field(repr=False)
+    origin: str
+    path: Path | None = None
+
+    @cached_property
+    def document(self) -> Document:
+        """The spec's data with its places; InvalidSpecError if it cannot be read as YAML."""
+        return parse_document(self.text, self.origin)
+
+    def with_settings(self, settings: Sequence[SpecSetting]) -> Document:
+        """Return the spec's data with settings; errors are added to the document's problems."""
+        document = self.document.copy()
+        for setting in settings:
+            override(document, setting)
+        return document
+
+    def load(self, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+        """Check the spec; its settings replace its values.
+
+        Raises InvalidSpecError with one line per problem: `file:line:column: field: value: what is
+        wrong; what would be right`.
+        """
+        document = self.with_settings(settings)
+        _refuse_study(document)
+        attached: Attached = ()
+        if self.path is None:
+            _refuse_named_files(document)
+        else:
+            if _identified_file(document) is not None:
+                document, attached = self._with_identified(document, self.path.parent, settings)
+            attached = _with_weights(document, self.path.parent, attached)
+        experiment = validated_experiment(document, written=False)
+        name = printable(self.path.name) if self.path else self.origin
+        return LoadedSpec(experiment, self.text, name, self.path, attached)
+
+    def _with_identified(
+        self, named: Document, folder: Path, settings: Sequence[SpecSetting]
+    ) -> tuple[Document, Attached]:
+        """Return the spec's data with the values of the file that it names, then the settings; and
+        the file for the log.
+        """
+        path = folder / str(_identified_file(named))
+        identified, text = read_identified(path)
+        document = self.document.copy()
+        merge(document, identified, str(path))
+        for setting in settings:
+            override(document, setting)
+        del document.data["identified"]  # its values are now in the spec
+        return document, attach((), path, text)
 
 
-def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = False) -> LoadedSpec:
-    """Check the text of a spec, as `load_spec` does; `name` is its name in error messages.
+def read_spec(path: Path) -> SpecText:
+    """Read a spec file; InvalidSpecError if it cannot be read."""
+    return SpecText(read_text(path), str(path), path)
 
-    The spec must not name a file, as there is no folder to find it in. The
-    places of a resolved spec that tetractl has `written` are not checked: a trial may have measured
-    them.
+
+def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Read and check a spec file, as `SpecText.load` does."""
+    return read_spec(path).load(settings)
+
+
+def parse_spec(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check the text of a spec, as `SpecText.load` does; `name` is its name in error messages.
+
+    The spec must not name a file, as there is no folder to find it in.
     """
-    experiment, _, given = _experiment(text, name, sets, None, written)
+    return SpecText(text, name).load(settings)
+
+
+def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check a resolved spec that tetractl has written into a log.
+
+    Its places are not checked: a trial may have measured them.
+    """
+    document = SpecText(text, name).with_settings(settings)
+    _refuse_study(document)
+    _refuse_named_files(document)
+    given = deepcopy(document.data)
+    without_retired(document.data)
+    experiment = validated_experiment(document, written=True)
     return LoadedSpec(experiment, text, name, given=given)
 
 
-def parse_contents(contents: Mapping[str, Any], name: str, sets: Sequence[str] = ()) -> LoadedSpec:
+def parse_contents(
+    contents: Mapping[str, Any], name: str, settings: Sequence[SpecSetting] = ()
+) -> LoadedSpec:
     """Check a spec given as its contents, as `parse_spec` does; problems name fields, but no lines,
     which no file has."""
     text = as_text(contents, name)
     with without_lines():
-        return parse_spec(text, name, sets)
+        return parse_spec(text, name, settings)
 
 
 @contextmanager
@@ -206,78 +311,80 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
     return (*attached, (name, text))
 
 
-def document_of(
-    text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
-) -> Document:
-    """Parse the text of a spec and apply `sets`.
-
-    Values `identified` in a file replace the text's values before `sets` are applied. Errors are
-    added to the document's problems; InvalidSpecError if the text cannot be read as YAML.
-    """
-    document = parse_document(text, origin)
-    if identified is not None:
-        merge(document, *identified)
-    for setting in sets:
-        override(document, setting)
-    return document
-
-
-def _experiment(
-    text: str, origin: str, sets: Sequence[str], folder: Path | None, written: bool = False
-) -> tuple[Experiment, Attached, Any]:
-    """Return the experiment, the texts of files in `folder` that the spec names, and what is given
-    in a spec that tetractl has `written`."""
-    document, given = document_of(text, origin, sets), None
-    if written:
-        given = deepcopy(document.data)
-        without_retired(document.data)
+def _refuse_study(document: Document) -> None:
     if "base" in document.data and "robots" not in document.data:
-        hint = f"run it with: tetractl study {origin}"
-        raise InvalidSpecError([SpecProblem(origin, "is a study, not a spec")], hint)
-    attached: Attached = ()
-    named = document.data.get("identified")
-    if isinstance(named, str) and folder is None:
-        place = document.place(("identified",))
-        message = "can be named only in a spec file"
-        document.problems.append(place.problem(("identified",), message, place.text))
-    elif isinstance(named, str) and folder is not None:
-        path = folder / named
-        found, held = read_identified(path)
-        attached = attach((), path, held)
-        document = document_of(text, origin, sets, (found, str(path)))
-        del document.data["identified"]  # its values are now in the spec
-    attached = _with_weights(document, folder, attached)
+        hint = f"run it with: tetractl study {document.origin}"
+        raise InvalidSpecError([SpecProblem(document.origin, "is a study, not a spec")], hint)
+
+
+def _identified_file(document: Document) -> str | None:
+    """Return the name of the file with identified values, None if the spec names none."""
+    name = document.data.get("identified")
+    return name if isinstance(name, str) else None
+
+
+def _weights_file(document: Document) -> str | None:
+    """Return the name of the file with a policy's weights, None if the spec names none or has them
+    itself.
+    """
+    controller = document.data.get("controller")
+    if not isinstance(controller, dict) or "layers" in controller:
+        return None
+    name = controller.get("weights")
+    return name if isinstance(name, str) else None
+
+
+def _refuse_named_files(document: Document) -> None:
+    """Add a problem for each file that is named, as there is no folder to find it in."""
+    files = {
+        ("identified",): _identified_file(document),
+        ("controller", "weights"): _weights_file(document),
+    }
+    for loc, name in files.items():
+        if name is not None:
+            place = document.place(loc)
+            message = "can be named only in a spec file"
+            document.problems.append(place.problem(loc, message, place.text))
+
+
+def _with_weights(document: Document, folder: Path, attached: Attached) -> Attached:
+    """Put the layers of a policy's file of weights, if the spec names one, into the document, and
+    return the attached files with that file."""
+    name = _weights_file(document)
+    if name is None:
+        return attached
+    path = folder / name
+    layers, text = read_weights(path)
+    put_layers(document, layers, str(path))
+    return attach(attached, path, text)
+
+
+def validated_experiment(document: Document, written: bool) -> Experiment:
+    """Return the experiment of a document; InvalidSpecError with all its problems at once."""
+    entries = _valid_entries(document.data)
     experiment = None
     try:
-        experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)
+        data = _with_entries(document.data, entries)
+        experiment = Experiment.model_validate(data, strict=True, context=STRICT)
     except ValidationError as error:
         document.problems.extend(explain(error, document))
-    for error in errors_of(_valid_entries(document.data), experiment, written):
+    for error in errors_of(entries, experiment, written):
         place = document.place(error.where)
         document.problems.append(place.problem(error.where, error.text, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment, attached, given
+    return experiment
 
 
-def _with_weights(document: Document, folder: Path | None, attached: Attached) -> Attached:
-    """Put the layers of a policy's file of weights, if the spec names one, into the document, and
-    return the attached files with that file."""
-    controller = document.data.get("controller")
-    if not isinstance(controller, dict) or "layers" in controller:
-        return attached
-    named = controller.get("weights")
-    if not isinstance(named, str):
-        return attached
-    if folder is None:
-        loc = ("controller", "weights")
-        place = document.place(loc)
-        document.problems.append(place.problem(loc, "can be named only in a spec file", place.text))
-        return attached
-    path = folder / named
-    layers, text = read_weights(path)
-    put_layers(document, layers, str(path))
-    return attach(attached, path, text)
+def _with_entries(data: Mapping[str, Any], entries: Entries) -> dict[str, Any]:
+    """Return a spec's data for validation, in which valid parts are not validated again."""
+    values = frozen(data)
+    if entries.arena is not None:
+        values["arena"] = entries.arena
+    for key, valid in (("robots", entries.robots), ("obstacles", entries.obstacles)):
+        if valid:
+            values[key] = tuple(valid.get(i, value) for i, value in enumerate(values[key]))
+    return values
 
 
 def _valid_entries(data: dict[str, Any]) -> Entries:

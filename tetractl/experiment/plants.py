@@ -15,7 +15,7 @@ from tetractl.experiment.consistency import section_errors
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.explain import validated
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.load import LoadedSpec, attach
+from tetractl.experiment.load import LoadedSpec, SpecText, attach
 from tetractl.experiment.packages import not_installed
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
@@ -78,14 +78,14 @@ def _with_defaults(kind: str) -> PlantSection:
         raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
 
 
-def settings_on(path: Path, sets: Sequence[str], kind: str | None) -> list[str]:
+def settings_on(spec: SpecText, sets: Sequence[str], kind: str | None) -> list[str]:
     """Return the settings of a spec that will run on the plant of a kind: those of `plant` are of
     the spec's `lab`, if that will be the plant.
     """
     named = any(setting.startswith("plant.") for setting in sets)
     if kind is None or not named or not of_lab(kind):
         return list(sets)
-    if "lab" not in parse_document(read_text(path), str(path)).data:
+    if "lab" not in spec.document.data:
         return list(sets)
     moved = [re.sub(r"^plant\.", "lab.", setting) for setting in sets]
     return [f"lab.type={kind}", *moved]

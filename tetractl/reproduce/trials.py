@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tetractl.experiment.load import LoadedSpec, load_spec
+from tetractl.experiment.load import FieldValue, LoadedSpec, load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.reproduce.paper import Paper, Runs, Work
@@ -74,8 +74,10 @@ def open_loop(log: TrialLog) -> str:
 
 
 def _batch(
-    path: Path, settings: Sequence[str], folder: Path, count: int, run_batch: RunBatch
+    path: Path, sets: Sequence[str], folder: Path, count: int, run_batch: RunBatch
 ) -> list[TrialLog]:
-    spec = load_spec(path, (*settings, f"trials.count={count}", f"trials.seed={SEED}"))
+    trials = FieldValue("trials.count", count, "--trials")
+    seed = FieldValue("trials.seed", SEED, "the seed of all papers")
+    spec = load_spec(path, (*sets, trials, seed))
     run_batch(spec, folder)
     return [read_trial(log_path(folder, trial)) for trial in range(count)]

@@ -18,7 +18,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import nearest_starts, nearest_targets
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.load import LoadedSpec, document_of
+from tetractl.experiment.load import LoadedSpec, SpecSetting, SpecText
 from tetractl.experiment.section_abilities import (
     Accepting,
     CountsSteps,
@@ -437,8 +437,10 @@ class PlacedWarning(SpecProblem):
 
 
 @np.errstate(all="ignore")  # very large values may overflow
-def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedWarning, ...]:
-    """Return the warnings of a spec that was loaded with `sets`, in the order of its lines."""
+def find_warnings(
+    loaded: LoadedSpec, settings: Sequence[SpecSetting] = ()
+) -> tuple[PlacedWarning, ...]:
+    """Return the warnings of a spec that was loaded with `settings`, in the order of its lines."""
     if loaded.experiment.open:  # its robots are placeholders
         return ()
     context = CheckContext(loaded.experiment)
@@ -447,7 +449,8 @@ def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedW
         findings += rule(context)
     if not findings:
         return ()
-    document = document_of(loaded.text, str(loaded.path or loaded.name), sets)
+    origin = str(loaded.path or loaded.name)
+    document = SpecText(loaded.text, origin).with_settings(settings)
     warnings: list[PlacedWarning] = []
     for finding in findings:
         place = document.place(finding.where)

@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,10 +22,10 @@ from tetractl.experiment.experiment import Trials
 from tetractl.experiment.explain import validated
 from tetractl.experiment.load import (
     LoadedSpec,
+    SpecText,
     arm_hash,
     as_text,
-    load_spec,
-    parse_contents,
+    read_spec,
     without_lines,
 )
 from tetractl.experiment.registry_fields import KindSection
@@ -146,11 +146,18 @@ class LoadedStudy:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Base:
     """The spec that every arm changes: a file, or contents that stand in the study."""
 
     source: Path | dict[str, Any]
+
+    @cached_property
+    def text(self) -> SpecText:
+        """The base's text, parsed once for all arms; InvalidSpecError if it cannot be read."""
+        if isinstance(self.source, dict):
+            return SpecText(as_text(self.source, "base"), "base")
+        return read_spec(self.source)
 
     @property
     def named(self) -> str | None:
@@ -160,8 +167,9 @@ class Base:
     def load(self, sets: Sequence[str]) -> LoadedSpec:
         """Return the spec with `path=value` settings; raises InvalidSpecError."""
         if isinstance(self.source, dict):
-            return parse_contents(self.source, "base", sets)
-        return load_spec(self.source, sets)
+            with without_lines():
+                return self.text.load(sets)
+        return self.text.load(sets)
 
 
 def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:

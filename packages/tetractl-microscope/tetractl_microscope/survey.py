@@ -61,7 +61,7 @@ def survey(
     from tetractl.analysis.closed_loop import Noise
     from tetractl.analysis.steering import planner, tolerance
     from tetractl.core.protocols import LabSupervision
-    from tetractl.experiment.load import document_of
+    from tetractl.experiment.load import SpecText
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl_microscope.cells.section import CellsSection
@@ -136,7 +136,7 @@ def survey(
         ui.tell(f"no choice of these cells can be steered to the targets: {why}")
         return Exit.FAILED
     if out is not None:
-        data = document_of(loaded.text, str(spec), sets or []).data
+        data = SpecText(loaded.text, str(spec)).with_settings(sets or []).data
         wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
         data["robots"]["wanted"] = wanted
         save_whole(out, dump(data).encode())

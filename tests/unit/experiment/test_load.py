@@ -3,6 +3,7 @@ import itertools
 import json
 import re
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -12,8 +13,17 @@ from support.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
+from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.identified import Identified, IdentifiedValue, merge
-from tetractl.experiment.load import attach, load_spec, parse_spec, resolved_yaml, spec_hash
+from tetractl.experiment.load import (
+    FieldValue,
+    attach,
+    load_spec,
+    parse_spec,
+    parse_written,
+    resolved_yaml,
+    spec_hash,
+)
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format import channels
@@ -396,11 +406,31 @@ def test_the_hash_of_an_earlier_log_is_that_of_the_keys_in_its_resolved_spec():
     """Regression: a field with a default that was added later failed `verify` of every log."""
     found = parse_spec(GOOD, "s.yaml").experiment
     today = resolved_yaml(found)
-    assert parse_spec(today, "s.yaml", written=True).hash == spec_hash(found)
+    assert parse_written(today, "s.yaml").hash == spec_hash(found)
     earlier = yaml.safe_load(today)
     del earlier["plant"]["heading_noise"], earlier["robots"][0]["via"]
-    kept = parse_spec(yaml.safe_dump(earlier), "s.yaml", written=True)
+    kept = parse_written(yaml.safe_dump(earlier), "s.yaml")
     assert kept.experiment == found
     assert kept.hash != spec_hash(found)
     fields = json.dumps(earlier, sort_keys=True, separators=(",", ":"))
     assert kept.hash == hashlib.sha256(fields.encode()).hexdigest()
+
+
+def test_the_number_of_an_option_stays_one_and_its_error_names_the_option():
+    seeded = parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", 3, "--seed")])
+    assert seeded.experiment.trials.seed == 3
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", -1, "--seed")])
+    assert caught.value.message == "--seed -1: trials.seed: -1: must be at least 0"
+
+
+def test_a_valid_robot_is_not_validated_again_with_the_whole_spec():
+    text = changed("a: 4", "a: -4")
+    with (
+        mock.patch.object(Experiment, "model_validate", wraps=Experiment.model_validate) as whole,
+        pytest.raises(InvalidSpecError),
+    ):
+        parse_spec(text, "s.yaml")
+    (data,) = whole.call_args.args
+    assert [isinstance(robot, Robot) for robot in data["robots"]] == [True, False]
+    assert [obstacle.type for obstacle in data["obstacles"]] == ["rectangle", "circle"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import parse_spec, parse_written
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
 SPEC = """
@@ -23,7 +23,7 @@ def test_steps_of_an_earlier_spec_get_the_time_to_write(kind, limit):
 
 
 def test_steps_in_the_spec_of_an_earlier_log_are_a_time():
-    found = parse_spec(SPEC % "mpc", "spec.yaml", written=True).experiment.controller
+    found = parse_written(SPEC % "mpc", "spec.yaml").experiment.controller
     assert found.time_limit == pytest.approx(15.05)
 
 

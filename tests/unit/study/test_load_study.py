@@ -1,10 +1,13 @@
 # ruff: noqa: E501 (the lines printed are long)
+from unittest import mock
+
 import pytest
 from support.paths import ROOT
 from support.running import QUICK
 from support.studies import STUDY, write
 
 from tetractl.core.registries import SWEEPS
+from tetractl.experiment import load
 from tetractl.experiment.schema import schema_json
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.study.load_study import Study, load_study, study_schema
@@ -117,3 +120,11 @@ def test_the_reference_names_every_field():
     models = [Study, Range, *map(SWEEPS.load, SWEEPS.names())]
     for field in {name for model in models for name in model.model_fields}:
         assert f"`{field}`" in page, field
+
+
+def test_the_base_is_parsed_once_for_all_arms(tmp_path):
+    study = write(tmp_path, STUDY)
+    with mock.patch.object(load, "parse_document", wraps=load.parse_document) as parse:
+        loaded = load_study(study)
+    assert len(loaded.arms) == 8
+    assert parse.call_count == 1

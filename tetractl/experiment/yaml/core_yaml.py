@@ -6,7 +6,6 @@ accepted.
 """
 
 import re
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import yaml
@@ -83,7 +82,6 @@ for _tag, (_pattern, _first) in SCALARS.items():
         _resolver.add_implicit_resolver(_tag, re.compile(_pattern), _first)
 
 
-@lru_cache(16)  # a process reads few texts, each several times
 def compose(text: str, origin: str) -> Node | None:
     """Return the node graph of a text, None if it is empty; InvalidSpecError if it is not YAML."""
     try:

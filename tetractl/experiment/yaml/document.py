@@ -1,6 +1,7 @@
 """A spec's text as plain data, with the location of each value in the text."""
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,17 @@ class Document:
     keys: dict[Loc, Place] = field(default_factory=dict)
     problems: list[SpecProblem] = field(default_factory=list)
     refused: dict[Loc, SpecProblem] = field(default_factory=dict)
+
+    def copy(self) -> "Document":
+        """Return a document that can be changed without changing this one."""
+        return Document(
+            self.origin,
+            deepcopy(self.data),
+            dict(self.values),
+            dict(self.keys),
+            list(self.problems),
+            dict(self.refused),
+        )
 
     @property
     def found(self) -> list[SpecProblem]:
@@ -171,17 +183,19 @@ def parse_document(text: str, origin: str) -> Document:
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
     """Parse one value, as given to `--set`, for the location `loc`.
 
-    Problems have `origin` as their location, without a line.
+    Problems have the printable text `origin` as their location, without a line.
     """
-    document = Document(printable(origin))
-    value, found = None, ()
+    document = Document(origin)
+    value = None
     try:
-        root = compose(text, document.origin)
-        value = None if root is None else _Builder(text, document).build(root, loc, 0)
+        root = compose(text, origin)
+        if root is not None:
+            value = _Builder(text, document).build(root, loc, 0)
     except InvalidSpecError as error:
-        found = error.problems
-    if found := [*found, *document.found]:
-        raise InvalidSpecError(SpecProblem(p.origin, p.message, field=p.field) for p in found)
+        document.problems.extend(error.problems)
+    if document.found:
+        problems = document.found
+        raise InvalidSpecError(SpecProblem(p.origin, p.message, field=p.field) for p in problems)
     return value
 
 

@@ -17,7 +17,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.trial import OWN_FILES, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import parse_written
 from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
@@ -238,7 +238,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 @lru_cache(maxsize=16)
 def _resolved(text: str) -> tuple[Experiment, str]:
     """Return the experiment of a resolved spec, and its hash."""
-    spec = parse_spec(text, channels.RESOLVED_SPEC, written=True)
+    spec = parse_written(text, channels.RESOLVED_SPEC)
     return spec.experiment, spec.hash
 
 

@@ -2,7 +2,8 @@
 
 A cell swims along a helix whose axis follows the paper's equations (1)-(3): (3) turns the axis, not
 the momentary velocity (Crenshaw). Lengths are in micrometres, independently of a spec's unit.
-docs/explanation/cells.md states the source of each number; `guess` means that no source was found.
+packages/tetractl-microscope/docs/cells-explained.md states the source of each number; `guess` means
+that no source was found.
 """
 
 import math

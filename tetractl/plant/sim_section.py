@@ -72,8 +72,8 @@ class WheelDriveSection(Model):
 
 class CultureSection(Model):
     """Simulates the robots as swimming cells with the spec's turning rates and speeds; their other
-    properties are drawn at random, see docs/explanation/cells.md. Cells turn by the paper's
-    equation (3), and `heading_noise` is the random walk of their heading.
+    properties are drawn at random, see packages/tetractl-microscope/docs/cells-explained.md. Cells
+    turn by the paper's equation (3), and `heading_noise` is the random walk of their heading.
     """
 
     dipole: NonNegative = DIPOLE_SD_RAD

@@ -5,6 +5,7 @@
 | no field is made blind | `stale`; before a choice, `stream_lost` + `latency` | the spec |
 | no field after a stop | wire + `watchdog` + ramp + lag of the coils | the coils |
 | poses and the result are true | a body's length for `identity`; `SEEN_UM` | a body, a pixel |
+| no streamed pose jumps | a body's length, and two cells' way | a body, the spec's speed |
 
 A field does not hold a cell back, so none must stay inside the arena. Log, exit code and reason are
 as of robots, in `sentences`. A stream that tracks cells itself has its noise, `STREAM_UM`, for
@@ -38,6 +39,7 @@ OFF = 0.01  # greatest current without a field, as a share of the greatest curre
 WRONG_UM, SEEN_UM = 60.0, 15.0  # a body's length; the helix of a body, and a pixel
 KNOWN_S = 0.5  # until an unknown cell counts as unknown, and the trial ends
 STREAM_UM = 7.0  # noise of a stream's pose, the way of a cell in a frame, and rounding
+FASTEST = 1.5  # times the speed of the spec, at which a cell may swim
 WINDOW_S = 1.0  # for which a stream may be wrong that a cell might have swum
 FALSE = ("ghost", "jump", "picture", "slip", "swap", "repeat")  # faults that make poses false
 SPECKS, LEARNED_S = 4, 1.6  # least debris that shows a knock; until the background is learned
@@ -176,7 +178,7 @@ def _field(truth: DishTruth, off_s: float, off_a: float) -> Iterator[Violation]:
 
 
 def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
-    """No valid pose is that of another cell, or of none, for long."""
+    """No valid pose is that of another cell, or of none, for long; none is where no cell can be."""
     at = truth.times[truth.seen]
     wrong_um, known_s = WRONG_UM, WINDOW_S if truth.numbered else limits.identity + KNOWN_S
     if truth.numbered and not truth.met(*FALSE):
@@ -184,7 +186,10 @@ def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     for i, own in enumerate(truth.steered):
         off = truth.apart_um[:, i, own]
         known = np.flatnonzero(~np.isnan(off))
-        far = off[known] > wrong_um + _speed_um(truth, own) * truth.late_s
+        late_um = _speed_um(truth, own) * truth.late_s
+        if truth.numbered and len(known):
+            yield from _jumps(truth, i, known, off[known] - late_um)
+        far = off[known] > wrong_um + late_um
         since: float | None = None
         for frame, wrong in zip(known.tolist(), far.tolist(), strict=True):
             since = (at[frame] if since is None else since) if wrong else None
@@ -192,6 +197,21 @@ def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
                 found = f"{truth.setup.names[i]} by {off[frame]:.0f} um"
                 yield Violation("untrue", at[frame], found, truth.mistaken(frame, i))
                 return
+
+
+def _jumps(truth: DishTruth, i: int, known: Integers, off_um: Floats) -> Iterator[Violation]:
+    """Yield a pose in the frames `known` (K,) that is further off (K,) than what is streamed as
+    robot i can have swum away from it since its pose was true: a body, and two cells' way.
+    """
+    at = truth.times[truth.seen[known]]
+    fastest_um_s = FASTEST * float(truth.setup.speed.max()) * truth.setup.metres * 1e6
+    true_s = np.where(off_um <= STREAM_UM, at, -np.inf)
+    true_s = np.maximum.accumulate(np.maximum(true_s, at[0]))
+    jumps = off_um > WRONG_UM + 2 * fastest_um_s * (at - true_s)
+    if jumps.any():
+        row = int(jumps.argmax())
+        found = f"{truth.setup.names[i]} by {off_um[row]:.0f} um at once"
+        yield Violation("untrue", float(at[row]), found)
 
 
 def _result(truth: DishTruth) -> Iterator[Violation]:

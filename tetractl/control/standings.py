@@ -2,18 +2,14 @@
 
 The rate h [1/s] is the number of times that one of the robots was found to begin to stand, over the
 time passed and HALF_KNOWN_S: one early case does not yet tell of a high rate. Where no robot ever
-sticks it is exactly 0. Only what is SURE counts: where pictures come late, robots that drive are
-found to stand for a picture or two, with less probability.
+sticks it is exactly 0. Only robots that surely stand count: where pictures come late, those that
+drive are found to stand for a picture or two, with less probability.
 """
 
 from collections.abc import Sequence
 
 from tetractl.core.plan import Estimate
 
-SURE = 0.9
-"""Probability above which a robot counts as standing. Of robots that stuck at 5 and 20 Hz, 170 of
-176 stands reached it; where ten pictures a second came 0.06 s late, 3 of 67 false ones did, all
-simulated (`benchmarks/unmodelled.py`, `sticking`, `sticking-5hz` and `slow-pictures`)."""
 HALF_KNOWN_S = 10.0  # time of a trial after which the rate is half of what was counted [s]
 
 
@@ -29,7 +25,7 @@ class Standings:
         """Count who stands by the estimate of a step, and did not by that of the step before."""
         if estimate is None:
             return
-        standing = set(estimate.standing(self._names, SURE))
+        standing = set(estimate.standing(self._names))
         self._begun += len(standing - self._standing)
         self._standing = standing
 

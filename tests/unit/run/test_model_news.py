@@ -83,7 +83,7 @@ def test_a_dead_time_is_not_questioned_while_the_model_fits():
 
 
 def test_a_robot_that_stands_is_named_once():
-    stands = replace(FITS, stands=0.9 * (np.arange(ROBOTS) == 0))
+    stands = replace(FITS, stands=0.95 * (np.arange(ROBOTS) == 0))
     assert stands.standing(SETUP.names) == [NAME]
     found = said((1, FITS), (2, stands), (3, FITS), (4, stands))
     assert found == [f"{NAME} stands although it is sent a direction"]
@@ -91,5 +91,5 @@ def test_a_robot_that_stands_is_named_once():
 
 def test_robots_that_stand_are_named_in_the_order_of_the_spec():
     """Regression: the order was that of a set, which differs between processes."""
-    found = said((1, replace(FITS, stands=np.full(ROBOTS, 0.9))))
+    found = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
     assert found == [f"{name} stands although it is sent a direction" for name in SETUP.names]

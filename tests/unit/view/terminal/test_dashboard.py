@@ -90,7 +90,7 @@ def test_a_narrow_terminal_leaves_words_and_units_out_and_cuts_none(recording, w
 def test_robots_that_stand_are_named(recording):
     log, names = recording.log, recording.log.start.setup.names
     each, first = np.ones(len(names)), np.arange(len(names)) == 0
-    known = Estimate(each, each, each, each, stands=0.9 * first)
+    known = Estimate(each, each, each, each, stands=0.95 * first)
     steps = [replace(s, plan=replace(s.plan, estimate=known)) for s in log.steps]
     told = Recording(replace(log, steps=steps))
     (line,) = (text for text in screen(told, 80, 24, 3) if f" {names[0]} " in text)

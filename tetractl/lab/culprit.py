@@ -28,7 +28,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
-from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS
+from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2
 """Time over which motion is compared."""
@@ -44,10 +44,6 @@ SHARE = np.array([0.08, 0.04, 0.1])
 """Share of the way, or the angle, by which it may be wrong in addition."""
 CLEAR = 9.0
 """Difference of two sums of squares by which one explanation is better."""
-STANDS_NS = SECOND // 10
-"""Time over which it is decided whether robots stand."""
-STANDS_MM = 3.0
-"""Least way of a robot that does not stand."""
 CAMERA = "all robots are seen to move as no command does: has the camera or its origin moved?"
 RADIO = "all robots move as they were commanded {:.1f} s before: is the radio slow?"
 SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
@@ -91,15 +87,16 @@ class Culprit:
 
     def why(self, reason: str) -> str:
         """Return, once, a text if the camera, the radio or two numbers are at fault, "" if the
-        suspect of the abort with this `reason` is. Swapped numbers are only asked for if it moved
-        as no command does: swapped wheels have a reason of their own.
+        suspect of the abort with this `reason` is: so it is if it does not move, whose link, power
+        or wheels are at fault. Swapped numbers are only asked for if it moved as no command does:
+        swapped wheels have a reason of their own.
         """
         suspect = self.suspect
         self.suspect = None
         if suspect is None:
             return ""
         robots = self._shown_throughout()
-        if len(robots) < 2 or suspect not in robots or self._all_stand(robots):
+        if len(robots) < 2 or suspect not in robots or DOES_NOT_MOVE in reason:
             return ""
         if AS_NO_COMMAND in reason:
             swapped = self._swapped(suspect, robots)
@@ -111,16 +108,6 @@ class Culprit:
         """Return the robots that are in the first and in the last frame."""
         pairs = zip(self._shown[0].poses, self._shown[-1].poses, strict=True)
         return [i for i, pair in enumerate(pairs) if None not in pair]
-
-    def _all_stand(self, robots: Sequence[int]) -> bool:
-        """Return whether all of the robots stand: what is at fault are their link, power or
-        wheels."""
-        last = self._shown[-1]
-        before = next(shown for shown in self._shown if last.now_ns - shown.now_ns <= STANDS_NS)
-        if None in [before.poses[i] for i in robots]:
-            return False
-        ways = (self._array(last.poses, robots) - self._array(before.poses, robots))[:, :2]
-        return bool(np.all(np.hypot(*ways.T) < STANDS_MM))
 
     def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
         """Return a text if camera or radio explain the motion of the robots better than the

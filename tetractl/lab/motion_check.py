@@ -275,7 +275,10 @@ def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
     """
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
-    if along and abs(way[0]) < STANDS * abs(meant[0]):
+    small = abs(way) < STANDS * abs(meant)
+    if along and small[0]:
+        return DOES_NOT_MOVE
+    if around and small[2] and abs(way[0]) < slack[0]:
         return DOES_NOT_MOVE
     opposite = (way * meant < 0.0) & (abs(meant) > STANDS * abs(way))
     if along and opposite[0]:

@@ -7,7 +7,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.lab.culprit import CAMERA, RADIO, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.motion_check import ANOTHER, WRONG_WAY, motion
+from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
 
 NAMES, SPEEDS, TURNING = ("green", "blue", "red"), (180.0, 200.0, 150.0), (6.0, 4.0, 3.0)
 OTHERWISE = ANOTHER.format("around")
@@ -142,7 +142,7 @@ def test_robots_that_all_stand_are_named_themselves():
             held[i] = place.copy()
         return held[i] - place
 
-    assert accused(still) == ""
+    assert accused(still, reason=DOES_NOT_MOVE) == ""
 
 
 @pytest.mark.parametrize("seed", range(3))

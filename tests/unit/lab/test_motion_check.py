@@ -157,6 +157,19 @@ def test_a_robot_of_stuck_wheels_is_noticed_within_0_3_s(stuck):
     assert fault == DOES_NOT_MOVE or NEVER_S in stuck
 
 
+def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
+    """Regression: it was said to move around as no command does."""
+    check = MotionCheck([SPEED], RADIUS, 2.0)
+    for k in range(40):
+        check.sent(k * SEND, [0.0], [A], 0.12)
+    stands = Pose(900.0, 800.0, 0.0)
+    faults = []
+    for now in range(20 * SEND, 40 * SEND, FRAME):
+        check.take_frame((now,))
+        faults.append(check.take_pose(0, stands, stands))
+    assert set(faults) == {"", DOES_NOT_MOVE}
+
+
 @pytest.mark.parametrize(
     ("shown", "within_s"),
     [

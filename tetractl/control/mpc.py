@@ -655,10 +655,9 @@ class Mpc:
         return Outcome.NO_BETTER_PLAN
 
     def _turn(self, searched: Searched, best: Plan) -> Plan | None:
-        """Turn on the spot if a body would touch something on the way of the best plan found: it
-        is no way out, as from a corner that robots face. Not after all turns were in vain."""
-        touches = self.course.margins.entered(best.path)
-        if not (self.stands and (touches or self._enters(searched.problem, best.signals))):
+        """Turn on the spot if the best plan found would bring a body into something before a stop
+        can act, as from a corner that robots face. Not after all turns were in vain."""
+        if not (self.stands and self._enters(searched.problem, best.signals)):
             return None
         apart = self.section.collision.separation
         turning = self.progress.turning
@@ -672,7 +671,7 @@ class Mpc:
         """Stand, and end the trial in the next step (`_outcome`), if the best plan found would
         bring a body into something before a stop can act. The log then has what was searched.
 
-        A plan that touches something later is driven after all: it is searched again on the way.
+        A plan that touches something later is driven: it is searched again on the way.
         """
         if self.stands and self._enters(searched.problem, best.signals):
             return replace(best, state=State.STUCK, instead=Stop())

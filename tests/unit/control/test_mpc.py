@@ -364,21 +364,6 @@ def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
     assert mpc(in_a_room, 99).plan(seen(poses)).state is State.TURNING
 
 
-@pytest.mark.parametrize("turns", [True, False])
-def test_a_first_plan_on_whose_way_a_body_touches_a_wall_is_driven_after_turns_in_vain(
-    turns, monkeypatch
-):
-    """Regression: it was driven at once if a stop could still act before the wall. Green has 100 mm
-    of room and drives 36 mm with each signal: it would touch the wall with the third."""
-    in_a_room = spec(collision={"radius": BODY, "stop_before_collision": True}, horizon_max=6)
-    poses = STARTS.copy()
-    poses[0] = [in_a_room.setup.arena.right - BODY - 100, 800, 0]
-    if not turns:
-        monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
-    plan = mpc(in_a_room, 99, Scripted()).plan(seen(poses))
-    assert plan.state is (State.TURNING if turns else State.DRIVING)
-
-
 @pytest.mark.parametrize("shortest", [26, 30, 31, 33, 41, 60])
 def test_the_first_plan_is_the_shortest_that_is_good_enough(shortest):
     """Red has the longest way: 894 mm at 150 mm/s are 29.8 signals, so that no shorter plan than of

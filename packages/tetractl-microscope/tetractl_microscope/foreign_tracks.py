@@ -154,6 +154,13 @@ def _graph(path: Path) -> SpotTable:
         axes = _axes(graph["metadata"].axes or (), properties)
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
+        version = _geff_version(path)
+        if version.startswith("0."):
+            raise UsageError(
+                f"{path}: is in GEFF {printable(version, SAID_MAX)}, older than the format's first "
+                "release, and geff does not read it",
+                "write it again with a newer version of the program that wrote it, or as CSV",
+            ) from error
         said = " ".join(f"{type(error).__name__}: {error}".split())
         raise UsageError(
             f"{path}: cannot be read as a GEFF graph of t, x, y: {printable(said, SAID_MAX)}"
@@ -172,6 +179,18 @@ def _graph(path: Path) -> SpotTable:
     across, down = _step(x, MICROMETRES), _step(y, MICROMETRES)
     tall = down / across if across and down else 1.0
     return SpotTable(np.column_stack([track + 1, *nodes]), across, hz, tall)
+
+
+def _geff_version(path: Path) -> str:
+    """Return the version of the format that a graph states, "" if it states none."""
+    import zarr
+
+    try:
+        attributes = zarr.open_group(path, mode="r").attrs.asdict()
+    except Exception:  # zarr does not document what it raises
+        return ""
+    stated: Any = attributes.get("geff", attributes)
+    return str(stated.get("geff_version", "")) if isinstance(stated, Mapping) else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,6 +58,21 @@ def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
     assert np.allclose(poses(graph(tmp_path / "tracks.geff", axes, values)), POSES)
 
 
+@pytest.mark.parametrize("within", ["geff", None], ids=["under geff", "bare"])
+def test_a_graph_older_than_the_first_release_is_refused_with_its_version(within, tmp_path):
+    """Regression: "No geff key found", or seven errors of validation, cut off."""
+    zarr = pytest.importorskip("zarr", reason="geff is not installed")
+    axes = {"t": TIME, "y": SPACE, "x": SPACE}
+    path = graph(tmp_path / "old.geff", axes, {"t": K, "y": Y, "x": X})
+    group = zarr.open_group(path)
+    about = {"geff_version": "0.1.1", "directed": True, "position_prop": "position"}
+    del group.attrs["geff"]
+    group.attrs.update(about if within is None else {within: about})
+    with pytest.raises(UsageError, match=r"old\.geff: is in GEFF 0\.1\.1, older than") as error:
+        poses(path, UM, HZ)
+    assert "as CSV" in str(error.value.hint)
+
+
 def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_path):
     axes = {"a": {}, "b": {}, "c": {}}
     path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from tetractl.core.poses import Grey
-from tetractl_microscope.film.czi_times import czi_times
+from tetractl_microscope.film.czi_file import czi_begins, czi_times
 from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
@@ -234,8 +234,9 @@ def czi_film(path: Path) -> FilmSource:
 
     file: Any = CziReader(str(path))
     box = file.total_bounding_box
-    begins = {axis: box[axis][0] for axis in "TZC" if axis in box}
-    lengths = [box[axis][1] - begin for axis, begin in begins.items()]
+    stated = czi_begins(path)  # the library counts all axes from 0, but reads by their own indices
+    begins = {axis: stated.get(axis, 0) for axis in "TZC" if axis in box}
+    lengths = [box[axis][1] - box[axis][0] for axis in begins]
     scenes = sorted(file.scenes_bounding_rectangle)
     scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
 

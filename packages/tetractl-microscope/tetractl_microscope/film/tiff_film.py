@@ -81,7 +81,7 @@ def folder_film(folder: Path) -> FilmSource:
                     _add_tags(tif, 0, source)
                 count = len(tif.pages)
                 page: Any = tif.pages[0]
-                by_opencv = page.keyframe.compression in OF_OPENCV
+                by_opencv = _opencv_reads(page)
                 times += [_elapsed_s(page, source) for page in tif.pages]
         pages += [(path, page, by_opencv) for page in range(count)]
     source.count = len(pages)
@@ -131,9 +131,23 @@ def _pixels(page: Any) -> Raw:
         if isinstance(error, ImportError) or IMAGECODECS in str(error):
             raise _codec_missing(page) from error
         raise
-    if page.keyframe.photometric == PHOTOMETRIC.MINISWHITE and pixels.dtype.kind == "u":
+    if _white_first(page) and pixels.dtype.kind == "u":
         pixels = np.iinfo(pixels.dtype).max - pixels  # as OpenCV does
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
+
+
+def _opencv_reads(page: Any) -> bool:
+    """Return whether OpenCV reads a page as it is: of a palette, it gives colours."""
+    known = page.keyframe.compression in OF_OPENCV
+    return known and page.keyframe.photometric != PHOTOMETRIC.PALETTE
+
+
+def _white_first(page: Any) -> bool:
+    """Return whether the brightest pixels of a page are those with the number 0."""
+    if page.keyframe.photometric == PHOTOMETRIC.PALETTE and page.keyframe.colormap is not None:
+        brightness = page.keyframe.colormap.mean(axis=0)
+        return bool(brightness[0] > brightness[-1])
+    return page.keyframe.photometric == PHOTOMETRIC.MINISWHITE
 
 
 def _codec_missing(page: Any) -> UsageError:

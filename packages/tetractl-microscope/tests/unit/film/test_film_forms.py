@@ -40,6 +40,20 @@ def slices(path):
     czi(path, [({"Z": k}, {}, one) for k, one in enumerate(PICTURES)])
 
 
+def later_in_time(path):
+    czi(path, [({"T": 3 + k, "Z": 2}, {}, one) for k, one in enumerate(PICTURES)])
+
+
+def inverted_palette(path):
+    palette = np.tile(np.arange(65535, -1, -257, dtype=np.uint16), (3, 1))
+    tifffile.imwrite(path, 255 - PICTURES, photometric="palette", colormap=palette)
+
+
+def palette(path):
+    colors = np.array([[257 * k, 257 * min(2 * k, 255), 0] for k in range(256)], np.uint16).T
+    tifffile.imwrite(path, PICTURES, photometric="palette", colormap=colors)
+
+
 def two_scenes(path):
     czi(
         path,
@@ -57,17 +71,34 @@ def two_scenes(path):
         ("thumbnail.tif", thumbnail_first, ["the longest of its 2 series of pictures is read"]),
         ("white.tif", white_is_zero, []),
         ("two.ome.tif", two_positions, ["the longest of its 2 series of pictures is read"]),
+        ("inverted.tif", inverted_palette, []),
+        ("palette.tif", palette, []),
         ("slices.czi", slices, []),
+        ("later.czi", later_in_time, []),
         ("scenes.czi", two_scenes, ["the first of 2 scenes is read"]),
     ],
 )
 def test_the_pictures_are_those_that_were_taken(name, write, remarks, tmp_path):
     """Regression: a film after its thumbnail, or of slices, was "one picture, and no film"; white
-    was black without compression alone; scenes were one picture, and positions left out unsaid."""
+    was black without compression alone; scenes were one picture, and positions left out unsaid. The
+    first pictures of a CZI file whose times begin above 0 were black, the last ones lost."""
     write(tmp_path / name)
     found = open_film(tmp_path / name, 30.0)
     assert np.array_equal([picture for _, picture in found], PICTURES)
     assert found.remarks == remarks
+
+
+@pytest.mark.parametrize("write", [inverted_palette, palette])
+def test_a_folder_of_pictures_with_a_palette_is_read_as_a_stack_is(write, tmp_path):
+    write(tmp_path / "stack.tif")
+    with tifffile.TiffFile(tmp_path / "stack.tif") as file:
+        pages = [(page.asarray(), page.colormap) for page in file.pages]
+    (tmp_path / "folder").mkdir()
+    for k, (pixels, colors) in enumerate(pages):
+        file = tmp_path / "folder" / f"{k}.tif"
+        tifffile.imwrite(file, pixels, photometric="palette", colormap=colors)
+    found = open_film(tmp_path / "folder", 30.0)
+    assert np.array_equal([picture for _, picture in found], PICTURES)
 
 
 def test_a_picture_in_which_zero_is_white_is_one_whatever_its_compression(tmp_path):

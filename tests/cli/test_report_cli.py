@@ -76,6 +76,16 @@ def test_the_page_needs_nothing_beside_it(folder):
 
 
 @pytest.mark.system
+def test_the_interval_of_the_mean_is_that_of_stats_digit_for_digit(folder):
+    """Regression: 116.04 to 170.45 in the report, 116.0 to 170.4 in the terminal."""
+    total = tetractl(folder, "stats", "logs").stdout.partition("\n total ")[2].partition("\n")[0]
+    interval = re.search(r"[\d.]+ to [\d.]+", total)
+    assert interval
+    html = (folder / "report.html").read_text()
+    row = html.partition("mean total error")[2].partition("</table>")[0]
+    assert f">{interval[0]}<" in row and f">{total.split()[1]}<" in row
+
+
 def test_the_same_logs_give_the_same_page(folder):
     assert tetractl(folder, "report", "logs", "-o", "again.html").returncode == 0
     assert (folder / "again.html").read_text() == (folder / "report.html").read_text()

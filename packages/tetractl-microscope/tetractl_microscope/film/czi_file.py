@@ -74,7 +74,8 @@ def _begins(file: BinaryIO) -> dict[str, int]:
             name, begin = _unpacked(file, place, AXIS.format)
             place += AXIS.size
             axis = name.rstrip(b"\0").decode("ascii")
-            begins[axis] = min(begins.get(axis, begin), begin)
+            if axis not in begins or begin < begins[axis]:
+                begins[axis] = begin
     return begins
 
 

@@ -163,6 +163,14 @@ def filter_model(prior: Prior, body: BodyModel) -> FilterModel:
     )
 
 
+def with_saturation(model: FilterModel) -> FilterModel:
+    """Return the model of robots on wheels whose motors may saturate: the saturation, which was
+    taken for none until now, drifts from that which is tried."""
+    walk = model.walk.copy()
+    walk[LN_SATURATION] = SATURATION_DRIFT
+    return model._replace(walk=walk)
+
+
 def first_std(prior: Prior, body: BodyModel) -> Floats:
     """Return the standard deviations (N, n) from which the n states with a variance start; those of
     the pose are 0 until it is that of a frame."""

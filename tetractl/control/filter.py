@@ -68,11 +68,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.control.bank_start import bank_with_replaced, first_bank, reopened_bank
-from tetractl.control.body_model import SATURATION_DRIFT, body_model, filter_model
+from tetractl.control.body_model import body_model, filter_model, with_saturation
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     GRID,
-    LN_SATURATION,
     Bank,
     NextFilters,
     Outlook,
@@ -318,13 +317,13 @@ class FilterBank:
         start = self._start(frames)
         if start is None:
             assert self.last_frame is not None
-            way = [self.last_frame, *frames]
+            to_follow = [self.last_frame, *frames]
         else:
-            way = frames[start:]
-            self._place(way[0], np.ones(len(self.prior.a), dtype=np.bool_))
-        if len(way) > 1:
-            self._follow(way)
-        self.last_frame = way[-1]
+            to_follow = frames[start:]
+            self._place(to_follow[0], self._all_robots())
+        if len(to_follow) > 1:
+            self._follow(to_follow)
+        self.last_frame = to_follow[-1]
 
     def _start(self, frames: Sequence[Observation]) -> int | None:
         """Return the index of the last frame whose poses are taken as they are, None if there is
@@ -384,15 +383,15 @@ class FilterBank:
         unlikely, and refine each robot's grid around likely dead times."""
         from tetractl.control.kernels.bank import select, share
 
-        bank, shared, step_s = self._running
-        share(bank, shared, step_s)
-        filters, robots = bank.score.shape
+        share(self.bank, self.shared, self.step_s)
+        filters, robots = self.bank.score.shape
         most = max(filters, GRID.refined * self.body.groups_max)
-        going_on = NextFilters.empty(most, robots)
+        going_on = NextFilters.empty(most, robots)  # filled by `select`
+        step_s = self.step_s.copy()  # halved by it for robots whose grid is refined
         commanded = self.commands.number > 0
-        changed = select(bank, shared, step_s, self.body.tried, commanded, going_on)
-        if changed:  # and step_s where the grid is finer now
-            self._running = self._sharing(going_on.taken_from(bank), step_s)
+        changed = select(self.bank, self.shared, step_s, self.body.tried, commanded, going_on)
+        if changed:
+            self._running = self._sharing(going_on.taken_from(self.bank), step_s)
 
     def _may_reopen(self, newest: Observation) -> bool:
         """Return whether the bank is opened again if the model does not fit: not for cells, whose
@@ -404,10 +403,14 @@ class FilterBank:
         """Open the bank again at a frame: begin with the first dead times, and with motors that may
         saturate for robots with `heading_misfits` (N,)."""
         bank = reopened_bank(self.bank, self.likeliest(), heading_misfits, self.prior, self.body)
-        self.model.walk[LN_SATURATION] = SATURATION_DRIFT  # it was known to be none until now
+        self.model = with_saturation(self.model)
         self.reopened_ns = frame.sampled_ns
         self._running = self._sharing(bank, self._first_steps())
-        self._place(frame, np.ones(len(self.prior.a), dtype=np.bool_))
+        self._place(frame, self._all_robots())
+
+    def _all_robots(self) -> Bools:
+        """Return that all robots are meant (N,)."""
+        return np.ones(len(self.prior.a), dtype=np.bool_)
 
     def _first_steps(self) -> Floats:
         """Return how far the dead times of each robot are apart at first (N,) [s]."""

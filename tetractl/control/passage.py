@@ -2,16 +2,26 @@
 
 A common direction moves all robots nearly alike, so that robots pass a gap one after the other, and
 hardly any random sequence of directions leads many robots, or several through a gap, to targets far
-apart. `ways` searches a `Tree`: each branch holds a direction for HELD_S. Of each level only the
-best nodes are kept (beam search; Lowerre, The HARPY speech recognition system, 1976), which are
-those with the least sum of squares of the robots' ways to their targets round the obstacles. Of
-nodes with all robots at nearly the same places only the first is kept, so that the few that are
-kept differ. An optimiser can begin with the signals of a node at which all robots are near their
-targets, or are nearest. Nothing depends on a clock, and the number of nodes bounds the time.
+apart. `ways` finds sequences that do, for an optimiser to begin with.
+
+It grows a `Tree`. A *node* is where all robots are after some signals; a *branch* grows from it by
+one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
+
+    _grid_ways      say how far each robot still has to go, round the obstacles, to its target
+    _best_branches  keeps the branches with the least sum of squares of these ways (beam search;
+                    Lowerre, The HARPY speech recognition system, 1976), if bodies keep clear; of
+                    those that bring all robots to nearly the same places only the best one, so
+                    that the few that are kept differ
+
+and the signals to nodes at which all robots are near their targets are yielded, or at last those to
+the nearest one. Nothing depends on a clock: the number of nodes bounds the time.
 
 Such a plan is long, and small errors of the model at its beginning are large at its end. Robots
 that follow it therefore search only the next AHEAD signals again, with the places where the plan
 leads them as targets.
+
+Shapes: N robots, T moments along a branch, B branches of a level, C cells of the arena, O obstacles
+and walls. Lengths are in the spec's length unit.
 """
 
 from collections.abc import Iterator
@@ -82,23 +92,26 @@ class Tree:
         self._held = held
         self._side = SQUARE_SIDE * float((problem.speed / problem.a).max())
         self._factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
-        self._one, self._other = np.triu_indices(count, 1)
+        """Odd numbers (2 N,): the sum of a node's squares times these is a number of its own."""
         self._nodes: Floats = problem.poses.array()[None]
-        self._taken = np.empty(0, dtype=np.int64)  # squares of all nodes kept
-        # of the branches grown last (B, ...): their directions, and where and in which squares
-        # robots are at their ends
+        self._squares_of_nodes: Integers = np.empty(0, dtype=np.int64)
+        """The numbers of all nodes of all levels."""
+        # of the branches grown last:
         self._directions: Floats = np.empty(0)
+        """(B,)"""
         self._ends: Floats = self._nodes
-        self._squares: Integers = self._taken
+        """(B, N, 3) poses at their ends."""
+        self._squares: Integers = self._squares_of_nodes
+        """(B,) the numbers of their ends."""
 
     def grow(self) -> Floats:
         """Grow BRANCHES of them from each node of the last level; return the poses
         (PARTS held, B, N, 3) along them."""
         count = len(self._problem.a)
         first = uniform(self._key, 2 * count + len(self.levels), 1)
-        around = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
+        all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
         starts = self._nodes.repeat(BRANCHES, axis=0)
-        self._directions = np.tile(around, len(self._nodes))
+        self._directions = np.tile(all_round, len(self._nodes))
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
         path = compiled_branches(self._problem, starts, self._directions, turns, part)[1:]
@@ -110,20 +123,14 @@ class Tree:
     def unlike(self, order: Integers) -> Integers:
         """Return those of the branches `order`, best first, whose ends are like neither a node nor
         the end of a better branch."""
-        first = np.sort(np.unique(self._squares[order], return_index=True)[1])
-        best = order[first]
-        return best[~np.isin(self._squares[best], self._taken)]
-
-    def apart(self, x: Floats, y: Floats) -> Bools:
-        """Return along which branches robots at x, y (T, B, N) keep the separation."""
-        one = self._one
-        other = self._other
-        gaps = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
-        return np.asarray((gaps > self._problem.separation).all(axis=(0, 2)))
+        _, first_places = np.unique(self._squares[order], return_index=True)
+        unlike_each_other = order[np.sort(first_places)]
+        like_a_node = np.isin(self._squares[unlike_each_other], self._squares_of_nodes)
+        return unlike_each_other[~like_a_node]
 
     def keep(self, branches: Integers) -> None:
         """Make the ends of branches the nodes of the next level."""
-        self._taken = np.append(self._taken, self._squares[branches])
+        self._squares_of_nodes = np.append(self._squares_of_nodes, self._squares[branches])
         self._nodes = self._ends[branches]
         self.levels.append(Level(branches // BRANCHES, self._directions[branches]))
 
@@ -137,21 +144,24 @@ class Tree:
 
 
 class Squares:
-    """The square cells of an arena, as rows and columns."""
+    """The square cells of an arena, as rows and columns, numbered row by row."""
 
     def __init__(self, arena: Bounds) -> None:
         self.side = max(arena.width, arena.height) / CELLS_ACROSS
         self._low = np.array([arena.left, arena.bottom], dtype=np.float64)
-        columns, rows = (max(1, round(one / self.side)) for one in (arena.width, arena.height))
+        columns = max(1, round(arena.width / self.side))
+        rows = max(1, round(arena.height / self.side))
         self.shape = rows, columns
-        at = np.indices(self.shape)[::-1].reshape(2, -1).T
-        self.centres: Floats = self._low + (at + 0.5) * self.side  # (C, 2)
+        columns_and_rows = np.indices(self.shape)[::-1].reshape(2, -1).T  # (C, 2)
+        self.centres: Floats = self._low + (columns_and_rows + 0.5) * self.side
+        """(C, 2)"""
 
     def cells(self, xy: Floats) -> Integers:
         """Return the numbers (...) of the cells that contain points (..., 2), or are nearest."""
-        most = np.array(self.shape[::-1]) - 1
-        at = np.clip(((xy - self._low) / self.side).astype(np.int64), 0, most)
-        return at[..., 1] * self.shape[1] + at[..., 0]
+        rows, columns = self.shape
+        last = np.array([columns - 1, rows - 1])
+        column_and_row = np.clip(((xy - self._low) / self.side).astype(np.int64), 0, last)
+        return column_and_row[..., 1] * columns + column_and_row[..., 0]
 
     def ways(self, free: Bools, targets: Floats) -> Floats:
         """Return the lengths (N C,) of ways through free cells (C,) from each to each of the
@@ -161,16 +171,20 @@ class Squares:
         from scipy.sparse.csgraph import dijkstra  # slow to import, and seldom needed
 
         free[self.cells(targets)] = True
-        n = np.arange(len(free)).reshape(self.shape)
-        beside = [(n[:, 1:], n[:, :-1]), (n[1:], n[:-1])]
-        across = [(n[1:, 1:], n[:-1, :-1]), (n[1:, :-1], n[:-1, 1:])]
-        ends = zip(*beside, *across, strict=True)
-        one, other = (np.concatenate([cells.ravel() for cells in end]) for end in ends)
-        both = free[one] & free[other]
-        one = one[both]
-        other = other[both]
-        length = np.hypot(*(self.centres[one] - self.centres[other]).T)
-        graph = coo_array((length, (one, other)), shape=(len(free), len(free))).tocsr()
+        numbers = np.arange(len(free)).reshape(self.shape)
+        neighbours = (
+            (numbers[:, 1:], numbers[:, :-1]),  # in a row
+            (numbers[1:], numbers[:-1]),  # in a column
+            (numbers[1:, 1:], numbers[:-1, :-1]),  # along a diagonal
+            (numbers[1:, :-1], numbers[:-1, 1:]),  # along the other
+        )
+        starts = np.concatenate([cells.ravel() for cells, _ in neighbours])
+        ends = np.concatenate([cells.ravel() for _, cells in neighbours])
+        passable = free[starts] & free[ends]
+        starts = starts[passable]
+        ends = ends[passable]
+        length = np.hypot(*(self.centres[starts] - self.centres[ends]).T)
+        graph = coo_array((length, (starts, ends)), shape=(len(free), len(free))).tocsr()
         return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
 
 
@@ -178,45 +192,78 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     """Yield up to STARTS_IN_ALL sequences of up to `most` signals that lead all robots near their
     targets, about the shortest first, and at last the one that leads nearest. `key` seeds the first
     direction of each level."""
-    grid = Squares(arena)
     count = len(problem.a)
-    gaps = np.empty((problem.obstacles.count, len(grid.centres)))
-    x, y = grid.centres.T.copy()
-    clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x, y, gaps)
-    free = gaps.min(axis=0, initial=np.inf) > -grid.side / 2
-    left = grid.ways(free, problem.targets)
-    own = np.arange(count) * len(grid.centres)
-    near = WAYS_LEFT * float((problem.speed / problem.a).sum())
     held = max(1, round(HELD_S / problem.period))
-    kept = max(1, NODES_KEPT // count)
+    nodes_max = max(1, NODES_KEPT // count)
+    near = WAYS_LEFT * float((problem.speed / problem.a).sum())
+    grid = Squares(arena)
+    grid_ways = _grid_ways(problem, grid)
+    first_cells = np.arange(count) * len(grid.centres)  # of each robot in these
     tree = Tree(problem, key, held)
-    tried = 0
-    nearest = (np.inf, 0)
+    yielded = 0
+    least_left = np.inf
+    nearest_level = 0
     for level in range(most // held):
         path = tree.grow()
-        ways_left = left[grid.cells(path[..., :2]) + own]
-        total = (ways_left[-1] ** 2).sum(axis=1)
-        order = np.argsort(total, kind="stable")
-        order = order[np.isfinite(ways_left.sum(axis=(0, 2)))[order]]
-        best = tree.unlike(order)[: NODES_COMPUTED * kept]
-        x, y = np.moveaxis(path[:, best, :, :2], -1, 0).copy()
-        clear = tree.apart(x, y)
-        gaps = np.empty((problem.obstacles.count, x.size))
-        clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x.ravel(), y.ravel(), gaps)
-        clear &= (gaps > 0).all(axis=0).reshape(x.shape).all(axis=(0, 2))
-        best = best[clear][:kept]
-        if not len(best):
+        ways_left = grid_ways[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
+        branches = _best_branches(problem, tree, path, ways_left, nodes_max)
+        if len(branches) == 0:
             break
-        tree.keep(best)
-        total = ways_left[-1, best].sum(axis=1)
-        nearest = min(nearest, (float(total[0]), level))
-        for node in range(min(int((total[:STARTS_OF_LEVEL] < near).sum()), STARTS_IN_ALL - tried)):
+        tree.keep(branches)
+        left = ways_left[-1, branches].sum(axis=1)  # of all robots together, at each node
+        if left[0] < least_left:
+            least_left = float(left[0])
+            nearest_level = level
+        number_near = int((left[:STARTS_OF_LEVEL] < near).sum())
+        for node in range(min(number_near, STARTS_IN_ALL - yielded)):
             yield tree.sequence(node)
-            tried += 1
-        if tried == STARTS_IN_ALL:
+            yielded += 1
+        if yielded == STARTS_IN_ALL:
             return
-    if tree.levels and not tried:
-        yield tree.sequence(0, nearest[1] + 1)
+    if tree.levels and yielded == 0:
+        yield tree.sequence(0, nearest_level + 1)
+
+
+def _grid_ways(problem: Problem, grid: Squares) -> Floats:
+    """Return the lengths of each robot's ways from each cell to its target (N C,), through cells
+    whose centres are free, or inside an obstacle by less than half a cell."""
+    x = grid.centres[:, 0].copy()
+    y = grid.centres[:, 1].copy()
+    free = _gaps(problem, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
+    return grid.ways(free, problem.targets)
+
+
+def _best_branches(
+    problem: Problem, tree: Tree, path: Floats, ways_left: Floats, nodes_max: int
+) -> Integers:
+    """Return the branches grown last, with poses path (T, B, N, 3), whose ends become nodes: up to
+    `nodes_max`, the best first. Clearances take time, so only those of the best are computed.
+    """
+    squares = (ways_left[-1] ** 2).sum(axis=1)
+    order = np.argsort(squares, kind="stable")
+    reaches = np.isfinite(ways_left.sum(axis=(0, 2)))  # no robot is cut off from its target
+    best = tree.unlike(order[reaches[order]])[: NODES_COMPUTED * nodes_max]
+    clear = _keep_clear(problem, path[:, best, :, :2])
+    return best[clear][:nodes_max]
+
+
+def _keep_clear(problem: Problem, xy: Floats) -> Bools:
+    """Return along which branches robots at xy (T, B, N, 2) keep their distances to each other and
+    to obstacles (B,)."""
+    x = xy[..., 0].copy()
+    y = xy[..., 1].copy()
+    i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
+    between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
+    apart = (between > problem.separation).all(axis=-1)  # (T, B)
+    outside = (_gaps(problem, x.ravel(), y.ravel()) > 0).all(axis=0).reshape(x.shape).all(axis=-1)
+    return (apart & outside).all(axis=0)
+
+
+def _gaps(problem: Problem, x: Floats, y: Floats) -> Floats:
+    """Return the distance of each point (P,) to each obstacle and wall (O, P), negative inside."""
+    gaps = np.empty((problem.obstacles.count, len(x)))
+    clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x, y, gaps)
+    return gaps
 
 
 def ahead(problem: Problem, way: Floats) -> Problem:

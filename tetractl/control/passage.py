@@ -256,7 +256,7 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
     apart = (between > problem.separation).all(axis=-1)  # (T, B)
     outside = (_gaps(problem, x.ravel(), y.ravel()) > 0).all(axis=0).reshape(x.shape).all(axis=-1)
-    return (apart & outside).all(axis=0)
+    return np.asarray((apart & outside).all(axis=0))
 
 
 def _gaps(problem: Problem, x: Floats, y: Floats) -> Floats:

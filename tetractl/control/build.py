@@ -30,8 +30,10 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
         now_s = time.monotonic()
         if said_s and now_s - said_s[-1] < AGAIN_S:
             return
-        left = f"{now_s - began_s:.0f} s so far" if said_s else "10 to 40 s, cached for later runs"
-        announce(f"compiling for {compiled_for(experiment)}: {left} ...")
+        duration = "10 to 40 s, cached for later runs"
+        if said_s:
+            duration = f"{now_s - began_s:.0f} s so far"
+        announce(f"compiling for {compiled_for(experiment)}: {duration} ...")
         said_s.append(now_s)
 
     compiling.append(say)

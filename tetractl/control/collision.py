@@ -15,7 +15,7 @@ class Collision(Model):
     """Whether leaving the arena counts as entering an obstacle."""
     radius: NonNegative = 0.0
     """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
-    separation: NonNegative = Field(default_factory=lambda given: 2 * given.get("radius", 0.0))
+    separation: NonNegative = Field(default_factory=lambda fields: 2 * fields.get("radius", 0.0))
     """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
     meet. The distance is tested at the predicted positions. The default is two radii."""
     adaptive: bool = True

@@ -68,32 +68,33 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     path[0] = problem.poses.array()
     x = path[..., 0]
     y = path[..., 1]
-    every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same signals for every robot
+    directions = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same for all robots
     if problem.bias is not None:
-        every = every + problem.bias
-    own = all_in_rows(problem)
+        directions = directions + problem.bias  # (L, ..., N)
+    parameters = all_in_rows(problem)
     turns = problem.side is not None or problem.saturation is not None
-    for j, u in enumerate(every):
-        held = problem.first_period if j == 0 else problem.period
-        start = x[j], y[j], path[j, ..., 2]
-        rate = _rates(start[2], u, own, held) if turns else problem.a
-        path[j + 1] = np.stack(motion.step(*start, u, rate, problem.speed, held), axis=-1)
+    for j, u in enumerate(directions):
+        seconds = problem.first_period if j == 0 else problem.period
+        heading = path[j, ..., 2]
+        rate = _rates(heading, u, parameters, seconds) if turns else problem.a
+        moved = motion.step(x[j], y[j], heading, u, rate, problem.speed, seconds)
+        path[j + 1] = np.stack(moved, axis=-1)
     if problem.flow is not None:
-        periods = np.arange(len(every)).reshape(-1, *(1 for _ in shape))
+        periods = np.arange(len(directions)).reshape(-1, *(1 for _ in shape))
         times = problem.first_period + problem.period * periods
         x[1:] += times * problem.flow[:, 0]
         y[1:] += times * problem.flow[:, 1]
     return path
 
 
-def _rates(heading: Floats, u: Floats, own: Floats, seconds: float) -> Floats:
-    """Return the rates a (..., N) of a step, by `turning`."""
+def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
+    """Return the rates a (..., N) of a step, by `turning`, of robots with rows of parameters."""
     c = np.cos(heading)
     s = np.sin(heading)
     cu = np.cos(u)
     su = np.sin(u)
-    found = np.vectorize(lambda c, s, cu, su, *each: turning(c, s, cu, su, each, seconds)[0])
-    return found(c, s, cu, su, *own.T)
+    rates = np.vectorize(lambda c, s, cu, su, *robot: turning(c, s, cu, su, robot, seconds)[0])
+    return rates(c, s, cu, su, *parameters.T)
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
@@ -122,9 +123,9 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
         hits = problem.obstacles.contain(x[1:], y[1:])
     obstacle = hits.sum(axis=(0, 2)).astype(np.float64)  # (9)
     if problem.separation > 0:
-        one, other = np.triu_indices(x.shape[-1], 1)
-        dx = x[1:, :, one] - x[1:, :, other]
-        dy = y[1:, :, one] - y[1:, :, other]
+        i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
+        dx = x[1:, :, i] - x[1:, :, k]
+        dy = y[1:, :, i] - y[1:, :, k]
         obstacle += (dx * dx + dy * dy <= problem.separation**2).sum(axis=(0, 2))
     total = target + problem.obstacle_weight * obstacle  # (7)
     require_finite(total)

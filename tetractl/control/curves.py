@@ -17,8 +17,8 @@ def interpolate(knots: Floats, length: int) -> Floats:
 
     The first and last signals are the first and last knots; K is at most `length`.
     """
-    at = np.linspace(0, len(knots) - 1, length)
-    below = np.minimum(at.astype(np.int64), max(len(knots) - 2, 0))
-    share = (at - below)[:, None]
+    places = np.linspace(0, len(knots) - 1, length)
+    below = np.minimum(places.astype(np.int64), max(len(knots) - 2, 0))
+    share = (places - below)[:, None]
     after = np.minimum(below + 1, len(knots) - 1)
     return knots[below] * (1 - share) + knots[after] * share

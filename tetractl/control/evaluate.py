@@ -21,10 +21,10 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     rollout = lay_out(problem, count)
 
     def evaluate(signals: Floats) -> Floats:
-        found = np.empty(count)
-        costs(rollout, np.ascontiguousarray(signals), found)
-        require_finite(found)
-        return found
+        total = np.empty(count)
+        costs(rollout, np.ascontiguousarray(signals), total)
+        require_finite(total)
+        return total
 
     return evaluate
 
@@ -41,15 +41,16 @@ def compiled_branches(
 
     copies = len(towards)
     robots = len(problem.a)
-    of = flat(problem)
+    motion = flat(problem)
     path = np.empty((len(turns) + 1, copies * robots, 3))
-    drift = np.tile(of.drift, copies)
     path[0] = start.reshape(-1, 3)
     bias = np.zeros(robots) if problem.bias is None else problem.bias
-    each = (towards[:, None] + bias).ravel()
-    drift[:2] = np.cos(each), np.sin(each)
-    parameters = np.tile(of.parameters, (copies, 1))
-    predict(turns, parameters, drift, seconds, seconds, of.rest, path)
+    directions = (towards[:, None] + bias).ravel()
+    drift = np.tile(motion.drift, copies)
+    drift[0] = np.cos(directions)
+    drift[1] = np.sin(directions)
+    parameters = np.tile(motion.parameters, (copies, 1))
+    predict(turns, parameters, drift, seconds, seconds, motion.rest, path)
     return path.reshape(-1, *start.shape)
 
 
@@ -58,13 +59,23 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import foresee
 
-    of = flat(problem)
+    motion = flat(problem)
     path = np.empty((signals.size + 1, problem.a.size, 3))
-    path[0] = of.start
-    motion = of.parameters, of.drift, problem.first_period, problem.period, of.rest
-    around = problem.obstacles.rows, problem.obstacles.walls, problem.swept
-    asked = path, np.ascontiguousarray(problem.targets), *around, float(problem.separation)
-    target, obstacle = foresee(np.ascontiguousarray(signals), *motion, *asked)
+    path[0] = motion.start
+    target, obstacle = foresee(
+        np.ascontiguousarray(signals),
+        motion.parameters,
+        motion.drift,
+        problem.first_period,
+        problem.period,
+        motion.rest,
+        path,
+        np.ascontiguousarray(problem.targets),
+        problem.obstacles.rows,
+        problem.obstacles.walls,
+        problem.swept,
+        float(problem.separation),
+    )
     if not math.isfinite(target):
         require_finite(np.array([target]))
     return Foreseen(path, target, obstacle)
@@ -76,7 +87,7 @@ def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats
     from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import drive
 
-    of = flat(problem)
+    motion = flat(problem)
     path = np.empty((len(seconds), len(towards), 3))
-    drive(of.start, towards, of.parameters, of.drift, of.rest, seconds, path)
+    drive(motion.start, towards, motion.parameters, motion.drift, motion.rest, seconds, path)
     return path

@@ -22,9 +22,9 @@ class StopForecast:
     error: float
 
 
-def given_search(problem: Problem, signals: Floats, seen: Foreseen) -> Search:
+def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
     """Return a search record of given signals (L,) [rad], whose prediction is known."""
-    return search_of(signals, seen.target + problem.obstacle_weight * seen.obstacle)  # (7)
+    return search_of(signals, foreseen.target + problem.obstacle_weight * foreseen.obstacle)  # (7)
 
 
 def search_of(signals: Floats, cost: float) -> Search:
@@ -32,16 +32,16 @@ def search_of(signals: Floats, cost: float) -> Search:
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 
-def make_plan(searches: Sequence[Search], chosen: int, step_key: int, seen: Foreseen) -> Plan:
+def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: Foreseen) -> Plan:
     """Return the plan of a control step from its searches, given the prediction for the chosen
     one."""
     best = searches[chosen]
     return Plan(
         signals=best.signals,
-        path=seen.path,
+        path=foreseen.path,
         cost=best.cost,
-        target_cost=seen.target,
-        obstacle_cost=seen.obstacle,
+        target_cost=foreseen.target,
+        obstacle_cost=foreseen.obstacle,
         searches=tuple(searches),
         chosen=chosen,
         generator=step_key,
@@ -50,8 +50,8 @@ def make_plan(searches: Sequence[Search], chosen: int, step_key: int, seen: Fore
 
 def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
     """Return the plan of given signals (L,) [rad]."""
-    seen = foresee(problem, signals)
-    return make_plan([given_search(problem, signals, seen)], 0, step_key, seen)
+    foreseen = foresee(problem, signals)
+    return make_plan([given_search(problem, signals, foreseen)], 0, step_key, foreseen)
 
 
 def least_error(problem: Problem, period_s: float) -> float:

@@ -60,13 +60,13 @@ class CircleSearch(OptimizerSection):
         progress = Progress(length, limits)
         times = problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
-        known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)
+        sequences = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)
         if warm is not None and len(warm):
             turn = float(warm[-1] - warm[-2]) if len(warm) > 1 else 0.0
             further = warm[-1] + turn * np.arange(1, length + 1)
-            known = np.vstack([np.append(warm, further)[:length], known])
-        known = wrap(known)
-        progress.add(known.T, evaluate(problem, known).total)
+            sequences = np.vstack([np.append(warm, further)[:length], sequences])
+        sequences = wrap(sequences)
+        progress.add(sequences.T, evaluate(problem, sequences).total)
         for z in range(self.rounds):
             progress.ended = progress.limit_before(self.samples)
             if progress.ended is not None:

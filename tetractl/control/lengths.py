@@ -105,7 +105,7 @@ class Searcher:
                 return None
             if good(search):
                 return length
-            spent = sum(one.evaluations * one.length for one in self.found)
+            spent = sum(search.evaluations * search.length for search in self.found)
             if length == most or spent * self.problem.a.size > SPREAD_WORK:
                 return None
             length = min(most, max(length + 1, round(SPREAD * length)))
@@ -141,8 +141,8 @@ class Searcher:
         """
         before = len(self.found)
         for start in starts:
-            found = self._search(problem, len(start), start, mix(self._key, len(start)))
-            if found is None or good(found):
+            search = self._search(problem, len(start), start, mix(self._key, len(start)))
+            if search is None or good(search):
                 break
         costs = [search.cost for search in self.found]
         return costs.index(min(costs)) >= before

@@ -117,10 +117,10 @@ class SearchFields(PlainSection):
 
     def bounds(self) -> dict[str, str]:
         """Return the limits of horizons and evaluations as texts to display, {name: text}."""
-        found = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
+        texts = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
         if most := self.optimizer.evaluations_max:
-            found["cost evaluations of a horizon"] = f"at most {most}"
-        return found
+            texts["cost evaluations of a horizon"] = f"at most {most}"
+        return texts
 
     def numbers_held(self, setup: Setup) -> int:
         """Return the number of floats that the longest search stores: positions, velocities, bests
@@ -146,8 +146,8 @@ class SearchFields(PlainSection):
         from tetractl.control.evaluate import compiled_foresee
 
         problem = self.problem(setup)
-        found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
-        compiled_foresee(problem, found.signals)
+        search = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
+        compiled_foresee(problem, search.signals)
         super().warm_up(setup)
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
@@ -185,11 +185,11 @@ class RecommendedMpc(SearchFields):
 
     type: Literal["mpc"] = "mpc"
     signal_periods: PositiveInt = Field(
-        default_factory=lambda given: max(1, round(SIGNAL_S / given.get("period", SIGNAL_S)))
+        default_factory=lambda fields: max(1, round(SIGNAL_S / fields.get("period", SIGNAL_S)))
     )
     """Number of control periods for which a plan holds each signal. The plan's time grid is so many
     times coarser than the control's, and a signal can still be changed at each control step."""
-    deadline: Positive = Field(default_factory=lambda given: 0.8 * given.get("period", SIGNAL_S))
+    deadline: Positive = Field(default_factory=lambda fields: 0.8 * fields.get("period", SIGNAL_S))
     """Time after which the searches of a control step end and the best sequence so far is used [s];
     for standing robots it is 1 s. The default is 80 % of the control period. In virtual time the
     searches' work is counted, so that a simulation depends only on its seed."""
@@ -225,8 +225,8 @@ class RecommendedMpc(SearchFields):
             fitting["accept_error"] = float(f"{0.45 * self.period * speed:.2g}")
         if not stands:
             off = {"stop_before_collision": False, "silence": 0.0}
-            left = {k: v for k, v in off.items() if k not in self.collision.model_fields_set}
-            fitting["collision"] = self.collision.model_copy(update=left)
+            unset = {k: v for k, v in off.items() if k not in self.collision.model_fields_set}
+            fitting["collision"] = self.collision.model_copy(update=unset)
         return self.model_copy(update=fitting)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:

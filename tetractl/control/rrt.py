@@ -99,17 +99,17 @@ class Rrt(PlainController):
         A robot too near to its target to turn towards it would circle it for ever; it drives
         straight on until it is far enough away.
         """
-        here = problem.poses.xy[0]
+        place = problem.poses.xy[0]
         region = problem.obstacles
-        while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:
+        while len(self._path) > 1 and np.hypot(*(self._path[0] - place)) <= self._reach:
             self._path = self._path[1:]
-        blocked = bool(region.cross(here[0], here[1], self._path[0, 0], self._path[0, 1]))
-        if blocked and not region.contain(here[0], here[1]):
+        blocked = bool(region.cross(place[0], place[1], self._path[0, 0], self._path[0, 1]))
+        if blocked and not region.contain(place[0], place[1]):
             target = problem.targets[0]
             draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
-            found = grow(region, self._arena, here, target, self._edge, draws)
-            self._path = target[None] if found is None else found
-        corner = self._path[0] - here
+            path = grow(region, self._arena, place, target, self._edge, draws)
+            self._path = target[None] if path is None else path
+        corner = self._path[0] - place
         u = float(np.arctan2(corner[1], corner[0]))
         heading = float(problem.poses.heading[0])
         beside = len(self._path) == 1 and np.hypot(*corner) <= self._reach
@@ -149,8 +149,8 @@ def grow(
     count = 1
     low = np.array([arena.left, arena.bottom])
     size = np.array([arena.width, arena.height])
-    for share, *at in draws.tolist():
-        point = target if share < RrtSection.goal_bias else low + size * at
+    for share, *place in draws.tolist():
+        point = target if share < RrtSection.goal_bias else low + size * place
         ways = point - nodes[:count]
         far = np.hypot(ways[:, 0], ways[:, 1])
         nearest = int(np.argmin(far))
@@ -162,8 +162,8 @@ def grow(
         nodes[count] = node
         before[count] = nearest
         count += 1
-        left = float(np.hypot(*(target - node)))
-        if left <= edge and not region.cross(node[0], node[1], target[0], target[1]):
+        distance = float(np.hypot(*(target - node)))
+        if distance <= edge and not region.cross(node[0], node[1], target[0], target[1]):
             path = [target]
             i = count - 1
             while i > 0:

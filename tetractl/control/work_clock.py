@@ -40,10 +40,10 @@ class _Counted:
     ) -> Search:
         """Search, and count the evaluations before each look at the deadline."""
         began = self.clock.ns + SEARCH_NS
-        each = ROBOT_STEP_NS * length * problem.a.size
+        evaluation_ns = ROBOT_STEP_NS * length * problem.a.size
 
         def spent(evaluations: int) -> None:
-            self.clock.ns = began + evaluations * each
+            self.clock.ns = began + evaluations * evaluation_ns
 
         def expired(evaluations: int) -> bool:
             spent(evaluations)
@@ -52,6 +52,6 @@ class _Counted:
         counted = limits
         if limits.timed:
             counted = Limits(limits.evaluations, expired)
-        found = self.optimizer.search(problem, length, warm, key, counted)
-        spent(found.evaluations)
-        return found
+        search = self.optimizer.search(problem, length, warm, key, counted)
+        spent(search.evaluations)
+        return search

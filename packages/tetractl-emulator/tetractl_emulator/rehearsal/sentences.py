@@ -26,7 +26,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl_emulator.rehearsal.log_checks import log_differences
 from tetractl_emulator.rehearsal.logged import MUTE, logged
 from tetractl_emulator.rehearsal.schedule import FRAME_S, MOTION
-from tetractl_emulator.rehearsal.truth import EMERGENCY, Truth
+from tetractl_emulator.rehearsal.truth import EMERGENCY, MOVES_MM_S, Truth
 from tetractl_emulator.rehearsal.violation import Violation
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
 
@@ -40,6 +40,7 @@ STOPS = 5  # a radio that loses every second packet takes one of these on 97 of 
 POSE_MM, POSE_RAD = 95.0, 1.0  # a body's length, and the turn by which a robot leaves its way
 RESULT_MM = 10.0  # 0.03 s of driving at 200 mm/s, and the noise of poses at rest
 RESTS_S = 1.0  # of pictures that show whether robots rest
+SHOWN_S = NOISE_MM / MOVES_MM_S  # in which the slowest motion that counts is more than noise
 LATE_RADIO = ("late_radio", "overtaken_packets")
 ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 
@@ -121,8 +122,9 @@ def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     if not truth.met(*MUTE) and not truth.killed:
         yield from _stops(truth)
     begins_s = truth.first("run")
+    shown_s = SHOWN_S + truth.limits.latency + AIR_S
     for began_s, ended_s, kind in truth.shown_moving:
-        if began_s + RESTS_S + AIR_S < begins_s < ended_s:
+        if began_s + shown_s < begins_s < ended_s:
             yield _unrest(begins_s, f"a run begins though the camera shows motion: {kind}")
 
 

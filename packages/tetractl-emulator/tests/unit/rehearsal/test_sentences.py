@@ -145,6 +145,15 @@ def test_robots_rest_after_a_stop(events, more):
     assert "not at rest" in broken(events, **more)
 
 
+@pytest.mark.parametrize(("shown_s", "wrong"), [(0.5, False), (0.6, True)])
+def test_no_run_begins_while_the_camera_shows_motion_for_as_long_as_a_preflight(shown_s, wrong):
+    """Regression: motion had to be shown for longer than a preflight lasts, so that a check of rest
+    that misses it was never found.
+    """
+    events = [starts(0.95 - shown_s), at(0.95, "run"), END]
+    assert ("not at rest" in broken(events, fault=GHOST)) == wrong
+
+
 def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once():
     assert not broken([*GOOD, command(2.501, 20), command(2.503, 0, 0)])
 

@@ -6,7 +6,7 @@ user of that command can stop the robots.
 import logging
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -238,6 +238,7 @@ def read_log(path: str | Path) -> TrialLog:
     """
     from tetractl.log.read.reader import read_trial
 
+    _demand(path, str | Path, "read_log reads the file of a log")
     return read_trial(Path(path))
 
 
@@ -250,6 +251,10 @@ def read_batch(*paths: str | Path) -> "Batch":
     """
     from tetractl.results.open_batch import open_batch
 
+    if not paths:
+        raise UsageError("no log is given")
+    for path in paths:
+        _demand(path, str | Path, "read_batch reads logs, folders and patterns")
     return open_batch(paths)
 
 
@@ -320,7 +325,7 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
 
     if isinstance(data, str | Path):
         data = read_batch(data) if Path(data).is_dir() else read_log(data)
-    table = poses(data) if isinstance(data, TrialLog) else trials_table(data)
+    table = poses(data) if isinstance(data, TrialLog) else trials_table(_batch(data))
     frame = pandas.DataFrame(table.as_dict())
     if isinstance(data, TrialLog):
         frame.attrs["origin"] = data.origin.value
@@ -333,7 +338,10 @@ def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
 
     if isinstance(batch, Batch):
         return batch
-    return read_batch(batch) if isinstance(batch, str | Path) else read_batch(*batch)
+    if isinstance(batch, str | Path):
+        return read_batch(batch)
+    _demand(batch, Iterable, "a batch is a folder, paths of logs or what read_batch returns")
+    return read_batch(*batch)
 
 
 def summarise(
@@ -400,7 +408,13 @@ def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
         data = read_batch(data)
     if isinstance(data, Batch):
         return [read_log(trial.log) for trial in data.trials]
-    return [_trial(one) for one in ([data] if isinstance(data, TrialLog | str | Path) else data)]
+    if isinstance(data, TrialLog | str | Path):
+        return [_trial(data)]
+    _demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
+    trials = [_trial(one) for one in data]
+    if not trials:
+        raise UsageError("no trial to draw is given")
+    return trials
 
 
 def verify(path: str | Path) -> "Verification":
@@ -409,6 +423,7 @@ def verify(path: str | Path) -> "Verification":
     """
     from tetractl.replay import verify
 
+    _demand(path, str | Path, "verify reads the file of a log")
     return verify.verify(Path(path))
 
 

@@ -219,6 +219,15 @@ def test_problems_of_contents_name_no_line_of_a_text_that_nobody_wrote(tmp_path)
         tetractl.run_study({"name": "s", "base": 5}, tmp_path)
 
 
+@pytest.mark.parametrize("data", [3, None, {}, [3]], ids=repr)
+@pytest.mark.parametrize("name", ["summarise", "compare", "plot", "to_dataframe", "verify"])
+def test_what_is_no_trial_and_no_batch_is_refused_in_one_line(name, data):
+    """Regression: AttributeError, TypeError and IndexError, whose words were of other things."""
+    with pytest.raises(UsageError) as error:
+        getattr(tetractl, name)(data)
+    assert "\n" not in error.value.message
+
+
 def test_another_object_is_refused_in_one_line():
     with pytest.raises(UsageError, match=r"^a spec is a file, a dict or .* but this is a int$"):
         tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]

@@ -14,7 +14,8 @@ from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Entry
 from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
-from tetractl.log.read.raw_log import ALTERED, RawLog
+from tetractl.log.read.damage import with_alteration
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of, written
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
@@ -72,9 +73,6 @@ def overview(path: Path) -> Overview:
     with written(contents):
         shown = contents.records if contents.problems else _shown(contents)
     trial = trial_of(replace(contents, records=shown))
-    problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
-    if contents.altered:
-        problems = (*problems, ALTERED)
     last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
     return Overview(
         log=str(path),
@@ -92,37 +90,45 @@ def overview(path: Path) -> Overview:
         digest=contents.content_digest,
         stated_digest=trial.digest,
         brief=contents.brief,
-        damage=Damage(problems, lost) if problems else None,
+        damage=with_alteration(contents, trial.damage),
     )
 
 
 def _shown(contents: RawLog) -> list[Entry | Attachment]:
-    """Return what an overview shows or needs of a log's records: attachments, run, result, events,
-    the first command with a direction, and control steps: the first, and the last with an estimate.
+    """Return what an overview shows or needs of a log's records, in file order: attachments, run,
+    result, events, the first command with a direction, and control steps: the first, and the last
+    with an estimate.
     """
-    steps, commands = contents.by_topic[STEP], contents.by_topic[COMMANDS]
+    steps = contents.by_topic[STEP]
+    commands = contents.by_topic[COMMANDS]
+    directed = (entry for entry in commands if not pb.WheelCommand.FromString(entry.data).stop)
     estimates = (
-        one for one in steps[::-1] if pb.ControllerStep.FromString(one.data).HasField("estimate")
+        entry
+        for entry in reversed(steps)
+        if pb.ControllerStep.FromString(entry.data).HasField("estimate")
     )
-    directed = (one for one in commands if not pb.WheelCommand.FromString(one.data).stop)
-    kept = {*islice(directed, 1), *steps[:1], *islice(estimates, 1)}
-    return [
-        one
-        for one in contents.records
-        if isinstance(one, Attachment) or one.topic in SUMMARY or one.topic == LOG or one in kept
-    ]
+    needed = [*islice(directed, 1), *steps[:1], *islice(estimates, 1)]
+    needed_ids = {id(entry) for entry in needed}  # of two entries with the same bytes, one
+
+    def is_shown(record: Entry | Attachment) -> bool:
+        if isinstance(record, Attachment):
+            return True
+        return record.topic in SUMMARY or record.topic == LOG or id(record) in needed_ids
+
+    return [record for record in contents.records if is_shown(record)]
 
 
 def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
     """Return the channels that have messages, sorted by topic."""
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
-    found = []
+    counts: list[ChannelCount] = []
     for topic, entries in sorted(contents.by_topic.items()):
-        times = [entry.log_ns for entry in entries]
-        count, span = len(entries), max(times, default=0) - min(times, default=0)
-        hz = (count - 1) * SECOND / span if span else None
+        if not entries:
+            continue
+        times_ns = [entry.log_ns for entry in entries]
+        span_ns = max(times_ns) - min(times_ns)
+        hz = (len(entries) - 1) * SECOND / span_ns if span_ns else None
         size = sum(len(entry.data) for entry in entries)
-        if count:
-            found.append(ChannelCount(topic, schemas.get(topic, ""), count, hz, size))
-    return tuple(found)
+        counts.append(ChannelCount(topic, schemas.get(topic, ""), len(entries), hz, size))
+    return tuple(counts)

@@ -117,19 +117,24 @@ class RawLog:
     @property
     def result(self) -> Result | None:
         """The result stated in the log, None if it cannot be read."""
-        return self.result_read[0]
+        return self._result_or_reason if isinstance(self._result_or_reason, Result) else None
+
+    @property
+    def why_no_result(self) -> str:
+        """Why the result cannot be read, "" if it can."""
+        return self._result_or_reason if isinstance(self._result_or_reason, str) else ""
 
     @cached_property
-    def result_read(self) -> tuple[Result | None, str]:
-        """The result and "", or None and the reason why it cannot be read."""
+    def _result_or_reason(self) -> Result | str:
+        """The result, or why it cannot be read."""
         if not self.by_topic[channels.RESULT]:
-            return None, "the log has no result: the run was cut short or the log's end is lost"
+            return "the log has no result: the run was cut short or the log's end is lost"
         try:
             message = next(self.messages(channels.RESULT))
             end = next(self.messages(channels.HOST_END), None)
-            return stated_result(message, end, len(self.run.robots), self.run.unit), ""
+            return stated_result(message, end, len(self.run.robots), self.run.unit)
         except (DecodeError, LogError, OverflowError, ValueError) as error:
-            return None, f"the result has values that tetractl does not write: {_reason(error)}"
+            return f"the result has values that tetractl does not write: {_reason(error)}"
 
     @property
     def warnings(self) -> int:
@@ -199,13 +204,12 @@ class RawLog:
         """
         if not self.by_topic[channels.RECOVERED]:
             return None
-        told = self._stated(channels.RECOVERED)
-        if told.source and not told.lost:
+        record = self._stated(channels.RECOVERED)
+        if record.source and not record.lost:
             return None
-        whence = f"recovered from {told.source or 'a log'}, which was damaged"
-        return Damage(
-            *(tuple(map(printable, texts)) for texts in ((whence, *told.problems), told.lost))
-        )
+        whence = f"recovered from {record.source or 'a log'}, which was damaged"
+        problems = (whence, *record.problems)
+        return Damage(tuple(map(printable, problems)), tuple(map(printable, record.lost)))
 
     @cached_property
     def facts(self) -> dict[str, str]:

@@ -25,9 +25,10 @@ from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import decode_plant
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import validate
+from tetractl.log.read.damage import damage_of, is_damaged
 from tetractl.log.read.raw_log import RawLog, writer
 from tetractl.log.read.salvage import peek, scan
-from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
+from tetractl.log.read.trial_log import Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 
 
@@ -104,27 +105,16 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | 
         ),
     )
     until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
-    return replace(log, damage=_damage(contents, until_s))
-
-
-def _damage(contents: RawLog, until_s: float) -> Damage | None:
-    """Return the damage of a log or None; its last frame was received at `until_s` [s]."""
-    before = contents.recovered
-    problems = [*(before.problems if before else ()), *contents.problems]
-    lost = [*(before.lost if before else ()), *contents.lost]
-    if contents.result is None:
-        problems.append(contents.result_read[1])
-        lost.append(f"the result and everything after {until_s:.3f} s")
-    return Damage(tuple(problems), tuple(lost)) if problems else None
+    return replace(log, damage=damage_of(contents, until_s))
 
 
 def read_result(path: Path) -> ResultSummary:
     """Read only the result of a trial, found by the file's index if file and result are whole;
     raises the errors of `result_of`."""
-    found = peek(Path(path))
-    if found is None or found.result is None or found.recovered is not None:
-        found = scan(Path(path))
-    return result_of(found)
+    contents = peek(Path(path))
+    if contents is None or is_damaged(contents):
+        contents = scan(Path(path))
+    return result_of(contents)
 
 
 def result_of(contents: RawLog) -> ResultSummary:
@@ -135,7 +125,6 @@ def result_of(contents: RawLog) -> ResultSummary:
     """
     experiment, start = _start(contents)
     result = contents.result
-    recovered = bool(contents.problems or contents.recovered or result is None)
     if result is None:
         result = _result_of_poses(trial_of(contents))
     return ResultSummary(
@@ -145,7 +134,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         trial=start.trial,
         origin=Origin.of(experiment, start.plant),
         result=result,
-        recovered=recovered,
+        recovered=is_damaged(contents),
         digest=contents.stated_digest,
         warnings=contents.warnings,
         processor=provenance.processor(contents.facts),

@@ -10,11 +10,12 @@ from mcap.records import Attachment
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import RECOVERED, Entry
 from tetractl.log.format.tetractl_pb2 import Recovered
+from tetractl.log.read.damage import losses
 from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
+from tetractl.log.read.trial_log import Damage
 from tetractl.log.write.sink import Sink
 
 PART_SUFFIX = ".recovering"
@@ -59,8 +60,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     contents = scan(log)
     if not contents.records:
         raise LogError(f"{log}: nothing in the log can be recovered")
-    problems, lost = _examine(contents)
-    damage = Damage(tuple(problems), tuple(lost))
+    damage = _examine(contents)
     path = out or (recovered_path(log) if damage.problems or damage.lost else None)
     if path is not None:
         _write(contents, damage, path)
@@ -75,29 +75,23 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     )
 
 
-def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
-    """Return the problems and the losses; a log whose content digest matches has no losses."""
+def _examine(contents: RawLog) -> Damage:
+    """Return the problems and the losses of a log."""
     try:
         trial = trial_of(contents)
     except LogError as error:
         why = error.message.removeprefix(f"{contents.path}: ")
-        return [*contents.problems, why], [*contents.lost, "records that reading a log requires"]
-    problems, lost = map(
-        list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
-    )
-    if trial.digest and not contents.altered and not contents.host_altered:
-        return problems, lost if contents.recovered else []
-    lost += [str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial))]
-    if trial.stop is None:
-        lost.append("the stop at the end")
-    return problems, lost or ["a record covered by the log's digest or its host digest"]
+        lost = (*contents.lost, "records that reading a log requires")
+        return Damage((*contents.problems, why), lost)
+    problems = trial.damage.problems if trial.damage else ()
+    return Damage(problems, losses(contents, trial))
 
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
     with contents.path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    told = Recovered(
+    recovered = Recovered(
         source=contents.path.name,
         source_bytes=contents.size,
         source_sha256=digest,
@@ -113,7 +107,7 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
             elif record.topic != RECOVERED:
                 sink.messages([record])
         last_ns = max((entry.log_ns for entry in contents.entries), default=0)
-        sink.messages([Entry(RECOVERED, last_ns, last_ns, told.SerializeToString())])
+        sink.messages([Entry(RECOVERED, last_ns, last_ns, recovered.SerializeToString())])
         sink.close(complete=True)
     except BaseException:  # such as a full disk: remove the copy, the source is unchanged
         sink.discard()

@@ -1,15 +1,17 @@
 """Verifies a log: computes its decisions again, and runs its simulation again.
 
-Each decision is computed again from the logged frames (`recompute`). The simulation of the host and
-the code that run here is run again, and the two logs are compared record by record (`run_again`).
-Of a lab's log, what tables use is computed again from its frames and commands (`lab_result`). If
-another machine or version wrote the log, costs must agree within a tolerance.
+Each decision is computed again from the logged frames (`recompute`). What else is compared is the
+list COMPARISONS; the greatest of them runs the trial of a simulation again, where the host and the
+code are those that wrote the log, and compares the two logs record by record (`run_again`). Of a
+lab's log, what tables use is computed again from its frames and commands (`lab_result`). If another
+machine or version wrote the log, costs must agree within a tolerance.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 
 from tetractl.core.plan import Outcome
@@ -71,66 +73,181 @@ class Verification:
         return not self.problems
 
 
+@dataclass(frozen=True)
+class _Case:
+    """A log that is verified, and the differences between its host and this one."""
+
+    raw: RawLog
+    log: TrialLog
+    elsewhere: tuple[str, ...]
+
+    @property
+    def plant_agrees(self) -> bool:
+        """Whether the plant of the run is a simulation if that of the spec is one."""
+        return self.log.start.plant.simulated == self.log.experiment.plant.simulated
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the log has all that a result is computed again from."""
+        return self.plant_agrees and self.log.damage is None and self.log.result is not None
+
+    @cached_property
+    def why_not_again(self) -> str:
+        """Why the trial cannot be run again here, "" if it can."""
+        return run_again.why_not_again(self.log, self.elsewhere)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the plant of the run was a simulation."""
+        return self.log.start.plant.simulated
+
+    @cached_property
+    def lost_frames(self) -> list[str]:
+        """Texts on the camera frames that are missing."""
+        return [f"missing: {gap}" for gap in frame_gaps(self.log)]
+
+    @property
+    def may_lose_frames(self) -> bool:
+        """Whether missing frames may be those that the camera lost."""
+        return self.log.experiment.plant.loses_frames and self.log.damage is None
+
+
 def verify(path: Path) -> Verification:
     """Verify one log; raises LogError as `read_trial` does. A brief log is only run again."""
     began = time.perf_counter()
     raw = scan(path)
     log = trial_of(raw)
-    elsewhere = host_differences(log)
-    method, found = Method.RECOMPUTED, None if raw.brief else recompute(log, search_again=True)
-    if found and elsewhere:
-        method, found = Method.REEVALUATED, recompute(log, search_again=False)
-    lost = [f"missing: {gap}" for gap in frame_gaps(log)]
-    notes = lost if log.experiment.plant.loses_frames and not log.damage else []
-    missing = [Difference(None, "frames", text) for text in lost if not notes]
-    if raw.reordered:
-        notes = [*notes, "the content digest is of another order of the messages: not compared"]
-    why_not = run_again.why_not_again(log, elsewhere)
-    others = list[Difference]()
-    if log.start.plant.simulated != log.experiment.plant.simulated:
-        others = [Difference(None, "run.mode", "differs from the plant of the spec")]
-    elif log.damage is None and log.result is not None:
-        others = [*(_stop(log) if not raw.brief else ())]
-        if not log.start.plant.simulated:
-            others += lab_differences(log, log.result)
-        elif why_not:
-            notes = [*notes, f"the trial is not run again: {why_not}"]
-            others += [] if raw.brief else error_differences(log, log.result)
-        else:
-            others += run_again.differences(raw, log)
+    case = _Case(raw, log, host_differences(log))
+    method, decision = _decisions(case)
+    problems = [difference for compare in COMPARISONS for difference in compare(case)]
+    if decision is not None:
+        problems.insert(0, decision)
+    checked = len(first_steps(log))
+    if decision is not None and decision.step is not None:
+        checked = decision.step
     return Verification(
         log=str(path),
         rewritten=(raw.library or "an unknown program") if raw.rewritten else "",
         steps=len(log.steps),
-        checked=found.step if found and found.step is not None else len(first_steps(log)),
+        checked=checked,
         method=method,
-        elsewhere=elsewhere,
-        problems=(*([found] if found else []), *others, *missing, *_damage(raw, log)),
-        notes=tuple(notes),
+        elsewhere=case.elsewhere,
+        problems=tuple(problems),
+        notes=tuple(_notes(case)),
         seconds=time.perf_counter() - began,
     )
 
 
-def _stop(log: TrialLog) -> Iterator[Difference]:
-    """Yield what an undamaged log lacks of the end of a trial."""
-    if log.stop is None:
+def _decisions(case: _Case) -> tuple[Method, Difference | None]:
+    """Return how decisions are checked, and the first one that differs.
+
+    Searches are repeated on another host too: if none differs, the method is the stricter one.
+    """
+    if case.raw.brief:
+        return Method.RECOMPUTED, None
+    decision = recompute(case.log, search_again=True)
+    if decision is None or not case.elsewhere:
+        return Method.RECOMPUTED, decision
+    return Method.REEVALUATED, recompute(case.log, search_again=False)
+
+
+def _notes(case: _Case) -> Iterator[str]:
+    """Yield what a reader must know of a log that is not wrong for it."""
+    if case.may_lose_frames:
+        yield from case.lost_frames
+    if case.raw.reordered:
+        yield "the content digest is of another order of the messages: not compared"
+    if case.comparable and case.simulated and case.why_not_again:
+        yield f"the trial is not run again: {case.why_not_again}"
+
+
+# ---- What is compared, apart from decisions ----
+
+
+def _plant(case: _Case) -> Iterator[Difference]:
+    """The plant of the run is that of the spec."""
+    if not case.plant_agrees:
+        yield Difference(None, "run.mode", "differs from the plant of the spec")
+
+
+def _end(case: _Case) -> Iterator[Difference]:
+    """A whole log has a stop, and a reason if the trial was aborted."""
+    if not case.comparable or case.raw.brief:
+        return
+    if case.log.stop is None:
         yield Difference(None, "stop", "missing: no stop is on /commands")
-    if log.result and log.result.outcome is Outcome.ABORTED and not log.result.reason:
+    result = case.log.result
+    if result and result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")
 
 
-def _damage(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield the damage of a log, the control steps it lacks and the digests that do not match."""
-    for gap in step_gaps(log):
+def _lab(case: _Case) -> Iterator[Difference]:
+    """The result of a lab follows from its frames and commands."""
+    if case.comparable and case.log.result and not case.simulated:
+        yield from lab_differences(case.log, case.log.result)
+
+
+def _errors(case: _Case) -> Iterator[Difference]:
+    """The errors of a simulation that is not run again follow from its final poses."""
+    if not case.comparable or not case.simulated or not case.why_not_again or case.raw.brief:
+        return
+    if case.log.result is not None:
+        yield from error_differences(case.log, case.log.result)
+
+
+def _repetition(case: _Case) -> Iterator[Difference]:
+    """A simulation that is run again here gives the same records."""
+    if case.comparable and case.simulated and not case.why_not_again:
+        yield from run_again.differences(case.raw, case.log)
+
+
+def _frames(case: _Case) -> Iterator[Difference]:
+    """No camera frame is missing, unless the camera may have lost it."""
+    if not case.may_lose_frames:
+        for text in case.lost_frames:
+            yield Difference(None, "frames", text)
+
+
+def _steps(case: _Case) -> Iterator[Difference]:
+    """No control step is missing."""
+    for gap in step_gaps(case.log):
         yield Difference(gap.first, "k", f"missing: {gap}")
-    if raw.altered:
+
+
+def _content(case: _Case) -> Iterator[Difference]:
+    """The records of the trial match the digest that the log states."""
+    if case.raw.altered:
         yield Difference(None, "content_digest", ALTERED)
-    if log.damage:
-        for text in (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost)):
+
+
+def _damage(case: _Case) -> Iterator[Difference]:
+    """The log is not damaged."""
+    damage = case.log.damage
+    if damage is not None:
+        for text in (*damage.problems, *(f"lost: {lost}" for lost in damage.lost)):
             yield Difference(None, "damage", text)
-    elif raw.host_altered:
+
+
+def _host(case: _Case) -> Iterator[Difference]:
+    """The records of the host match their digest; those of a damaged log may be lost."""
+    if case.log.damage is None and case.raw.host_altered:
         text = "the records of the host do not match the digest that the log states"
         yield Difference(None, "host_digest", text)
+
+
+COMPARISONS: tuple[Callable[[_Case], Iterator[Difference]], ...] = (
+    _plant,
+    _end,
+    _lab,
+    _errors,
+    _repetition,
+    _frames,
+    _steps,
+    _content,
+    _damage,
+    _host,
+)
+"""What is compared, in the order in which problems are listed."""
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
@@ -152,7 +269,8 @@ def _difference(key: str, there: str | None, here: str | None) -> str:
     (`here`); of a list, only the words that differ.
     """
     if there is not None and here is not None and key in provenance.LISTS:
-        ours, theirs = set(here.split()), set(there.split())
-        only = (" ".join(sorted(words)) or "no more" for words in (theirs - ours, ours - theirs))
-        return "{}: {} on the log's host, {} on this one".format(key, *only)
+        words_there = set(there.split())
+        words_here = set(here.split())
+        there = " ".join(sorted(words_there - words_here)) or "no more"
+        here = " ".join(sorted(words_here - words_there)) or "no more"
     return f"{key}: {there or 'unknown'} on the log's host, {here or 'unknown'} on this one"

@@ -15,23 +15,23 @@ unit (`tetractl.control.value`).
 The rules of one of two lists are asked in turn, and the first answer is what the robots do. Each is
 the method of its name.
 
-    under way                                        at rest
+    under way                                      at rest
 
-    pass     go on through a passage                 stay     in a hold: all are within its radius
-    stop     in the coming period, if no plan can    finish   if no plan can have a lesser value,
-             have a lesser value                              or none fits into the time left
-    (plans are searched)                             (plans are searched)
-    go on    by the safe plan of least value         turn     on the spot, if none found is safe:
-    rest     if a plan from rest can have a lesser            other headings allow other plans
-             value, or no plan found is safe         give up  if none is safe after all turns
-                                                     drive    by the plan of least value
+    pass     go on through a passage               stay     in a hold: all are within its radius
+    stop     in the coming period, if no plan      finish   if no plan can have a lower value,
+             can have a lower value                         or none fits into the time left
+    (plans are searched)                           (plans are searched)
+    go on    by the safe plan of least value       turn     on the spot, if none found is safe:
+    rest     if a plan from rest can have a                 other headings allow other plans
+             lower value, or none found is safe    give up  if none is safe after all turns
+                                                   drive    by the plan of least value
 
 Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
 robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and
 docs/decisions/controller.md has what was tried instead, with figures.
 
-Times are in seconds if a name ends with `_s`, else in signals; N is the number of robots that are
-not lost, and L the number of signals of a plan.
+Times are in seconds, the lengths of plans in signals. N is the number of robots that are not lost,
+and L the number of signals of a plan.
 """
 
 import math
@@ -464,7 +464,8 @@ class Mpc:
         """Return the least value of a rest: that of the shortest plan from rest if it led exactly
         to the targets. It is inf, as robots go on, if
 
-            they cannot stand, or are on their way to a way-point, where errors do not count;
+            they cannot stand, or are on their way to a way-point: the next leg begins with a plan
+            from there anyway;
             they have driven for less than RESTED_S: they would rest again and again;
             there would be no time for the plan after the rest.
         """
@@ -551,7 +552,7 @@ class Mpc:
         return stop
 
     def _go_on(self, searched: Searched, rest: float) -> Plan | None:
-        """Follow the plan of least value that is safe, unless a rest can have a lesser value.
+        """Follow the plan of least value that is safe, unless a rest can have a lower value.
 
         Robots that cannot stand follow the first: there is nothing safer that they could do.
         """
@@ -572,7 +573,7 @@ class Mpc:
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
         """Search plans about as long as the one under way, and longer ones as far as these can have
-        a lesser value; end at once if one of the former is good enough.
+        a lower value; end at once if one of the former is good enough.
 
         Longer plans are detours: near the end of a plan, the few signals left cannot correct what
         has gone wrong.

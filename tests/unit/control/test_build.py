@@ -53,10 +53,13 @@ def test_warming_up_leaves_nothing_to_compile(name):
 def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes(monkeypatch, again_s):
     monkeypatch.setattr(build, "AGAIN_S", again_s)
     monkeypatch.setattr(build, "time", SimpleNamespace(monotonic=lambda: 7.0))
-    spec, said = parse_spec(QUICK, "spec").experiment, []
+    spec = parse_spec(QUICK, "spec").experiment
+    said = []
 
     class New:
-        type, motion, optimizer = "mpc", "exact", spec.controller.optimizer
+        type = "mpc"
+        motion = "exact"
+        optimizer = spec.controller.optimizer
 
         def warm_up(self, setup):
             spec.controller.warm_up(spec.setup)  # from the cache, however long that takes

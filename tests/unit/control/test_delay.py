@@ -52,7 +52,9 @@ def command(u, at_s):
 def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     """What is predicted on a frame is what the cameras see one dead time later."""
     _, estimates = estimator(dead_time)
-    predicted, frames, last = [], {}, None
+    predicted = []
+    frames = {}
+    last = None
 
     def after_step(plant, observation, steer):
         nonlocal last

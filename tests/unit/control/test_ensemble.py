@@ -21,9 +21,12 @@ FIELDS = {"type": "ensemble", "time_limit": 200.2, "period": 0.2}
 def drive(fields, **changes):
     """Run to the end; the sum of distances at each step, whether the field was off, the outcome."""
     spec = experiment(controller=FIELDS | fields, obstacles=[], **changes)
-    plant, controller = sim(spec), build_controller(spec, 1)
+    plant = sim(spec)
+    controller = build_controller(spec, 1)
     plant.open()
-    sums, off, plans = [], [], []
+    sums = []
+    off = []
+    plans = []
     for k in range(1002):
         seen = plant.observe()
         sums.append(seen.poses.distances(spec.setup.targets).sum())
@@ -64,9 +67,11 @@ def test_a_dead_time_that_is_told_is_predicted_over(dead_time):
     """Without noise, where a decision acts is where the robots then are."""
     plant = {"type": "sim", "dead_time": dead_time}
     spec = experiment(controller=FIELDS | {"dead_time": dead_time}, obstacles=[], plant=plant)
-    world, controller = sim(spec), build_controller(spec, 1)
+    world = sim(spec)
+    controller = build_controller(spec, 1)
     world.open()
-    starts, due = [], []
+    starts = []
+    due = []
     for k in range(30):
         now = world.observe()
         while due and due[0][0] <= world.clock.now():

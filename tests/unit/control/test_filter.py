@@ -480,7 +480,8 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
     )
     sticks = Sticks(6, 1, 60, 1)
     bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1, sticks=sticks))
-    model, made = bank.model, bank.bank
+    model = bank.model
+    made = bank.bank
     model = model._replace(hold=(0.03, 1.2e-3, 6e-5) if lag else (0.0, 0.0, 0.0))
     if not helix:  # wheels that saturate
         made.state[..., LN_SATURATION] = math.log(0.6)
@@ -488,7 +489,8 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
         made = made._make(np.concatenate([column, column]) for column in made)
     made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
     if follows > FOLLOWS:
-        mean, std = made.state[:, :, 0], np.sqrt(made.cov[0, :, 0].diagonal(axis1=1, axis2=2))
+        mean = made.state[:, :, 0]
+        std = np.sqrt(made.cov[0, :, 0].diagonal(axis1=1, axis2=2))
         made = Bank.start(made.dead_time_s[:, 0], mean, std, made.group[:, 0], follows)
     made.dead_time_s[:] = 0.1
     start = np.array([10.0, 20.0, 3.1])
@@ -496,9 +498,13 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
     kernel.place(made, model, none, np.zeros(1), start[None], np.array([True]))
     slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0], follows)
     command = slow.branch if follows > FOLLOWS else slow.switch
-    when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
+    when = 0.2 * np.arange(8) + 0.013
+    u = rng.uniform(-2, 2, 8)
     u[5] = math.nan  # a stop
-    acts, now, pose, score = list(when + 0.1), 0.0, start.copy(), 0.0
+    acts = list(when + 0.1)
+    now = 0.0
+    pose = start.copy()
+    score = 0.0
     for k in range(1, 50):
         until = k / 30
         pose = pose + rng.normal(0, [4, 4, 0.03])
@@ -578,7 +584,8 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
         used = filters.bank.weight > -np.inf
         cov = filters.bank.cov[used]
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
-        heading, marker = HEADING, MARKER_BIAS
+        heading = HEADING
+        marker = MARKER_BIAS
         both = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
         assert both.min() >= 0
         assert np.isfinite(filters.bank.score).all()

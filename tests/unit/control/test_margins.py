@@ -74,7 +74,8 @@ def test_two_robots_keep_their_radii_apart_unless_they_are_nearer():
 )
 def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
     path = np.zeros((4, 1, 3))
-    path[:, 0, 0], path[:, 0, 1] = np.linspace(x0, x1, 4), 1050.0
+    path[:, 0, 0] = np.linspace(x0, x1, 4)
+    path[:, 0, 1] = 1050.0
     assert Margins([BOX], None, FAR[:1], 50).entered(path) is enters
 
 
@@ -98,7 +99,8 @@ def test_robots_keep_the_separation_they_have():
 
 def test_the_separation_grows_by_what_both_robots_may_be_off():
     spec = experiment(controller={"type": "mpc", "collision": {"separation": 50}})
-    problem, section = spec.controller.problem(spec.setup), spec.controller
+    problem = spec.controller.problem(spec.setup)
+    section = spec.controller
     found = section.build(spec.setup, 3)._with_margins(problem, None)
     assert found.separation == pytest.approx(
         50 + 2 * off_course(problem.speed, section.period, section.dead_time, None)
@@ -155,7 +157,8 @@ def test_a_direction_held_for_too_long_leads_into_a_wall(direction, seconds, cle
     poses = Poses(np.array([x, x, x]), np.array([600.0, 1200, 1800]), np.zeros(3))
     problem = replace(section.problem(setup), poses=poses, speed=np.full(3, 200.0))
     margins = Margins([], setup.arena, setup.targets)
-    path, signals = poses.array()[None], np.array([direction])
+    path = poses.array()[None]
+    signals = np.array([direction])
     assert margins.clear_unheard(problem, path, signals, seconds, 20.0, 0.0) is clear
 
 
@@ -168,5 +171,6 @@ def test_robots_that_meet_under_a_direction_held_are_not_clear():
     margins = Margins([], None, setup.targets)
     for apart, clear in ((50.0, True), (150.0, False)):
         close = replace(problem, separation=apart)
-        path, signals = poses.array()[None], np.zeros(1)
+        path = poses.array()[None]
+        signals = np.zeros(1)
         assert margins.clear_unheard(close, path, signals, 1.0, 0.0, apart) is clear

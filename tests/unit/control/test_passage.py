@@ -20,7 +20,8 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.replay.verify import verify
 from tetractl.run.task import log_path, run_trial
 
-RADIUS, SEPARATION = 47.0, 95.0
+RADIUS = 47.0
+SEPARATION = 95.0
 STARTS = (800.0, 900.0), (650.0, 1500.0), (950.0, 1800.0)
 TARGETS = (1700.0, 800.0), (1900.0, 1300.0), (1650.0, 1700.0)
 
@@ -28,7 +29,8 @@ TARGETS = (1700.0, 800.0), (1900.0, 1300.0), (1650.0, 1700.0)
 def walled(gap, middle=1200.0, robots=3):
     """The spec of three robots on the left of a wall with a gap, with targets on its right."""
     wall = {"type": "rectangle", "left": 1250.0, "width": 100.0}
-    low, high = middle - gap / 2, middle + gap / 2
+    low = middle - gap / 2
+    high = middle + gap / 2
     below = wall | {"bottom": 350.0, "height": low - 350}
     above = wall | {"bottom": high, "height": 2150 - high}
     each = experiment().model_dump(mode="json")["robots"][:robots]
@@ -59,7 +61,9 @@ def test_the_lengths_of_ways_are_those_round_what_is_not_free():
     free[20, :60] = False
     targets = np.array([[30.5, 30.5], [80.5, 10.5]])
     one, other = grid.ways(free.ravel(), targets).reshape(2, 50, 90)
-    diagonal, turns = np.sqrt(2), 60 - 30 - 10  # ten rows up on either side of the wall's end
+    # ten rows up on either side of the wall's end
+    diagonal = np.sqrt(2)
+    turns = 60 - 30 - 10
     assert one[10, 30] == pytest.approx(20 * diagonal + 2 * turns)
     assert one[30, 32] == pytest.approx(2)
     assert other[10, 80] == 0
@@ -98,7 +102,8 @@ def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
 
 def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
     """Random sequences leave more than half of the way; the tree is the same for every clock."""
-    rng, base = np.random.default_rng(3), experiment().model_dump(mode="json")["robots"][0]
+    rng = np.random.default_rng(3)
+    base = experiment().model_dump(mode="json")["robots"][0]
     at = np.stack(np.meshgrid([300, 1100, 1900, 2700], [600, 2400]), axis=-1).reshape(-1, 2)
     each = tuple(
         base
@@ -125,7 +130,8 @@ def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
 def test_a_polish_from_the_tree_leads_robots_from_anywhere_to_anywhere(key):
     """Four robots to places of their own in 2.4 m: no search from random sequences finds a plan."""
     spec = load_spec(ROOT / "experiments/benchmark/anywhere.yaml").experiment
-    problem, optimizer = spec.controller.problem(spec.setup), Multistart()
+    problem = spec.controller.problem(spec.setup)
+    optimizer = Multistart()
     found = (
         optimizer.search(problem, len(start), start, key, Limits())
         for start in ways(problem, spec.setup.arena, 134, key)

@@ -44,7 +44,8 @@ def test_numbers_are_the_high_bits_of_their_draws(key, first):
 
 def test_numbers_are_uniform_and_independent():
     n = 100_000
-    one, other = uniform(1, 0, n), uniform(2, 0, n)
+    one = uniform(1, 0, n)
+    other = uniform(2, 0, n)
     high, low = uniform_pair(3, 0, n)
     for numbers in (one, other, high, low):
         assert numbers.min() >= 0

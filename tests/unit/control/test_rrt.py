@@ -18,7 +18,8 @@ from tetractl.model.shapes.circle import Circle
 from tetractl.run.checked_controller import build_controller
 
 ONE = [{"name": "r", "start": [900, 1200], "target": [1700, 1200], "a": 6, "speed": 180}]
-START, TARGET = np.array([900.0, 1200]), np.array([1700.0, 1200])
+START = np.array([900.0, 1200])
+TARGET = np.array([1700.0, 1200])
 
 
 def path(key, margin=30.0, draws=3000):
@@ -52,7 +53,8 @@ def drive(key, fields=None, **plant):
         controller={"type": "rrt", "margin": 40, "time_limit": 60.2} | (fields or {}),
         plant={"type": "sim"} | plant,
     )
-    world, controller = sim(spec, key), build_controller(spec, key)
+    world = sim(spec, key)
+    controller = build_controller(spec, key)
     world.open()
     command = None
     for k in range(400):

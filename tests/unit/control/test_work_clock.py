@@ -26,7 +26,8 @@ class Steady:
 
 def test_searches_advance_the_clock_while_they_run_and_after_them():
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml").experiment
-    clock, problem = WorkClock(), spec.controller.problem(spec.setup)
+    clock = WorkClock()
+    problem = spec.controller.problem(spec.setup)
     each = 3 * 20 * ROBOT_STEP_NS
     end = SEARCH_NS + 4 * each
     timed = Limits(expired=lambda _: clock() >= end)

@@ -16,8 +16,10 @@ pytestmark = pytest.mark.slow
 
 def widest_gap(a_1, a_2, turned, seconds, steps=4000):
     """|w_1 - w_2| where u makes the headings part as fast as they can, and keeps them apart."""
-    dt, half = seconds / steps, turned / 2
-    first, second = -half, half
+    dt = seconds / steps
+    half = turned / 2
+    first = -half
+    second = half
     across = up = 0.0
     for _ in range(steps):
         delta = second - first

@@ -64,7 +64,8 @@ def test_a_start_inside_the_margin_is_not_judged():
 
 def test_the_clearance_counts_walls_where_there_are_any():
     found = setup(WALL)
-    x, y = np.array([100.0, 20.0]), np.array([500.0, 500.0])
+    x = np.array([100.0, 20.0])
+    y = np.array([500.0, 500.0])
     np.testing.assert_allclose(clearance(found, x, y, walls=True), [100, 20])
     np.testing.assert_allclose(clearance(found, x, y, walls=False), [380, 460])
 
@@ -92,7 +93,8 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
 @given(st.integers(0, 2**32), st.integers(1, 30), st.integers(1, 30), st.floats(0.3, 0.8))
 def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
     rng = np.random.default_rng(seed)
-    free, cells = rng.random((rows, columns)) < share, rng.random((rows, columns)) < 0.01
+    free = rng.random((rows, columns)) < share
+    cells = rng.random((rows, columns)) < 0.01
     regions, _ = label(free, np.ones((3, 3)))
     expected = np.isin(regions, regions[cells & free])
     assert np.array_equal(connected(cells, free), expected)

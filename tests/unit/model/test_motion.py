@@ -85,7 +85,9 @@ def test_held_wheels_drive_an_arc(heading, u, a, v, t):
 def test_the_arc_and_the_exact_step_solve_their_differential_equations(seed):
     rng = np.random.default_rng(seed)
     heading, u = rng.uniform(-7, 7, 2)
-    a, v, t = rng.uniform(0.1, 7), rng.uniform(1, 300), rng.uniform(0.01, 1.2)
+    a = rng.uniform(0.1, 7)
+    v = rng.uniform(1, 300)
+    t = rng.uniform(0.01, 1.2)
     assert one(exact, 0, 0, heading, u, a, v, t) == pytest.approx(
         integrated(0, 0, heading, u, a, v, t), abs=1e-9
     )
@@ -109,10 +111,12 @@ PHIS = st.builds(math.copysign, GAPS | NEAR | st.floats(0, math.pi), st.sampled_
 @example(phi=-0.0, turn=300.0)
 def test_the_exact_step_holds_at_every_angle_and_time(phi, turn):
     """Regression: within 1e-8 of phi = pi and with a t > 18 the robot was sent to infinity."""
-    a, v = 4.0, 200.0
+    a = 4.0
+    v = 200.0
     along, right, left = displaced(phi, a, v, turn / a)
     x, y, heading = one(exact, 0, 0, 0, phi, a, v, turn / a)
-    c, s = math.cos(phi), math.sin(phi)
+    c = math.cos(phi)
+    s = math.sin(phi)
     scale = max(1.0, v * turn / a)
     assert (x, y) == pytest.approx((along * c + right * s, along * s - right * c), abs=1e-9 * scale)
     assert phi - heading == pytest.approx(left, abs=1e-9)

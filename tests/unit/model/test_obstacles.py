@@ -103,10 +103,13 @@ def test_a_path_goes_on_from_the_last_sample_of_the_call_before():
 
 @pytest.mark.parametrize("walls", [None, ARENA])
 def test_many_samples_at_once_are_checked_as_one_by_one(walls):
-    rng, disc = np.random.default_rng(1), Shape(np.array([[700.0, 900.0]]), 60.0)
-    obstacles, entered = Obstacles.of([BOX, disc], 5.0, walls), 0
+    rng = np.random.default_rng(1)
+    disc = Shape(np.array([[700.0, 900.0]]), 60.0)
+    obstacles = Obstacles.of([BOX, disc], 5.0, walls)
+    entered = 0
     for _ in range(20):
-        start, headings = rng.uniform(300, 1500, (2, 3)), rng.normal(0, 0.1, (FEW + 50, 3))
+        start = rng.uniform(300, 1500, (2, 3))
+        headings = rng.normal(0, 0.1, (FEW + 50, 3))
         headings = rng.uniform(-np.pi, np.pi, 3) + headings.cumsum(axis=0)
         x, y = (start[k] + 10 * f(headings).cumsum(axis=0) for k, f in enumerate((np.cos, np.sin)))
         x[rng.uniform(size=x.shape) < 0.1] = np.nan
@@ -154,7 +157,8 @@ def test_a_path_check_keeps_how_far_out_and_how_near_one_another_robots_came():
 
 
 def test_a_robot_that_is_not_seen_is_at_no_distance_to_another():
-    x, y = np.array([[0.0, 90.0], [50.0, 90.0], [20.0, 90.0]]), np.zeros((3, 2))
+    x = np.array([[0.0, 90.0], [50.0, 90.0], [20.0, 90.0]])
+    y = np.zeros((3, 2))
     known = np.array([[True, True], [True, False], [True, True]])
     check = PathCheck(Obstacles.of([]), ARENA, 2)
     check.add(x, y, known)

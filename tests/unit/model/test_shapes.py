@@ -48,7 +48,8 @@ def test_the_strategies_know_every_kind_that_is_built_in():
 
 @given(SHAPES, PLACES, PLACES)
 def test_the_distance_is_that_of_geometry(section, x, y):
-    expected, shape = gap(section, x, y), section.shape()
+    expected = gap(section, x, y)
+    shape = section.shape()
     assert shape.distance(*at(x, y))[0] == pytest.approx(expected, abs=1e-9)
     if abs(expected) > 1e-9:
         assert shape.contain(*at(x, y))[0] == (expected < 0)
@@ -78,7 +79,8 @@ def test_a_segment_without_length_is_a_point(section, x, y):
 @given(SHAPES, PLACES, PLACES, PLACES, PLACES, MARGINS)
 def test_shapes_grow_by_the_margin_and_no_more(section, x0, y0, x1, y1, margin):
     shape = section.shape()
-    grown, expected = shape.grown(margin), gap(section, x0, y0) - margin
+    grown = shape.grown(margin)
+    expected = gap(section, x0, y0) - margin
     assert grown.distance(*at(x0, y0))[0] == pytest.approx(expected, abs=1e-9)
     t = np.linspace(0, 1, 2001)
     nearest = shape.distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
@@ -97,7 +99,8 @@ def test_the_kernels_agree(section, x0, y0, x1, y1, margin):
     numbers = row(shape)
     touches, (distance, east, north) = compiled(numbers, x0, y0, x1, y1)
     assert distance == pytest.approx(shape.distance(*at(x0, y0))[0], abs=1e-9)
-    wider, tighter = shape.grown(1e-7), None if margin == 0 else shape.grown(-1e-7)
+    wider = shape.grown(1e-7)
+    tighter = None if margin == 0 else shape.grown(-1e-7)
     if touches != shape.cross(*at(x0, y0, x1, y1))[0]:  # only where the segment just touches
         assert wider.cross(*at(x0, y0, x1, y1))[0]
         assert tighter is None or not tighter.cross(*at(x0, y0, x1, y1))[0]
@@ -118,7 +121,8 @@ def test_outward_of_a_point_on_an_edge_is_its_normal(x, y, out):
 
 def test_two_corners_with_a_radius_are_a_capsule():
     capsule = Shape(np.array([[0.0, 0], [4, 0]]), 1.0)
-    x, y = np.array([2.0, 6, -1, 2]), np.array([0.0, 0, 0, 3])
+    x = np.array([2.0, 6, -1, 2])
+    y = np.array([0.0, 0, 0, 3])
     assert capsule.distance(x, y).tolist() == [-1, 1, 0, 2]
     assert capsule.cross(*at(2, 3, 2, -3))[0]
     assert not capsule.cross(*at(4.8, 1, 6, -1))[0]

@@ -48,7 +48,8 @@ def test_a_dipole_beside_the_axis_ends_beside_the_field():
 
 def test_the_body_goes_round_the_axis_and_points_along_its_way():
     found = cells(speed=300.0, helix_um=8.0, helix_hz=2.5)
-    dt, seen = 0.001, []
+    dt = 0.001
+    seen = []
     for _ in range(800):
         swum(found, dt, step=dt)
         seen.append(bodies(found))

@@ -11,8 +11,10 @@ from scipy.integrate import solve_ivp
 from tetractl.model.motion.exact import differentiate
 from tetractl.model.motion.turn_rate import by_turning, held, turning
 
-ANGLES, SIDES = st.floats(-3.1, 3.1), st.floats(-0.4, 0.4)
-V, T = 200.0, 0.2
+ANGLES = st.floats(-3.1, 3.1)
+SIDES = st.floats(-0.4, 0.4)
+V = 200.0
+T = 0.2
 
 
 def step(heading, u, a, side, saturation, t=T):
@@ -59,8 +61,11 @@ def test_motors_saturate(heading, u, a, side, saturation):
 )
 def test_derivatives_are_those_of_the_step(heading, phi, side, saturation):
     """Where the robot saturates in the middle, or not, in both of the steps compared."""
-    a, t, by = 4.0, 0.02, 1e-6
-    given_, u = np.array([0.0, 0.0, side, math.log(saturation)]), heading + phi
+    a = 4.0
+    t = 0.02
+    by = 1e-6
+    given_ = np.array([0.0, 0.0, side, math.log(saturation)])
+    u = heading + phi
 
     def moved(change_heading=0.0, change_u=0.0, p=None):
         own = given_ + by * (np.arange(4) == p)
@@ -94,7 +99,8 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
         left -= step_s * a * math.sin(left)
 
     def change(_, at):
-        c, s = math.cos(at[0]), math.sin(at[0])
+        c = math.cos(at[0])
+        s = math.sin(at[0])
         rate, _ = held(a, (0.0, 0.0, 0.0), c, s, hold)
         return [-rate * s]
 
@@ -105,7 +111,8 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
 
 @pytest.mark.parametrize("phi", [-2.0, -0.3, 0.8, 2.5])
 def test_the_slope_of_a_kept_rate_is_its_derivative(phi):
-    hold, by = (0.04, 0.0018, 8e-5), 1e-6
+    hold = (0.04, 0.0018, 8e-5)
+    by = 1e-6
 
     def ln_rate(at):
         return math.log(held(6.0, (0.0, 0.0, 0.0), math.cos(at), math.sin(at), hold)[0])

@@ -28,7 +28,9 @@ def test_the_mean_of_what_is_sent_is_what_was_wished(left, right, of):
     tops = np.abs(of.gain) * (of.limit - of.dead_zone)
     wished = np.array([[left], [right]])
     scale = 1 / max(1.0, float((np.abs(wished) / tops).max()))
-    owed, total, steps = np.zeros((2, 1)), np.zeros((2, 1)), 64
+    owed = np.zeros((2, 1))
+    total = np.zeros((2, 1))
+    steps = 64
     for _ in range(steps):
         _, owed, speeds = sent((left, right), of, owed[:, 0])
         total += speeds

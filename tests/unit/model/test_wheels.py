@@ -43,7 +43,8 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
 
 def headings_at_rest(lag_s, sent, frames, until):
     """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
-    at, known = SentRates.none(2), np.ones((3, 2))
+    at = SentRates.none(2)
+    known = np.ones((3, 2))
     for when, rates in sent:
         at = at.with_room()
         note(when, np.array([-rates, rates]), known, *at)
@@ -59,15 +60,21 @@ def headings_at_rest(lag_s, sent, frames, until):
 
 def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
     """Turning rates sent at uneven times, followed with a lag, against an integration at 10 kHz."""
-    rng, lag_s, step = np.random.default_rng(4), 0.04, 1e-4
+    rng = np.random.default_rng(4)
+    lag_s = 0.04
+    step = 1e-4
     sent = {0.05: rng.normal(size=2), 0.08: rng.normal(size=2), 0.15: rng.normal(size=2)}
-    heading, turning, wanted, headings = np.zeros(2), np.zeros(2), np.zeros(2), []
+    heading = np.zeros(2)
+    turning = np.zeros(2)
+    wanted = np.zeros(2)
+    headings = []
     for k in range(6000):
         wanted = sent.get(round(k * step, 4), wanted if k < 2000 else np.zeros(2))
         headings.append(heading)
         heading = heading + step * turning
         turning = turning + step / lag_s * (wanted - turning)
-    moments, times = (0.02, 0.07, 0.12, 0.16), [round(each * SECOND) for each in sent]
+    moments = (0.02, 0.07, 0.12, 0.16)
+    times = [round(each * SECOND) for each in sent]
     commands = list(zip(times, sent.values(), strict=True))
     frames = [(round(when * SECOND), headings[round(when / step)]) for when in moments]
     found = headings_at_rest(lag_s, commands, frames, SECOND // 5)
@@ -76,7 +83,8 @@ def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
 
 
 def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
-    known, heading = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]]), np.array([0.3, -2.0])
+    known = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]])
+    heading = np.array([0.3, -2.0])
     found = wish(
         heading,
         np.full(2, 1.2),
@@ -93,14 +101,17 @@ def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
 
 def robots(rng, count):
     """A host's robots with uneven wheels, as calibrated and as they are, and poses."""
-    gain, zone = rng.uniform(5, 9, (2, count)), rng.integers(0, 8, (2, count))
-    limit, swap = rng.integers(60, 128, count), np.zeros(count, np.bool_)
+    gain = rng.uniform(5, 9, (2, count))
+    zone = rng.integers(0, 8, (2, count))
+    limit = rng.integers(60, 128, count)
+    swap = np.zeros(count, np.bool_)
     return Drivetrains(gain, zone, limit, swap), rng.uniform(-3, 3, (3, count))
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.04])
 def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
-    rng, count = np.random.default_rng(5), 3
+    rng = np.random.default_rng(5)
+    count = 3
     known = np.array([rng.uniform(2, 6, count), rng.uniform(100, 300, count), np.full(count, 40.0)])
     trains, _ = robots(rng, count)
     wrong = Drivetrains(2 * trains.gain, trains.dead_zone + 1, trains.limit, trains.swap)
@@ -117,9 +128,13 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
     )
     at = SentRates.none(count)
     for k in range(40):
-        now, since = (k + 1) * SECOND // 40, k * SECOND // 40 + 3_000_000
-        heading, u, drives = rng.uniform(-3, 3, count), rng.uniform(-3, 3), k % 5 > 0
-        at, speeds = at.with_room(), np.empty((2, 2, count))
+        now = (k + 1) * SECOND // 40
+        since = k * SECOND // 40 + 3_000_000
+        heading = rng.uniform(-3, 3, count)
+        u = rng.uniform(-3, 3)
+        drives = k % 5 > 0
+        at = at.with_room()
+        speeds = np.empty((2, 2, count))
         towards = np.full(count, u)
         kernels.answer(heading, towards, drives, since, now, known, lag_s, *at, rows, speeds)
         wished = host.wished(heading, u, since, now, drives)
@@ -131,15 +146,20 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
 
 def test_the_path_is_that_of_an_integration_in_any_division_into_calls():
     """By the midpoints of steps of 0.1 ms."""
-    rng, lag_s, radius = np.random.default_rng(6), 0.04, np.full(3, 40.0)
+    rng = np.random.default_rng(6)
+    lag_s = 0.04
+    radius = np.full(3, 40.0)
     pose, wheels, targets = (
         rng.normal(size=(3, 3)),
         rng.normal(size=(2, 3)),
         rng.normal(size=(2, 3)),
     )
-    wheels, targets = 100 * wheels, 100 * targets
+    wheels = 100 * wheels
+    targets = 100 * targets
     times = np.arange(1, 201) * SECOND // 1000
-    at, step, expected = pose, 1e-4, []
+    at = pose
+    step = 1e-4
+    expected = []
     for k in range(2000):
         decay = math.exp(-(k + 0.5) * step / lag_s)
         speed, turning = body_velocity(*(targets + (wheels - targets) * decay), radius)
@@ -151,7 +171,10 @@ def test_the_path_is_that_of_an_integration_in_any_division_into_calls():
     for parts in (1, 7):
         for roll in (WheeledRobots.roll, kernels.roll):
             fleet = WheeledRobots(Poses(*pose), radius, lag_s, 1e-9)
-            fleet.roll, fleet.wheels[:], fleet.targets[:], since = roll, wheels, targets, 0
+            fleet.roll = roll
+            fleet.wheels[:] = wheels
+            fleet.targets[:] = targets
+            since = 0
             found = []
             for part in np.array_split(times, parts):
                 found.append(fleet.drive(since, part))

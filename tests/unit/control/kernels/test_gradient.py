@@ -47,7 +47,8 @@ def traced(problem, signals):
 
 def turning(problem, seed):
     """Return a problem of robots that turn faster to one side, and some of which saturate."""
-    count, rng = len(problem.a), np.random.default_rng([seed, 1])
+    count = len(problem.a)
+    rng = np.random.default_rng([seed, 1])
     saturation = np.where(rng.random(count) < 0.5, 1.0, rng.uniform(0.2, 1, count))
     return replace(problem, side=rng.uniform(-0.3, 0.3, count), saturation=saturation)
 
@@ -81,8 +82,11 @@ def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     """`backward` against central differences of the readable model, in a random direction."""
     problem = problems.problem(problems.world(seed, robots, model=model), drifts=robots > 1)
     rng = np.random.default_rng(seed)
-    signals, toward = rng.uniform(-math.pi, math.pi, length), rng.normal(size=length)
-    step, robot, at = 1e-6, int(rng.integers(robots)), int(last * (length - 1))
+    signals = rng.uniform(-math.pi, math.pi, length)
+    toward = rng.normal(size=length)
+    step = 1e-6
+    robot = int(rng.integers(robots))
+    at = int(last * (length - 1))
     east, north = rng.normal(size=2)
     rows = np.zeros((1, length))
     backward(traced(problem, signals).gradients, robot, at, east, north, rows[0])

@@ -20,7 +20,9 @@ from tetractl.core.kernels import kernel_cache as kernels
 pytestmark = pytest.mark.slow
 
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
-TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
+TOLERANCE = 1e-3
+SLACK = 0.5
+PATIENCE = 6
 
 
 class Polished(NamedTuple):
@@ -69,7 +71,8 @@ def random_start(seed, length):
 def test_the_jacobian_and_the_residuals_slope_as_what_they_are_made_of(seed, separation):
     """J'r is the gradient of the bound of f and W^2 times all depths, each grown by the slack."""
     problem = problems.problem(problems.world(seed, 3, 3, "arc"), separation)
-    signals, step = random_start(seed, 12), 1e-5
+    signals = random_start(seed, 12)
+    step = 1e-5
     toward = np.random.default_rng(seed).normal(size=12)
     found = slopes(lay_out_polish(problem, 12), signals) @ toward
     ahead, behind = (
@@ -116,11 +119,14 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
     seed, obstacles, length, motion, budget
 ):
     problem = problems.problem(problems.world(seed, 2, obstacles, motion))
-    start, kept = random_start(seed, length), random_start(seed, length)
+    start = random_start(seed, length)
+    kept = random_start(seed, length)
     found = compiled(problem, start, 20, budget)
     assert np.array_equal(start, kept)
     assert np.all(np.diff(found.history) <= 0)
-    then, before, now = found.history, found.history[PATIENCE - 1 :], found.history[PATIENCE:]
+    then = found.history
+    before = found.history[PATIENCE - 1 :]
+    now = found.history[PATIENCE:]
     for z in range(len(now) - 1):  # all but the last
         assert now[z] == before[z] or now[z] <= PROGRESS * then[z]
     assert len(found.history) <= 21
@@ -131,7 +137,8 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
 def test_no_signal_changes_by_more_than_the_largest_step_in_an_iteration():
     largest = 0.0
     for seed in range(20):
-        problem, start = problems.problem(problems.world(seed, 1, 0, "arc")), random_start(seed, 12)
+        problem = problems.problem(problems.world(seed, 1, 0, "arc"))
+        start = random_start(seed, 12)
         off = compiled(problem, start, 1).signals - start
         largest = max(largest, np.abs((off + math.pi) % math.tau - math.pi).max())
     assert largest == pytest.approx(LARGEST_STEP)

@@ -19,7 +19,11 @@ from tetractl.core.poses import wrap
 
 pytestmark = pytest.mark.slow
 
-TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
+TOLERANCE = 1e-3
+SLACK = 0.5
+PATIENCE = 6
+STEPS = 8
+MUCH = 2**62
 NONE = np.empty(0)
 
 
@@ -43,7 +47,8 @@ def searched(
     sizes = max(count, best), particles, knots, length, STEPS, rounds
     found = kernel.workspace.__wrapped__(0, *sizes)
     found.begin(starts)
-    limits, how = (tolerance, SLACK, PATIENCE, budget, look), kernel.UNDER_WAY
+    limits = (tolerance, SLACK, PATIENCE, budget, look)
+    how = kernel.UNDER_WAY
     while how == kernel.UNDER_WAY:
         how = kernel.search(*laid, np.uint64(key), warm, rounds, *limits, found)
         if look < 0:
@@ -73,7 +78,8 @@ def test_each_start_is_polished_alike_whatever_the_looks_and_costs_j(model, look
 
 @pytest.mark.parametrize("look", [0, 1, 3])
 def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look):
-    problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 3, 20)
+    problem = problems.problem(problems.world(4, 3, 2, "exact"))
+    starts = starts_of(1, 3, 20)
     alone = [searched(problem, start[None])[1] for start in starts]
     costs = [float(one.costs[0]) for one in alone]
     how, found = searched(problem, starts, look=look)
@@ -87,7 +93,8 @@ def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look)
 
 
 def test_a_start_is_ended_as_it_is():
-    problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 3, 20)
+    problem = problems.problem(problems.world(4, 3, 2, "exact"))
+    starts = starts_of(1, 3, 20)
     _, found = searched(problem, starts, look=-1)
     assert found.counts[kernel.STARTS_DONE] == 1
     assert found.signals == pytest.approx(starts[0])
@@ -95,7 +102,8 @@ def test_a_start_is_ended_as_it_is():
 
 
 def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
-    problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 1, 20)
+    problem = problems.problem(problems.world(4, 3, 2, "exact"))
+    starts = starts_of(1, 1, 20)
     _, alone = searched(problem, starts)
     _, found = searched(problem, starts, tolerance=1e9, warm=starts[0])
     assert found.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
@@ -112,7 +120,8 @@ def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
     best=st.integers(1, 9),
 )
 def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, warmed, best):
-    problem, particles = problems.problem(problems.world(seed, 2, 1, "exact")), 9
+    problem = problems.problem(problems.world(seed, 2, 1, "exact"))
+    particles = 9
     knots = min(knots, length)
     warm = starts_of(seed, 1, length)[0] if warmed else NONE
     none = np.empty((0, length))
@@ -134,7 +143,8 @@ def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, wa
 
 
 def test_the_first_that_is_good_enough_is_the_last():
-    problem, starts = problems.problem(problems.world(4, 3, 0, "exact")), starts_of(2, 4, 20)
+    problem = problems.problem(problems.world(4, 3, 0, "exact"))
+    starts = starts_of(2, 4, 20)
     costs = [float(searched(problem, start[None])[1].costs[0]) for start in starts]
     least = int(np.argmin(costs))
     how, found = searched(problem, starts, costs[least] * (1 + 1e-9))
@@ -144,7 +154,8 @@ def test_the_first_that_is_good_enough_is_the_last():
 
 @given(st.integers(0, 600))
 def test_a_search_keeps_its_budget(budget):
-    problem, starts = problems.problem(problems.world(4, 2, 1, "exact")), starts_of(3, 4, 12)
+    problem = problems.problem(problems.world(4, 2, 1, "exact"))
+    starts = starts_of(3, 4, 12)
     how, found = searched(problem, starts, budget=budget, rounds=1, particles=40)
     spent = int(found.counts[kernel.EVALUATIONS])
     assert spent <= budget

@@ -52,7 +52,8 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
         watchdog_s=math.inf,
     )
     model.walk[HEADING] = 0.06
-    mean, std = np.zeros((1, 1, STATES)), np.zeros((1, STATES_OF_WHEELS))
+    mean = np.zeros((1, 1, STATES))
+    std = np.zeros((1, STATES_OF_WHEELS))
     mean[..., LN_A] = math.log(330.0)
     std[:, [HEADING, LN_A]] = 0.8, 0.6
     bank = Bank.start(np.zeros(1), mean, std, np.zeros(1, dtype=np.int64), LOG_FOLLOWS)
@@ -72,7 +73,8 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
 @pytest.mark.parametrize("odd", ODD)
 @pytest.mark.parametrize("place", PLACES)
 def test_the_filter_ends(odd, place):
-    noise, walk = np.ones((3, 1)), np.ones((STATES_OF_WHEELS, 1))
+    noise = np.ones((3, 1))
+    walk = np.ones((STATES_OF_WHEELS, 1))
     model = FilterModel(np.ones((1, len(PARAMETERS))), noise, walk, 0.0, 0.0, math.inf)
     start = np.zeros((1, 1, STATES)), np.ones((1, STATES_OF_WHEELS)), np.zeros(1, dtype=np.int64)
     bank = Bank.start(np.array([0.1]), *start)
@@ -85,7 +87,8 @@ def test_the_filter_ends(odd, place):
     numbers |= {"state": bank.state, "until": bank.until_s, "parameters": model.parameters}
     numbers[place][-1:] = odd
     seen = np.ones((3, 1), dtype=np.bool_)
-    commands, frames = SentCommands(when, u), PoseFrames(time, poses, seen)
+    commands = SentCommands(when, u)
+    frames = PoseFrames(time, poses, seen)
     assert ends(lambda: follow(bank, model, commands, frames, False, 0.0))
 
 

@@ -42,7 +42,8 @@ def test_it_leads_where_the_readable_prediction_does(
     world = problems.world(seed, robots, 3, motion, swept)
     problem = replace(problems.problem(world, separation, drifts), first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
-    slow, fast = foresee(problem, signals), compiled_foresee(problem, signals)
+    slow = foresee(problem, signals)
+    fast = compiled_foresee(problem, signals)
     assert fast.path == pytest.approx(slow.path, rel=1e-9, abs=1e-9)
     assert fast.path[0].tolist() == problem.poses.array().tolist()
     assert fast.target == pytest.approx(slow.target, rel=1e-9)
@@ -61,7 +62,8 @@ def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion
     poses = replace(problem.poses, heading=np.array([0.0, 0.3, -math.pi]))
     problem = replace(problem, poses=poses, a=np.array([6.0, 4.0, 3.0]))
     signals = np.array([math.pi, 0.7, -math.pi, 2.0, 2.2, -1.0])
-    slow, fast = foresee(problem, signals), compiled_foresee(problem, signals)
+    slow = foresee(problem, signals)
+    fast = compiled_foresee(problem, signals)
     assert fast.path == pytest.approx(slow.path, rel=1e-6, abs=1e-4)
     assert fast.target == pytest.approx(slow.target, rel=1e-6)
 
@@ -107,12 +109,17 @@ def test_a_pose_that_is_no_number_is_told():
 def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
     seed, robots, drifts, walls
 ):
-    rng, world = np.random.default_rng(seed), problems.world(seed, robots, 2, "exact")
-    problem, apart = problems.problem(world, 0.0, drifts), rng.choice([0.0, 100.0])
+    rng = np.random.default_rng(seed)
+    world = problems.world(seed, robots, 2, "exact")
+    problem = problems.problem(world, 0.0, drifts)
+    apart = rng.choice([0.0, 100.0])
     shapes = [thing.shape() for thing in world.obstacles]
     region = Obstacles.of(shapes, 0.0, Bounds(50, 50, 750, 750) if walls else None)
-    signals, steps, seconds = rng.uniform(-3, 3, 3), 4, 0.4
-    path, of = compiled_foresee(problem, signals).path, flat(problem)
+    signals = rng.uniform(-3, 3, 3)
+    steps = 4
+    seconds = 0.4
+    path = compiled_foresee(problem, signals).path
+    of = flat(problem)
     branches = []
     for j, u in enumerate(signals):
         held = replace(problem, poses=Poses.of(path[j]), first_period=0.1, period=0.1)
@@ -135,9 +142,11 @@ def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
 
 @given(seed=st.integers(0, 2**32), robots=st.integers(1, 4), drifts=st.booleans())
 def test_each_robot_drives_towards_its_own_direction_or_stands(seed, robots, drifts):
-    rng, world = np.random.default_rng(seed), problems.world(seed, robots, 0, "exact")
+    rng = np.random.default_rng(seed)
+    world = problems.world(seed, robots, 0, "exact")
     problem = problems.problem(world, 0.0, drifts)
-    towards, seconds = rng.uniform(-3, 3, robots), np.array([0.0, 0.07, 0.9])
+    towards = rng.uniform(-3, 3, robots)
+    seconds = np.array([0.0, 0.07, 0.9])
     towards[0] = np.nan if seed % 2 else towards[0]
     found = compiled_drive(problem, towards, seconds)
     for m, t in enumerate(seconds.tolist()):
@@ -151,9 +160,12 @@ def test_each_robot_drives_towards_its_own_direction_or_stands(seed, robots, dri
 
 @given(seed=st.integers(0, 2**32), robots=st.integers(1, 4), drifts=st.booleans())
 def test_branches_are_the_readable_predictions_of_their_directions(seed, robots, drifts):
-    rng, world = np.random.default_rng(seed), problems.world(seed, robots, 0, "exact")
+    rng = np.random.default_rng(seed)
+    world = problems.world(seed, robots, 0, "exact")
     problem = problems.problem(world, 0.0, drifts)
-    start, towards, turns = rng.uniform(0, 3, (2, robots, 3)), rng.uniform(-3, 3, 2), rng.random(5)
+    start = rng.uniform(0, 3, (2, robots, 3))
+    towards = rng.uniform(-3, 3, 2)
+    turns = rng.random(5)
     path = compiled_branches(problem, start, towards, turns, 0.1)
     for b in range(2):
         poses = Poses.of(start[b])

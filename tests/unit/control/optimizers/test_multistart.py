@@ -27,13 +27,15 @@ def reference_problem():
 
 
 def test_the_reference_problem_is_solved_from_any_seed():
-    problem, spec = reference_problem(), Multistart()
+    problem = reference_problem()
+    spec = Multistart()
     found = [spec.search(problem, 44, None, key, Limits()) for key in range(20)]
     assert [search.stopped for search in found] == ["target"] * 20
 
 
 def test_a_solved_problem_costs_one_look():
-    problem, spec = reference_problem(), Multistart()
+    problem = reference_problem()
+    spec = Multistart()
     solved = spec.search(problem, 44, None, 3, Limits()).signals
     again = spec.search(problem, 44, solved, 4, Limits())
     assert again.stopped == "target"
@@ -60,14 +62,16 @@ def test_a_warm_start_through_the_obstacle_is_led_out_of_it():
 
 
 def test_what_is_out_of_reach_is_given_up_after_one_round():
-    problem, spec = reference_problem(), Multistart(rounds=1000)
+    problem = reference_problem()
+    spec = Multistart(rounds=1000)
     found = spec.search(problem, 3, None, 1, Limits())
     assert found.stopped == "iterations"
     assert found.evaluations < 3000
 
 
 def test_a_deadline_ends_the_search_with_the_best_so_far():
-    problem, spec = reference_problem(), Multistart(tolerance=1e-300)
+    problem = reference_problem()
+    spec = Multistart(tolerance=1e-300)
     looks = iter([False, False, False])
     found = spec.search(problem, 30, None, 1, Limits(expired=lambda _: next(looks, True)))
     assert found.stopped == "deadline"
@@ -85,7 +89,8 @@ def test_a_deadline_ends_the_search_with_the_best_so_far():
 def test_looks_at_the_deadline_change_no_bit(steps, seed, length, warmed):
     """Regression: a look before the first iteration of a polish added an evaluation, so that
     `verify`, which looks, disagreed with a trial whose robots stood."""
-    problem, spec = problems.problem(problems.world(seed, 2, 1, "exact")), Multistart(rounds=2)
+    problem = problems.problem(problems.world(seed, 2, 1, "exact"))
+    spec = Multistart(rounds=2)
     warm = np.random.default_rng(seed).uniform(-3, 3, length) if warmed else None
     found = spec.search(problem, length, warm, seed, Limits())
     with pytest.MonkeyPatch.context() as patched:

@@ -101,7 +101,8 @@ def test_a_warm_start_is_left_alone_and_better_than_none(optimizer):
 
 @SAMPLING
 def test_a_deadline_or_a_budget_ends_a_search_with_the_best_so_far(optimizer):
-    problem, whole = problems.problem(problems.world(3)), None
+    problem = problems.problem(problems.world(3))
+    whole = None
     for looks in (1, 3):
         late = iter([False] * looks)
         found = optimizer.search(problem, 15, None, 1, Limits(expired=lambda _: next(late, True)))  # noqa: B023

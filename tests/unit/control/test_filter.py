@@ -449,94 +449,131 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
     assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 150, abs=5)
 
 
+DEAD_TIME_S = 0.1
+UNCERTAIN_S = 0.02
+"""Step of a grid of dead times, by which their time is uncertain."""
+
+
+def one_robot(lag, watchdog, helix_radius):
+    """The prior of a robot of which all is uncertain: on wheels, or a cell with a helix."""
+    return Prior(
+        a=np.array([4.0]),
+        speed=np.array([300.0]),
+        dead_time=DEAD_TIME_S,
+        a_std=0.2,
+        speed_std=0.15,
+        dead_time_std=1e-9,
+        heading_bias_std=0.05,
+        marker_bias_std=0.05,
+        flow_std=10,
+        position_noise=5,
+        heading_noise=0.05,
+        helix_frequency=1.5,
+        helix_radius=helix_radius,
+        lag=lag,
+        watchdog=watchdog,
+        side_std=0.1,
+        sticks=Sticks(every_s=6, for_s=1, strays=60, turns=1),
+    )
+
+
+def one_filter(filters, follows):
+    """The bank of a single filter of a robot, with `follows` hypotheses of one that drives: of a
+    cell whose helix has an unusual frequency, or of wheels that saturate."""
+    bank = filters.bank
+    if filters.prior.helix_radius == 0:
+        filter_row = [0]
+        bank.state[..., LN_SATURATION] = math.log(0.6)
+        bank.cov[..., LN_SATURATION, LN_SATURATION] = 0.3**2
+    else:
+        filter_row = [1]
+    bank = bank._make(column[filter_row] for column in bank)
+    if follows > FOLLOWS:
+        mean = bank.state[:, :, 0]
+        std = np.sqrt(bank.cov[0, :, 0].diagonal(axis1=1, axis2=2))
+        bank = Bank.start(bank.dead_time_s[:, 0], mean, std, bank.group[:, 0], follows)
+    bank.dead_time_s[:] = DEAD_TIME_S
+    return bank
+
+
+def advance_all(readable, seconds):
+    """Let all hypotheses of the readable filter go on."""
+    for hypothesis in filter(None, readable.slots):
+        readable.advance(hypothesis, seconds)
+
+
+def assert_hypotheses_agree(bank, readable):
+    """The bank's only filter has the hypotheses of the readable one."""
+    states = bank.cov.shape[-1]  # the readable filter has those of cells for wheels, too
+    for slot, hypothesis in enumerate(readable.slots):
+        weight = bank.weight[0, 0, slot]
+        assert (hypothesis is None) == np.isneginf(weight)
+        if hypothesis is not None:
+            assert weight == pytest.approx(hypothesis.ln_weight, abs=1e-6)
+            assert bank.state[0, 0, slot] == pytest.approx(hypothesis.z, rel=1e-6, abs=1e-6)
+            cov = hypothesis.cov[:states, :states]
+            assert bank.cov[0, 0, slot] == pytest.approx(cov, rel=1e-5, abs=1e-7)
+
+
 @pytest.mark.parametrize(
-    ("lag", "watchdog", "follows", "helix"),
+    ("lag", "watchdog", "follows", "helix_radius"),
     [
-        (0.0, math.inf, 3, 8),
-        (0.04, math.inf, 3, 8),
-        (0.04, 0.15, 3, 8),
+        (0.0, math.inf, FOLLOWS, 8),
+        (0.04, math.inf, FOLLOWS, 8),
+        (0.04, 0.15, FOLLOWS, 8),
         (0.0, math.inf, LOG_FOLLOWS, 8),
-        (0.0, math.inf, 3, 0),
-        (0.04, math.inf, 3, 0),
+        (0.0, math.inf, FOLLOWS, 0),
+        (0.04, math.inf, FOLLOWS, 0),
     ],
 )
-def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, helix):
-    """Random commands and poses near the path, until weights, states and covariances agree."""
+def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, helix_radius):
+    """A pose that wanders, 30 times a second and not seen in each seventh frame, and five random
+    commands a second: weights, states and covariances agree after each frame."""
     rng = np.random.default_rng(5)
-    prior = Prior(
-        np.array([4.0]),
-        np.array([300.0]),
-        0.1,
-        0.2,
-        0.15,
-        1e-9,
-        0.05,
-        0.05,
-        10,
-        5,
-        0.05,
-        1.5,
-        helix,
-    )
-    sticks = Sticks(6, 1, 60, 1)
-    bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog, side_std=0.1, sticks=sticks))
-    model = bank.model
-    made = bank.bank
-    model = model._replace(hold=(0.03, 1.2e-3, 6e-5) if lag else (0.0, 0.0, 0.0))
-    if not helix:  # wheels that saturate
-        made.state[..., LN_SATURATION] = math.log(0.6)
-        made.cov[..., LN_SATURATION, LN_SATURATION] = 0.3**2
-        made = made._make(np.concatenate([column, column]) for column in made)
-    made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
-    if follows > FOLLOWS:
-        mean = made.state[:, :, 0]
-        std = np.sqrt(made.cov[0, :, 0].diagonal(axis1=1, axis2=2))
-        made = Bank.start(made.dead_time_s[:, 0], mean, std, made.group[:, 0], follows)
-    made.dead_time_s[:] = 0.1
-    start = np.array([10.0, 20.0, 3.1])
-    none = SentCommands(np.empty(0), np.empty(0))
-    kernel.place(made, model, none, np.zeros(1), start[None], np.array([True]))
-    slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0], follows)
-    command = slow.branch if follows > FOLLOWS else slow.switch
-    when = 0.2 * np.arange(8) + 0.013
-    u = rng.uniform(-2, 2, 8)
-    u[5] = math.nan  # a stop
-    acts = list(when + 0.1)
-    now = 0.0
-    pose = start.copy()
-    score = 0.0
-    for k in range(1, 50):
-        until = k / 30
+    filters = FilterBank(one_robot(lag, watchdog, helix_radius))
+    hold = (0.03, 1.2e-3, 6e-5) if lag else (0.0, 0.0, 0.0)
+    model = filters.model._replace(hold=hold)
+    bank = one_filter(filters, follows)
+    pose = np.array([10.0, 20.0, 3.1])
+    no_commands = SentCommands(np.empty(0), np.empty(0))
+    kernel.place(bank, model, no_commands, np.zeros(1), pose[None], np.array([True]))
+    readable = RobotFilter(model, 0, bank.state[0, 0, 0], bank.cov[0, 0, 0], follows)
+    let_act = readable.branch if follows > FOLLOWS else readable.switch
+
+    directions = rng.uniform(-2, 2, 8)
+    directions[5] = math.nan  # a stop
+    commands = SentCommands(0.2 * np.arange(8) + 0.013, directions)
+    coming = 0  # of these
+    before_s = 0.0
+    for frame in range(1, 50):
+        now_s = frame / 30
         pose = pose + rng.normal(0, [4, 4, 0.03])
-        pose[2] = math.remainder(pose[2], math.tau)
-        seen = np.array([[False], [k % 7 > 0]])
-        made.score[:] = 0.0
-        times_s = np.array([[now], [until]])
-        frames = PoseFrames(times_s, np.stack([0 * pose, pose])[:, None], seen)
-        kernel.follow(made, model, SentCommands(when, u), frames, False, 0.02)
-        at = now
-        while acts and acts[0] <= until:
-            for one in filter(None, slow.slots):
-                slow.advance(one, acts[0] - at)
-            at = acts.pop(0)
-            command(float(u[len(u) - len(acts) - 1]), 0.02)
-        for one in filter(None, slow.slots):
-            slow.advance(one, until - at)
-        if seen[1, 0]:
-            score = slow.weigh(pose)
-        slow.stick(until - now)
-        now = until
-        for s, one in enumerate(slow.slots):
-            weight = made.weight[0, 0, s]
-            assert (one is None) == np.isneginf(weight)
-            if one is not None:
-                assert weight == pytest.approx(one.ln_weight, abs=1e-6)
-                assert made.state[0, 0, s] == pytest.approx(one.z, rel=1e-6, abs=1e-6)
-                states = made.cov.shape[-1]
-                cov = one.cov[:states, :states]
-                assert made.cov[0, 0, s] == pytest.approx(cov, rel=1e-5, abs=1e-7)
-    assert made.noise_scale[0, 0] == pytest.approx(slow.scale, rel=1e-6)
-    assert np.isfinite(score)
+        pose[HEADING] = math.remainder(pose[HEADING], math.tau)
+        is_seen = frame % 7 > 0
+
+        bank.score[:] = 0.0
+        frames = PoseFrames(
+            time_s=np.array([[before_s], [now_s]]),
+            poses=np.stack([0 * pose, pose])[:, None],
+            valid=np.array([[False], [is_seen]]),
+        )
+        kernel.follow(bank, model, commands, frames, False, UNCERTAIN_S)
+
+        reached_s = before_s
+        while coming < 8 and commands.sent_s[coming] + DEAD_TIME_S <= now_s:
+            acts_s = commands.sent_s[coming] + DEAD_TIME_S
+            advance_all(readable, acts_s - reached_s)
+            let_act(float(directions[coming]), UNCERTAIN_S)
+            reached_s = acts_s
+            coming += 1
+        advance_all(readable, now_s - reached_s)
+        if is_seen:
+            assert math.isfinite(readable.weigh(pose))
+        readable.stick(now_s - before_s)
+
+        assert_hypotheses_agree(bank, readable)
+        before_s = now_s
+    assert bank.noise_scale[0, 0] == pytest.approx(readable.scale, rel=1e-6)
 
 
 @pytest.mark.parametrize("spec", [EXPERIMENT, CELLS])

@@ -58,6 +58,8 @@ SLOW = {  # what the long check is for
     "rotation": (0.0087, 0.035),  # rad/s
 }
 NOTICED = ("another body", "all robots drift", "does not move", "backward", "the wrong way")
+NEAR = ("too close", "about to leave", "about to enter")
+"""What a guard says of robots that truly come near to another, the edge or an obstacle."""
 REFUSED = "refused: "
 UNITS = {"turn": "rad/s", "scale": "/s", "rotation": "rad/s"}
 ALL = (0, 1, 2)
@@ -228,7 +230,7 @@ def alarms(first: int, last: int) -> None:
         labs: list[VirtualLab] = []
         result = trial_of(partial(watched, labs, peaks), trial, RATE_HZ)
         guard = labs[0].plant.rig.guard
-        near = "too close" in result.reason  # which they truly are
+        near = any(text in result.reason for text in NEAR)
         close += near
         ended += not result.outcome.complete and not near
         refused += guard.refusals > 0
@@ -237,7 +239,7 @@ def alarms(first: int, last: int) -> None:
         if trial == last - 1 or trial % 10 == 9:
             print(
                 f"{trial + 1 - first} trials: {ended} false alarms, {refused} with refused poses, "
-                f"{close} ended as robots came too close; statistic {max(peaks):.1f}, "
+                f"{close} ended as robots came too near; statistic {max(peaks):.1f}, "
                 f"{beyond(peaks):.2f} of 1,000 trials above {LIMIT:g}",
                 flush=True,
             )

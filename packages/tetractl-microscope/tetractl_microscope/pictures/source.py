@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
+from cv2.utils import logging
 from PIL.JpegImagePlugin import JpegImageFile
 
 from tetractl.core.clock import SECOND, Clock
@@ -76,6 +77,7 @@ class DeviceFeed(_CaptureFeed):
         self.rate_hz = source.rate
         self._name, self._clock = f"camera {source.index}", clock
         system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
+        logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # its others go to stderr, as ours do
         self._capture = capture = cv2.VideoCapture(source.index, system)
         if not capture.isOpened():
             raise AbortError(

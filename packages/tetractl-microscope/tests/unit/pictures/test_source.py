@@ -57,6 +57,15 @@ def test_no_file_and_no_film_are_told_apart(tmp_path):
         FileSource(type="file", path=str(text)).open(VirtualClock(), 1.0)
 
 
+def test_a_camera_that_is_not_there_is_said_once(capfd):
+    """Regression: OpenCV wrote two lines of warnings above ours."""
+    with pytest.raises(AbortError, match="camera 63 cannot be opened"):
+        DeviceSource(type="device", index=63, width=64, height=64, rate=30).open(
+            VirtualClock(), 1.0
+        )
+    assert capfd.readouterr().err == ""
+
+
 class Capture:
     """Stands in for cv2.VideoCapture: a camera of one size that delivers three pictures."""
 

@@ -34,7 +34,8 @@ def cache_folder() -> Path:
     If this folder cannot be made, or other users can write to it, a temporary folder is returned,
     which is removed at the end of the process. Raises OSError if no temporary folder can be made.
     """
-    wanted, why = _wanted(), "the user has no home folder"
+    wanted = _wanted()
+    why = "the user has no home folder"
     if wanted is not None:
         why = claim(wanted)
         if why is None:
@@ -79,7 +80,8 @@ def exposed(folder: Path) -> str | None:
     """
     if not hasattr(os, "getuid"):  # Windows: files have no owners
         return None
-    me, real = os.getuid(), folder.resolve(strict=True)
+    me = os.getuid()
+    real = folder.resolve(strict=True)
     for place in (real, *real.parents):
         found = place.stat()
         if found.st_uid not in ((me,) if place == real else (me, 0)):

@@ -219,7 +219,8 @@ class WorkerPool:
         arguments: tuple[Any, ...] = (),
     ) -> None:
         self._heard, self._said = context.Pipe(duplex=False)
-        self._who, self._tell = who, tell
+        self._who = who
+        self._tell = tell
         self._context: Any = context
         start = self._said, prepare, arguments
         self._pool = ProcessPoolExecutor(workers, context, _start_worker, start)

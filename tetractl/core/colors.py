@@ -8,7 +8,9 @@ how the report does in `report/assets/page.css`.
 
 from collections.abc import Sequence
 
-GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+RED = "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
 """The colours of robots: the colour-blind safe ones of Okabe and Ito (2008) without yellow and
 black, and two further ones."""
@@ -16,8 +18,11 @@ NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 """The paper's colours by name, in shades that colour-blind readers can distinguish."""
 SLATES = ("#2B3A4A", "#7A8EA3", "#B3C0CC")
 """The colours of batches, from dark to light."""
-INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
-OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
+INK = "#222222"
+GREY = "#8A8A8A"
+FAINT = "#D0D0D0"
+OBSTACLE = "#F6DF8B"
+OBSTACLE_EDGE = "#B8960C"
 ALARM = "#B00020"
 
 

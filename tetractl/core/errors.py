@@ -33,7 +33,8 @@ class TetractlError(Exception):
 
     def __init__(self, message: str, hint: str | None = None) -> None:
         super().__init__(message)
-        self.message, self.hint = message, hint
+        self.message = message
+        self.hint = hint
 
     def __str__(self) -> str:
         hint = re.sub(r"--\w+", lambda it: IN_PYTHON.get(it[0], it[0][2:]), self.hint or "")
@@ -67,7 +68,9 @@ class WrongValueError(TetractlError):
 
     def __init__(self, giver: object, who: str, what: str) -> None:
         super().__init__(f"{who} returned {what}")
-        self.giver, self.who, self.what = giver, who, what
+        self.giver = giver
+        self.who = who
+        self.what = what
 
 
 class WireError(ValueError):

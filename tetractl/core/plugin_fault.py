@@ -58,7 +58,8 @@ def plugin_fault(
             return FaultyPluginError(text, CHECK)
     elif isinstance(error, TetractlError) or _of_computer(error):
         return None
-    calls, why = extract_tb(error.__traceback__), text_of(error).removeprefix("WrongValueError: ")
+    calls = extract_tb(error.__traceback__)
+    why = text_of(error).removeprefix("WrongValueError: ")
     places: list[tuple[str, str, object]]
     places = [(why, call.filename, call.lineno) for call in reversed(calls)]
     with suppress(Exception):  # it may have no text
@@ -89,7 +90,9 @@ def _of_computer(error: BaseException) -> bool:
 def _owner(file: Path) -> tuple[str, str] | None:
     """Return the names of the kinds that a file defines, or of the kinds of its package if it
     defines none, and the package with its version; None for a file of no plug-in."""
-    own, near, package = list[str](), list[str](), ""
+    own = list[str]()
+    near = list[str]()
+    package = ""
     for registry in (*REGISTRIES, COMMANDS, LAB_COMMANDS):
         for kind in (kind for kind in registry.kinds() if kind.package):
             module = kind.code.partition(":")[0]

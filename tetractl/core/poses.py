@@ -56,7 +56,9 @@ class Poses:
     def array(self) -> Floats:
         """Return the poses as an array of shape (N, 3): x, y, heading."""
         found = np.empty((len(self.x), 3))
-        found[:, 0], found[:, 1], found[:, 2] = self.x, self.y, self.heading
+        found[:, 0] = self.x
+        found[:, 1] = self.y
+        found[:, 2] = self.heading
         return found
 
     @property

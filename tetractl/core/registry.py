@@ -50,7 +50,9 @@ class Registry:
     """
 
     def __init__(self, group: str, builtin: Mapping[str, str], base: str = "") -> None:
-        self.group, self.builtin, self.base = group, dict(builtin), base
+        self.group = group
+        self.builtin = dict(builtin)
+        self.base = base
         self.what = group.removeprefix("tetractl.").removesuffix("s").replace("_", " ")
         self.of_commands = self.what.endswith("command")
 

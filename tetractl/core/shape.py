@@ -34,7 +34,8 @@ class Shape:
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
         """The least and the greatest coordinates: left, bottom, right, top."""
-        low, high = self.corners.min(axis=0), self.corners.max(axis=0)
+        low = self.corners.min(axis=0)
+        high = self.corners.max(axis=0)
         return *(low - self.radius).tolist(), *(high + self.radius).tolist()
 
     def contain(self, x: Floats, y: Floats) -> Bools:
@@ -46,8 +47,10 @@ class Shape:
 
         A point is inside the polygon if a ray from it crosses an odd number of edges.
         """
-        shape, (x, y) = np.broadcast(x, y).shape, (a.ravel() for a in np.broadcast_arrays(x, y))
-        inside, least = np.zeros(x.shape, dtype=np.bool_), np.full(x.shape, np.inf)
+        shape = np.broadcast(x, y).shape
+        x, y = (a.ravel() for a in np.broadcast_arrays(x, y))
+        inside = np.zeros(x.shape, dtype=np.bool_)
+        least = np.full(x.shape, np.inf)
         for ax, ay, bx, by in self._edges():
             eastwards = (turn(ax, ay, bx, by, x, y) > 0) == (by > ay)
             crosses = eastwards & ((ay > y) != (by > y))
@@ -98,8 +101,10 @@ def turn(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
 
 def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
     """Return whether two segments have a point in common, ends included; arguments broadcast."""
-    a, b = turn(x0, y0, x1, y1, ax, ay), turn(x0, y0, x1, y1, bx, by)
-    c, d = turn(ax, ay, bx, by, x0, y0), turn(ax, ay, bx, by, x1, y1)
+    a = turn(x0, y0, x1, y1, ax, ay)
+    b = turn(x0, y0, x1, y1, bx, by)
+    c = turn(ax, ay, bx, by, x0, y0)
+    d = turn(ax, ay, bx, by, x1, y1)
     apart = (np.maximum(x0, x1) < np.minimum(ax, bx)) | (np.maximum(ax, bx) < np.minimum(x0, x1))
     apart |= (np.maximum(y0, y1) < np.minimum(ay, by)) | (np.maximum(ay, by) < np.minimum(y0, y1))
     # both ends on the same side of the other segment
@@ -109,7 +114,8 @@ def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any)
 
 def _to_segments(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Floats:
     """Return the distance of points to segments from (ax, ay) to (bx, by); arguments broadcast."""
-    ex, ey = bx - ax, by - ay
+    ex = bx - ax
+    ey = by - ay
     length2 = ex * ex + ey * ey
     along = ((x - ax) * ex + (y - ay) * ey) / np.where(length2 > 0, length2, 1.0)
     along = np.clip(along, 0.0, 1.0)

@@ -56,7 +56,8 @@ class Standing:
     def dead(self, frame: Observation) -> Bools | None:
         """Return which robots (N,) have stood while one drove for DEAD_S, None if none moved, and
         set `due_ns` to the time of the next frame to look at."""
-        self.due_ns, xy = (frame.sampled_ns // LOOK_NS + 1) * LOOK_NS, frame.poses.xy
+        self.due_ns = (frame.sampled_ns // LOOK_NS + 1) * LOOK_NS
+        xy = frame.poses.xy
         way = np.hypot(*(xy - self._at).T) / self._speed
         moves = frame.valid & ~(way < STRIDE_S)  # one seen for the first time moves
         if not moves.any():
@@ -77,7 +78,8 @@ class Losses:
     """
 
     def __init__(self, rule: LossRule | None, speed: Floats) -> None:
-        self._rule, count = rule, len(speed)
+        self._rule = rule
+        count = len(speed)
         self._standing = Standing(speed)
         self.dead: Bools = np.zeros(count, dtype=np.bool_)
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
@@ -100,7 +102,8 @@ class Losses:
         self._waiting.append(frame)
         if frame.sampled_ns < self._due_ns:
             return []
-        after_ns, back = round(self._rule.after_s * SECOND), np.zeros_like(self.lost)
+        after_ns = round(self._rule.after_s * SECOND)
+        back = np.zeros_like(self.lost)
         seen_ns = np.full(len(back), frame.sampled_ns) if self._seen_ns is None else self._seen_ns
         for one in self._waiting:
             gone = self.left & (one.sampled_ns - seen_ns >= after_ns)
@@ -108,7 +111,8 @@ class Losses:
             lost = self.lost | gone
             back = lost & one.valid & self._rule.replaced
             if gone.any() or back.any():
-                self.times, self.lost = self.times + gone, lost & ~back
+                self.times = self.times + gone
+                self.lost = lost & ~back
                 self.left = ~self.lost
         self._seen_ns = seen_ns
         self._due_ns = int(seen_ns.min()) + after_ns if self.left.all() else 0
@@ -116,7 +120,8 @@ class Losses:
         return np.flatnonzero(back).tolist()
 
     def _lose(self, gone: Bools) -> None:
-        self.times, self.lost = self.times + gone, self.lost | gone
+        self.times = self.times + gone
+        self.lost = self.lost | gone
         self.left = ~self.lost
 
 
@@ -153,9 +158,12 @@ class TourMeasure:
     def __init__(
         self, legs: Floats, hold: HoldTask | None, loss: LossRule | None, speed: Floats
     ) -> None:
-        self._legs, self._hold, self._leg = legs, hold, 0
+        self._legs = legs
+        self._hold = hold
+        self._leg = 0
         self._began_ns: int | None = None
-        self._inside, self._frames = np.zeros(legs.shape[1], dtype=np.int64), 0
+        self._inside = np.zeros(legs.shape[1], dtype=np.int64)
+        self._frames = 0
         self._passed: list[float] = []
         self._losses = Losses(loss, speed)
 
@@ -163,7 +171,8 @@ class TourMeasure:
         """Set the leg of a control step; return a message if a new leg begins, otherwise ""."""
         for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
             self._passed.append(float(observation.poses.distances(past).sum()))
-        begins, self._leg = leg > self._leg, leg
+        begins = leg > self._leg
+        self._leg = leg
         if leg == len(self._legs) and self._began_ns is None:
             self._began_ns = observation.sampled_ns
             return "the robots have arrived and hold"

@@ -159,7 +159,8 @@ class TrialRecords:
     @property
     def tour(self) -> TourMeasure:
         """The measure of how the robots passed their way-points and held, up to the stop."""
-        setup, stops = self.start.setup, [one.sent_ns for one in self.commands if one.stops]
+        setup = self.start.setup
+        stops = [one.sent_ns for one in self.commands if one.stops]
         found = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
         for step in self.steps:
             found.step(step.plan.leg, step.observation)

@@ -53,11 +53,14 @@ class Worker:
         idle: Callable[[], float | None] = _nothing,
         batch_s: float = 0.0,
     ) -> None:
-        self._wait_s, self._patience_s = wait_s, patience_s
-        self._too_slow, self._idle = too_slow, idle
+        self._wait_s = wait_s
+        self._patience_s = patience_s
+        self._too_slow = too_slow
+        self._idle = idle
         self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
         self._places = threading.Semaphore(size)
-        self._batch_s, self._awaited = batch_s, threading.Event()
+        self._batch_s = batch_s
+        self._awaited = threading.Event()
         self.failure: Exception | None = None
         self._raised = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)

@@ -47,7 +47,8 @@ def decode(frame: bytes) -> bytes:
         raise WireError("not a COBS frame")
     parts: list[bytes] = []
     while frame:
-        size, frame = frame[0], frame[1:]
+        size = frame[0]
+        frame = frame[1:]
         if len(frame) < size - 1:
             raise WireError("the COBS frame ends too early")
         parts.append(frame[: size - 1])

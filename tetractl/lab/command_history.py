@@ -42,7 +42,8 @@ class CommandHistory:
 
     def mean(self, until_ns: int, dt_ns: int) -> Floats:
         """Return the mean of the rates commanded during the `dt_ns` before a time."""
-        first, k = until_ns - dt_ns, bisect_left(self._times, until_ns) - 1
+        first = until_ns - dt_ns
+        k = bisect_left(self._times, until_ns) - 1
         if k >= 0 and self._times[k] <= first:  # the most frequent case
             return self._sent[k] * dt_ns / dt_ns
         total = self._none
@@ -51,5 +52,6 @@ class CommandHistory:
             total = total + self._sent[k] * (until_ns - since)
             if since == first:
                 break
-            until_ns, k = since, bisect_left(self._times, since) - 1
+            until_ns = since
+            k = bisect_left(self._times, since) - 1
         return total / dt_ns

@@ -349,7 +349,9 @@ class DriftCheck:
         v, w = sent[:, 0].T * dt_s
         r = self._radius
         later = (sent[:, 1:] - sent[:, :1]) * dt_s[:, None, None]
-        along, across, around = 0, 1, 2
+        along = 0
+        across = 1
+        around = 2
         x = np.zeros((len(blocks), 3, COLUMNS))
         x[:, :, RESIDUAL] = motions
         x[:, along, RESIDUAL] -= v

@@ -229,7 +229,9 @@ class MotionCheck:
             return ""
         slack = self._slack[i]
         since = ways - np.array([moment.ways for moment in self._windows[i].moments])  # (K, 3, 3)
-        way, least, most = since[:, 0], since[:, 1], since[:, 2]
+        way = since[:, 0]
+        least = since[:, 1]
+        most = since[:, 2]
         wrong = (way < least - slack) | (way > most + slack)
         moments = np.flatnonzero(wrong.any(axis=1))
         if not len(moments):

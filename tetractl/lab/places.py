@@ -22,8 +22,10 @@ class Places:
     def __init__(
         self, arena: Bounds, obstacles: Sequence[Shape], reaction: float, noise: float
     ) -> None:
-        self._arena, self._obstacles = arena, obstacles
-        self._reaction, self._noise = reaction, noise
+        self._arena = arena
+        self._obstacles = obstacles
+        self._reaction = reaction
+        self._noise = noise
         self._rates: tuple[Sequence[float], Sequence[float]] | None = None
         self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
 
@@ -58,12 +60,14 @@ class Places:
         if self._rates is None:
             return pose.x, pose.y
         way, turned = (rate[i] * self._reaction for rate in self._rates)
-        gone, course = way * chord(turned), pose.heading + turned / 2
+        gone = way * chord(turned)
+        course = pose.heading + turned / 2
         return pose.x + gone * math.cos(course), pose.y + gone * math.sin(course)
 
     def _depth(self, x: float, y: float) -> float:
         """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""
-        deepest, near = -math.inf, self._noise
+        deepest = -math.inf
+        near = self._noise
         for shape in self._obstacles:
             left, bottom, right, top = shape.box
             if left - near <= x <= right + near and bottom - near <= y <= top + near:

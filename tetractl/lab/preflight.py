@@ -138,7 +138,8 @@ def inspect(rig: Rig) -> Preflight:
     outdated = rig.guard.dropped
     seen = _watch(rig)
     outdated = rig.guard.dropped - outdated
-    camera, actuator = rig.camera.check(), rig.actuator.check()
+    camera = rig.camera.check()
+    actuator = rig.actuator.check()
     newest = rig.frames.newest
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.frame.fault:
@@ -146,7 +147,8 @@ def inspect(rig: Rig) -> Preflight:
     if not seen:
         problems.append(rig.guard.why_no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(seen)
-    comes_hz, own_hz = rate_hz(seen), rig.setup.sight.rate_hz
+    comes_hz = rate_hz(seen)
+    own_hz = rig.setup.sight.rate_hz
     slow = comes_hz is not None and comes_hz < 0.8 * own_hz
     warnings = [f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}"] if slow else []
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
@@ -187,7 +189,9 @@ def dropped(outdated: int) -> str:
 def _robot(
     rig: Rig, i: int, frame: AcceptedFrame | None, status: RobotStatus = NOT_POLLED
 ) -> RobotFinding:
-    name, starts, limits = rig.setup.names[i], rig.setup.starts, rig.limits
+    name = rig.setup.names[i]
+    starts = rig.setup.starts
+    limits = rig.limits
     pose = frame.pose(i) if frame is not None else None
     if pose is None:
         return RobotFinding(name, None, None, "", rig.not_tracked(i), status)
@@ -209,13 +213,16 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
 
 def _watch(rig: Rig) -> list[CameraFrame]:
     """Return the next `FRAMES_CHECKED` frames, or fewer if the camera falls silent."""
-    clock, frames, first = rig.clock, rig.frames, rig.frames.count
+    clock = rig.clock
+    frames = rig.frames
+    first = rig.frames.count
     began = heard = clock.now()
     silence = round(rig.limits.stream_lost * SECOND)
     count = first
     while count - first < FRAMES_CHECKED and clock.now() - began < SECOND:
         clock.sleep_until(clock.now() + SECOND // 100)
-        before, count = count, frames.count
+        before = count
+        count = frames.count
         if count > before:
             heard = clock.now()
         elif clock.now() - heard > silence:
@@ -239,7 +246,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     from their starts: without an operator, for at most `limits.placing`. AbortError lists the
     problems and each robot's distance from its start; KeyboardInterrupt if the operator gives up.
     """
-    prompt, clock = supervision.prompt, rig.clock
+    prompt = supervision.prompt
+    clock = rig.clock
     # frames are missing occasionally, so a robot has at least 1 s
     limit_ns = round(max(rig.limits.placing, 1.0) * SECOND)
     began = clock.now()
@@ -271,7 +279,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
 
 def _check_stream(rig: Rig) -> None:
-    silent_ns, newest = rig.silent_ns(), rig.frames.newest
+    silent_ns = rig.silent_ns()
+    newest = rig.frames.newest
     if newest is not None and newest.frame.fault:
         raise AbortError(newest.frame.fault)
     if silent_ns > max(rig.limits.stream_lost, 0.5) * SECOND:

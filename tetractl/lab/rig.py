@@ -41,9 +41,12 @@ class Rig:
         emulated: Sequence[str] = (),
         checks_of: ChecksOf = robot_checks,
     ) -> None:
-        self.camera, self.actuator, self.limits = camera, actuator, limits
+        self.camera = camera
+        self.actuator = actuator
+        self.limits = limits
         self._emulated = frozenset(emulated)
-        self.setup, self.clock = setup, clock
+        self.setup = setup
+        self.clock = clock
         self.mm = setup.metres / MM  # millimetres per length unit of the spec
         self._checks_of = checks_of
         self.guard = Guard(guard_rules(setup, limits), checks_of)
@@ -56,7 +59,8 @@ class Rig:
             emergency or threading.Event(),
         )
         self.frames = self.loop.frames
-        self._threaded, self._entered = threaded, False
+        self._threaded = threaded
+        self._entered = False
         self._opened = ExitStack()
         self._open = set[str]()  # the devices that are open
 

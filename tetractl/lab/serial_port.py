@@ -62,8 +62,12 @@ class SerialPort:
         self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
     ) -> None:
         self.failure: str | None = None
-        self._name, self._baud, self._device, self._hint = name, baud, device, hint
-        self._clock, self._heard = clock, heard
+        self._name = name
+        self._baud = baud
+        self._device = device
+        self._hint = hint
+        self._clock = clock
+        self._heard = heard
         self._sending = threading.Lock()
         self._closing = threading.Event()
         self._port: serial.Serial | None = None
@@ -214,7 +218,9 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     since a hanging run may still drive robots. `say` prints a line. AbortError if the process that
     has the port open cannot be ended: it is unknown, another user's, or not tetractl.
     """
-    began, failure, said = time.monotonic(), "", False
+    began = time.monotonic()
+    failure = ""
+    said = False
     pid = holder(port)
     due = list(SIGNALS)
     words = command_line(pid) if pid else []

@@ -89,7 +89,9 @@ def build_drive(
     settings: SimSection, setup: Setup, robots: TrueRobots, seed: np.random.SeedSequence
 ) -> Drive:
     """Return what moves the robots: wheels or cells if the spec has them, else its motion."""
-    a, speed, starts = robots.a, robots.speed, robots.starts
+    a = robots.a
+    speed = robots.speed
+    starts = robots.starts
     if settings.drive is not None:
         return WheelDrive(settings, setup, a, speed, starts, seed)
     if settings.cells is not None:

@@ -77,7 +77,9 @@ def run_batch(
     OtherCodeError if the code on a worker differs from that of this process.
     """
     report = Report(left=len(tasks))
-    arms, spent_s, timed = len({task.arm for task in tasks}), 0.0, 0
+    arms = len({task.arm for task in tasks})
+    spent_s = 0.0
+    timed = 0
 
     def ready(task: Task) -> Path:
         observer.trial_started(task)
@@ -93,7 +95,8 @@ def run_batch(
             if isinstance(found, Finished):
                 store.add(*task.key)
                 report.results[task.key] = result = found.result
-                spent_s, timed = spent_s + found.wall_s, timed + 1
+                spent_s += found.wall_s
+                timed += 1
                 if result.outcome is Outcome.ABORTED:
                     failure = f"aborted: {result.reason}"
             else:

@@ -40,7 +40,8 @@ class CheckedController:
     def __init__(
         self, section: ControllerSection, setup: Setup, key: int, host: Host = ALONE
     ) -> None:
-        self._section, self._setup = section, setup
+        self._section = section
+        self._setup = setup
         self._ours = type(section).__module__.startswith("tetractl.")
         self.controller = section.build(setup if self._ours else copy.deepcopy(setup), key, host)
 

@@ -33,9 +33,11 @@ class Cluster:
     """
 
     def __init__(self, address: str, interrupt: Interrupt) -> None:
-        self._address, self._interrupt = address, interrupt
+        self._address = address
+        self._interrupt = interrupt
         self._ended = False
-        self._workers, self._count_at_s = 1, 0.0
+        self._workers = 1
+        self._count_at_s = 0.0
 
     def __enter__(self) -> Self:
         from distributed import Client
@@ -88,10 +90,12 @@ class Cluster:
         """Yield each task with its result or error, in the order in which the tasks end; AbortError
         once the scheduler is gone."""
         # `alone` are tasks of lost Dask tasks, to be submitted one by one
-        waiting, alone = deque(tasks), deque[Task]()
+        waiting = deque(tasks)
+        alone = deque[Task]()
         running = dict[Any, list[tuple[Task, Path]]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        wall_s, count = 0.0, 0
+        wall_s = 0.0
+        count = 0
         while not (self._ended or self._interrupt.requested):
             # two Dask tasks for each thread, so that none waits, and some without a worker
             window = max(2 * self.workers, 8)
@@ -118,7 +122,8 @@ class Cluster:
                 continue
             for (task, _), one in zip(given, found, strict=True):
                 if isinstance(one, Finished):
-                    wall_s, count = wall_s + one.wall_s, count + 1
+                    wall_s += one.wall_s
+                    count += 1
                 yield task, one
         if self._connected:
             self._client.cancel(list(running))

@@ -57,7 +57,8 @@ class Interrupt:
         more = {signal.SIGTSTP: self._on_signal} if robots else {}
         deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
         before = _install({**dict.fromkeys(STOP_SIGNALS, self._on_signal), **more, **deaf})
-        unraisable, sys.unraisablehook = sys.unraisablehook, self.on_unraisable
+        unraisable = sys.unraisablehook
+        sys.unraisablehook = self.on_unraisable
         try:
             yield
         finally:
@@ -138,7 +139,8 @@ class _Leave:
     """Ends the process, once: a handler of signals."""
 
     def __init__(self, code: int, say: Callable[[], object]) -> None:
-        self._code, self._say = code, say
+        self._code = code
+        self._say = say
         self._once = threading.Lock()
 
     def __call__(self, number: int, frame: FrameType | None = None) -> None:

@@ -53,7 +53,9 @@ def other_delay(known: Estimate, stated: StatedDelay) -> str:
 def turning(known: Estimate, i: int) -> str:
     """Return what is known of how robot i turns beyond its rate a, "" for nothing."""
     found = list[str]()
-    side, std, most = known.side, known.side_std, known.saturation
+    side = known.side
+    std = known.side_std
+    most = known.saturation
     if side is not None and std is not None and abs(side[i]) > SURE * std[i]:
         way = "left" if side[i] > 0 else "right"
         found.append(f"turns {100 * math.expm1(2 * abs(side[i])):.0f} % faster to the {way}")
@@ -66,7 +68,8 @@ def turning(known: Estimate, i: int) -> str:
 def learnt(known: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     """Yield in words what is estimated otherwise than `before`, by more than standard deviations
     explain."""
-    now, was = known.dead_time, before.dead_time
+    now = known.dead_time
+    was = before.dead_time
     if now is not None and was is not None:
         std = math.hypot(known.dead_time_std or 0.0, before.dead_time_std or 0.0)
         if abs(now - was) > SURE * std:
@@ -103,7 +106,8 @@ class ModelNews:
             self._stood.add(name)
             yield "info", f"{name} stands although it is sent a direction"
         if unfit := known.unfit(setup.names):
-            self._before, self._unfit_ns = self._before or known, now_ns
+            self._before = self._before or known
+            self._unfit_ns = now_ns
             if new := unfit - self._said:
                 self._said |= new
                 yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
@@ -112,5 +116,6 @@ class ModelNews:
                 yield "warning", text
         elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:
             found = "; ".join(learnt(known, self._before, setup)) or "with the same values"
-            self._said, self._before = set(), None
+            self._said = set()
+            self._before = None
             yield "info", f"the model fits again: {found}"

@@ -23,7 +23,8 @@ SAMPLES = 64  # positions per side of a square that are checked against arena an
 
 def limits(experiment: Experiment) -> dict[str, str]:
     """Return the limits of a trial by name, as text."""
-    control, unit = experiment.controller, experiment.units.length
+    control = experiment.controller
+    unit = experiment.units.length
     longest = control.time_limit
     fastest = max(robot.speed for robot in experiment.robots)
     found = {
@@ -47,14 +48,18 @@ def check(experiment: Experiment) -> None:
             "controller.first_plan: a square needs all robots to start with the same heading",
             "give all robots the same heading, or use {type: stand}",
         )
-    path, setup = PathCheck.of(experiment.setup), experiment.setup
-    x, y = setup.starts.x, setup.starts.y
+    path = PathCheck.of(experiment.setup)
+    setup = experiment.setup
+    x = setup.starts.x
+    y = setup.starts.y
     t = np.linspace(0, square.side, SAMPLES)[:, None]
     for direction in directions(headings):
         args = np.array(direction), setup.a, setup.speed, t
         path_x, path_y, turned = step(x, y, headings, *args)
         path.add(path_x, path_y)
-        x, y, headings = path_x[-1], path_y[-1], turned[-1]
+        x = path_x[-1]
+        y = path_y[-1]
+        headings = turned[-1]
     for name, edge, entered in zip(setup.names, path.edge, path.entered, strict=True):
         if edge < 0 or entered:
             what = "leave the arena" if edge < 0 else "enter an obstacle"

@@ -43,8 +43,10 @@ _reduce: Any
 try:
     from numba.core import compiler, serialize
 
-    _dumps, result = serialize.dumps, compiler.CompileResult
-    _rebuild, _reduce = result._rebuild, result._reduce
+    _dumps = serialize.dumps
+    result = compiler.CompileResult
+    _rebuild = result._rebuild
+    _reduce = result._reduce
 except (ImportError, AttributeError):  # they are private: without them nothing is kept
     _rebuild = None
 
@@ -108,7 +110,8 @@ class KernelCache:
     """The compiled code of one function: a file for each signature, processor and Python."""
 
     def __init__(self, function: Callable[..., Any], place: Path | None) -> None:
-        self._function, self._place = function, place
+        self._function = function
+        self._place = place
 
     @property
     def cache_path(self) -> str:

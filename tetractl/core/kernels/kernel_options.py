@@ -41,7 +41,8 @@ def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> Functi
     the compiler.
     """
     assert isinstance(function, FunctionType)
-    code, scope = function.__code__, function.__globals__
+    code = function.__code__
+    scope = function.__globals__
     called = {name: scope.get(name) for name in code.co_names}
     parts = {name: part(f) for name, f in called.items() if isinstance(f, FunctionType)}
     return FunctionType(code, {**scope, **parts}, function.__name__)

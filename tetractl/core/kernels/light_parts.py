@@ -25,7 +25,8 @@ def _callers_first(library: Any) -> list[Any]:
 
     LLVM's linker leaves out a function that nothing calls yet.
     """
-    seen, order = set[Any](), list[Any]()
+    seen = set[Any]()
+    order = list[Any]()
 
     def visit(one: Any) -> None:
         if one not in seen:
@@ -78,7 +79,8 @@ def _light() -> type[Any]:
             return self._shared_module
 
         def finalize(self) -> None:
-            self._shared_module, self._linking_libraries = None, _callers_first(self)
+            self._shared_module = None
+            self._linking_libraries = _callers_first(self)
             super().finalize()
             for variable in self._final_module.global_variables:
                 environment = lookup_environment(variable.name)
@@ -90,7 +92,8 @@ def _light() -> type[Any]:
 
         def compile_extra(self, func: Any) -> Any:
             codegen = self.state.targetctx.codegen()
-            usual, codegen._library_class = codegen._library_class, Library
+            usual = codegen._library_class
+            codegen._library_class = Library
             try:
                 return super().compile_extra(func)
             finally:

@@ -21,7 +21,8 @@ def digest(function: Callable[..., Any], sig: Any) -> str:
     name, and the modules of the classes of its arguments: a motion is such a class, whose module
     may use others of its package's folder.
     """
-    files, constants = set[Path](), list[str]()
+    files = set[Path]()
+    constants = list[str]()
     for one, named in _reached(function):
         overloads = (value for _, value in named if isinstance(value, FunctionType))
         files.update(*map(_own_file, (one, *overloads)))  # an overload's code is in the same file
@@ -36,7 +37,8 @@ Named = list[tuple[str, Any]]
 
 def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named]]:
     """Yield a plain function and each that is compiled into it, once, with what they name."""
-    seen, left = set[FunctionType](), [function]
+    seen = set[FunctionType]()
+    left = [function]
     while left:
         one = left.pop()
         if not isinstance(one, FunctionType) or one in seen:

@@ -17,7 +17,9 @@ from typing import TextIO
 
 from tetractl.core.errors import UsageError, printable
 
-CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
+CSV_BYTES = 1 << 28
+CSV_ROWS = 2_000_000
+CSV_LINE = 1 << 16
 """Largest size of a CSV file to read, its largest number of rows, and their largest length."""
 CHUNK = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""

@@ -45,7 +45,8 @@ class OwnLinks:
     def send(self, messages: Iterable[bytes]) -> int:
         """Send each robot its message, even if another's port has failed; return the time of the
         last [ns]. AbortError if a port has failed."""
-        sent_ns, lost = 0, list[AbortError]()
+        sent_ns = 0
+        lost = list[AbortError]()
         for port, message in zip(self.ports, messages, strict=True):
             try:
                 sent_ns = port.write(message)
@@ -68,7 +69,8 @@ class OwnRobots(WheeledActuator):
         self, section: OwnSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
-        own, make = [robot.radius_mm for robot in self.robots], ports or open_port
+        own = [robot.radius_mm for robot in self.robots]
+        make = ports or open_port
         self.radii = radii_mm(setup, own)
         self.links = OwnLinks(
             make(robot.address, BAUD, robot.name, clock, lambda *_: None, HINT)

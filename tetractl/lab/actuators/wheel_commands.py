@@ -104,9 +104,11 @@ class WheelCommands:
         drivetrains: Drivetrains,
         delay_ns: int,
     ) -> None:
-        self._clock, self._delay_ns = clock, delay_ns
+        self._clock = clock
+        self._delay_ns = delay_ns
         self.mm = setup.metres / MM  # millimetres per length unit of the spec
-        radii, speed = radii_mm(setup, radius_mm), setup.speed * self.mm
+        radii = radii_mm(setup, radius_mm)
+        speed = setup.speed * self.mm
         self.host = WheelHost(setup.a, speed, radii, setup.lag_s, drivetrains)
 
     def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
@@ -172,8 +174,12 @@ class WheeledActuator(ABC):
         rate: float,
         warn_v: float,
     ) -> None:
-        self.names, self._link, self._ask, self._commands = setup.names, link, ask, commands
-        self.period_ns, self._warn_v = round(SECOND / rate), warn_v
+        self.names = setup.names
+        self._link = link
+        self._ask = ask
+        self._commands = commands
+        self.period_ns = round(SECOND / rate)
+        self._warn_v = warn_v
 
     def __enter__(self) -> Self:
         """Open the link."""

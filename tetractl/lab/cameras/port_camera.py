@@ -43,12 +43,19 @@ class PortCamera(ABC):
         wake: Callable[[], None] = lambda: None,
         ports: Ports | None = None,
     ) -> None:
-        self.section, self.setup = section, setup
-        self.damaged, self.emulated, self._none = 0, False, (None,) * len(setup.names)
-        self.latency_s, self._first = section.latency, ""
+        self.section = section
+        self.setup = setup
+        self.damaged = 0
+        self.emulated = False
+        self._none = (None,) * len(setup.names)
+        self.latency_s = section.latency
+        self._first = ""
         self.stamp_s: float | None = None
-        self._clock, self._wake, self._gaps = clock, wake, deque[int](maxlen=STAMPS)
-        self._fresh, self._number = deque[CameraFrame](maxlen=WAITING_MAX), 0
+        self._clock = clock
+        self._wake = wake
+        self._gaps = deque[int](maxlen=STAMPS)
+        self._fresh = deque[CameraFrame](maxlen=WAITING_MAX)
+        self._number = 0
         make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
         self._port = make(section.address, BAUD, "the camera", clock, self._heard, self.hint)
 

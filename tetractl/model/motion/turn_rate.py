@@ -70,7 +70,9 @@ def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
         phi' = -a sin(phi) (1 + x_1 c / 2 + x_2 (c^2 / 3 - s^2 / 12) + x_3 (c^3 / 4 - c s^2 / 6)).
     """
     rate = min(a, 1.0 / hold[0])  # beyond, the series says nothing
-    first, second, third = rate * hold[0], rate**2 * hold[1], rate**3 * hold[2]
+    first = rate * hold[0]
+    second = rate**2 * hold[1]
+    third = rate**3 * hold[2]
     factor = 1 + first * c / 2 + second * (c * c / 3 - s * s / 12)
     factor += third * c * (c * c / 4 - s * s / 6)
     slope = first / 2 + second * c * 5 / 6 + third * (c * c * 13 / 12 - s * s / 6)

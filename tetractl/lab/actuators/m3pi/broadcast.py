@@ -20,7 +20,8 @@ from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
-COMMAND, REPLY = 0x51, 0x52
+COMMAND = 0x51
+REPLY = 0x52
 ROBOTS_MAX = 32
 REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
@@ -78,7 +79,8 @@ class Broadcaster:
     """Sends all robots one frame over a link; robot i has the number `indices[i]`."""
 
     def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
-        self._link, self._clock = link, clock
+        self._link = link
+        self._clock = clock
         self._indices = tuple(indices)
         self._sequence = 0
 

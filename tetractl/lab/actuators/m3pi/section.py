@@ -105,7 +105,8 @@ class M3piSection(XbeeSection, ActuatorSection):
 
     def measured(self, found: Found) -> dict[str, Any]:
         """Return a robot's r and wheels."""
-        left, right = found.left._asdict(), found.right._asdict()
+        left = found.left._asdict()
+        right = found.right._asdict()
         return {"radius_mm": found.radius_mm, "left": left, "right": right, "swap": found.swap}
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:

@@ -39,7 +39,8 @@ class TwistActuator(WheeledActuator):
 
     def stop(self, emergency: bool = False) -> Transmission:
         """Stop every robot; it latches an emergency stop until it is switched off."""
-        sent_ns, count = self.link.stop(emergency), len(self.names)
+        sent_ns = self.link.stop(emergency)
+        count = len(self.names)
         return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
 
     def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
@@ -52,7 +53,8 @@ class TwistActuator(WheeledActuator):
     def _twists(self, wheels: Floats) -> Floats:
         """Return speeds [mm/s] and turning rates [mrad/s] (2, N), as whole numbers, for wheel
         speeds (2, N) [mm/s] by (21)-(23)."""
-        v, w = wheels.sum(axis=0) / 2, (wheels[1] - wheels[0]) / (2 * self._radius)
+        v = wheels.sum(axis=0) / 2
+        w = (wheels[1] - wheels[0]) / (2 * self._radius)
         limits = np.array([[SPEED_MAX], [TURN_MAX]])
         return np.clip(np.rint(np.array([v, 1000 * w])), -limits, limits)
 

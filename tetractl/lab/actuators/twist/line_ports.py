@@ -41,10 +41,12 @@ class TwistLink:
     ) -> None:
         self._clock = clock
         self._kind: Kind = kind
-        self._indices, self._port_of = tuple(indices), tuple(port_of)
+        self._indices = tuple(indices)
+        self._port_of = tuple(port_of)
         self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
         self._rest: dict[str, bytes] = {}
-        self._sequence, make = 0, ports or open_port
+        self._sequence = 0
+        make = ports or open_port
         self._ports = {
             port: make(port, baud, "the radio", clock, self._taker(port), HINT)
             for port in dict.fromkeys(port_of)
@@ -96,7 +98,8 @@ class TwistLink:
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
         self._sequence = (self._sequence + 1) % 256
-        sent_ns, error = self._clock.now(), None
+        sent_ns = self._clock.now()
+        error = None
         for name, port in self._ports.items():
             own = tuple(
                 entry for entry, at in zip(entries, self._port_of, strict=False) if at == name

@@ -16,7 +16,9 @@ from tetractl.lab.actuators.wheel_commands import Reply, Status
 
 ROBOTS_MAX = 32
 LINE_MAX = 300  # characters without the line's end
-SPEED_MAX, TURN_MAX = 5000, 50_000  # greatest absolute speed [mm/s] and turning rate [mrad/s]
+# greatest absolute speed [mm/s] and turning rate [mrad/s]
+SPEED_MAX = 5000
+TURN_MAX = 50_000
 DIGITS_MAX = 6
 REPLY_SLOT_MS = 20  # robot i replies i slots after a poll, so that replies do not collide
 Kind = Literal["T", "W"]
@@ -81,7 +83,8 @@ def _sealed(text: str) -> bytes:
 def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
     """Return the letter and the numbers of a line; WireError if its CRC or form is wrong."""
     line = line.removesuffix(b"\r")
-    head, seal = line[:-5], line[-5:]
+    head = line[:-5]
+    seal = line[-5:]
     if not head or len(line) > LINE_MAX or seal != b"*%04X" % cobs.crc16(head):
         raise WireError("wrong CRC")
     kind, *words = head.decode("ascii", "replace").split(" ")

@@ -9,10 +9,13 @@ import struct
 
 from tetractl.core.errors import WireError
 
-START, ESCAPE = 0x7E, 0x7D
+START = 0x7E
+ESCAPE = 0x7D
 _ESCAPED = frozenset((START, ESCAPE, 0x11, 0x13))  # 0x11 and 0x13: XON, XOFF
 CONTENT_MAX = 128  # 100 bytes of 802.15.4 payload and the longest header, rounded up
-TRANSMIT, AT_COMMAND, AT_RESPONSE = 0x01, 0x08, 0x88
+TRANSMIT = 0x01
+AT_COMMAND = 0x08
+AT_RESPONSE = 0x88
 BROADCAST = bytes((TRANSMIT, 0, 0xFF, 0xFF, 0))  # to all modules, without a report of the result
 # bytes of content before the data of another module, by the frame's type: from a 64-bit address, a
 # 16-bit one, both (newer firmware), or both with endpoints (AO=1)
@@ -88,7 +91,8 @@ class Decoder:
         if not 0 < size <= CONTENT_MAX:
             self._drop()
         elif len(self._frame) == size + 3:
-            content, total = bytes(self._frame[2:-1]), sum(self._frame[2:]) % 256
+            content = bytes(self._frame[2:-1])
+            total = sum(self._frame[2:]) % 256
             if total == 0xFF:
                 self._raw.clear()
             self._drop()

@@ -52,7 +52,8 @@ class OptitrackCamera:
         self.section = section
         self.error: OSError | None = None
         self.senders = Senders(section.server, section.command_port)
-        self._clock, self._wake = clock, wake
+        self._clock = clock
+        self._wake = wake
         self._threaded = make_socket is None
         self._make_socket = make_socket or _udp
         self._unicast = section.transport == "unicast"
@@ -149,7 +150,8 @@ class OptitrackCamera:
         """Return problems, such as bodies that are not streamed, warnings, and facts of the server
         and its clock.
         """
-        stream, sync = self.stream, self.stream.sync
+        stream = self.stream
+        sync = self.stream.sync
         problems = diagnosis.not_streamed(stream, self.names)
         warnings = diagnosis.not_taken(self.senders, stream)
         round_trip = "unknown"
@@ -214,7 +216,8 @@ class OptitrackCamera:
             if not self.senders.admit(datagram, host, port):
                 continue
             now = self._clock.now()
-            message, self._next_ns = self.stream.feed(datagram, now), 0
+            message = self.stream.feed(datagram, now)
+            self._next_ns = 0
             if isinstance(message, natnet.NatNetFrame):
                 self.senders.pin(port)
             elif isinstance(message, natnet.ServerInfo) and self._unicast:
@@ -246,7 +249,8 @@ class OptitrackCamera:
         Once names are known, the interval between requests for models doubles each time, up to 8 s,
         since some servers report a change in every frame.
         """
-        stream, pinned = self.stream, self._pinned
+        stream = self.stream
+        pinned = self._pinned
         if stream.info is None:
             yield "connect", ASK_NS, natnet.Connect(pinned or natnet.NEWEST, pinned is not None)
             return

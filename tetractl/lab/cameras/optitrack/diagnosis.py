@@ -59,7 +59,8 @@ def no_frames(
 
 def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
-    own, fits = stream.info.version, _reads_as(stream.unread_frame, stream)
+    own = stream.info.version
+    fits = _reads_as(stream.unread_frame, stream)
     came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which fit {fits}"
     if stream.version != own:
         return AbortError(
@@ -159,7 +160,8 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
 
 
 def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRobot) -> str:
-    body, known = robot.body, model.ids()
+    body = robot.body
+    known = model.ids()
     if isinstance(body, str):
         wanted = f"rigid body '{body}', wanted for {name}"
         taken = {robot.body for robot in stream.robots}

@@ -65,7 +65,8 @@ class Cursor:
     __slots__ = ("at", "data", "end")
 
     def __init__(self, data: bytes, end: int | None = None, at: int = 0) -> None:
-        self.data, self.at = data, at
+        self.data = data
+        self.at = at
         self.end = len(data) if end is None else end
 
     @property

@@ -37,9 +37,15 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
     if not abs(math.hypot(qx, qy, qz, qw) - 1.0) <= NORM_TOLERANCE:  # false for NaN as well
         return None
     if up is UpAxis.Z:
-        along, height, sine, lean = y, z, qw * qz + qx * qy, qx * qx + qy * qy
+        along = y
+        height = z
+        sine = qw * qz + qx * qy
+        lean = qx * qx + qy * qy
     else:
-        along, height, sine, lean = -z, y, qw * qy - qx * qz, qx * qx + qz * qz
+        along = -z
+        height = y
+        sine = qw * qy - qx * qz
+        lean = qx * qx + qz * qz
     heading = math.atan2(2.0 * sine, 1.0 - 2.0 * (qy * qy + qz * qz))
     tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * lean)))
     return Pose(x, along, math.remainder(heading + heading_offset, math.tau), height, tilt)
@@ -66,7 +72,8 @@ class Placement:
         seen = planar_pose(body, up, heading_offset)
         if seen is None:
             return None
-        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        cos = math.cos(self.rotation)
+        sin = math.sin(self.rotation)
         return Pose(
             self.x + self.scale * (cos * seen.x - sin * seen.y),
             self.y + self.scale * (sin * seen.x + cos * seen.y),

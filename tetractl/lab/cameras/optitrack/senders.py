@@ -28,7 +28,8 @@ class Senders:
     """Admits the datagrams of one server and counts all others by their sender."""
 
     def __init__(self, server: str, command_port: int) -> None:
-        self.server, self.command_port = server, command_port
+        self.server = server
+        self.command_port = command_port
         self.frames_port: int | None = None
         self.refused: Counter[Sender] = Counter()
         self.refused_frame = b""  # the newest refused frame

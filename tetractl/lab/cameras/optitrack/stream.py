@@ -119,7 +119,8 @@ def _slope(echoes: list[Echo]) -> float:
 
 
 AGE_MAX_NS = 60 * SECOND  # a frame with a larger age was not exposed by these cameras
-UP_AXIS, UNITS = "UpAxis", "UnitsToMillimeters"
+UP_AXIS = "UpAxis"
+UNITS = "UnitsToMillimeters"
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
 
 
@@ -254,7 +255,9 @@ class Stream:
                 self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
             case natnet.ModelDef():
-                self.model, self.models_changed, self._ids = message, False, message.ids()
+                self._ids = message.ids()
+                self.model = message
+                self.models_changed = False
                 self._twins = self._twins_in(message)
             case natnet.EchoResponse(client, server) if self.sync is not None:
                 self.sync.add(client, received_ns, server)
@@ -265,7 +268,8 @@ class Stream:
                 pass
 
     def _response(self, response: natnet.Response) -> None:
-        asked, self._asked = self._asked, None
+        asked = self._asked
+        self._asked = None
         if asked == UP_AXIS and self.up is None:
             self.up_answer = int(number_in(response, "i"))
             if self.up_answer in (UpAxis.Y, UpAxis.Z):
@@ -329,7 +333,8 @@ class Stream:
         self, frame: natnet.NatNetFrame, sampled_ns: int, received_ns: int
     ) -> CameraFrame:
         poses: list[Pose | None] = []
-        others, twins = list(frame.bodies), self._twins
+        others = list(frame.bodies)
+        twins = self._twins
         for robot in self.robots:
             number = self.number(robot.body)
             here = [body for body in frame.bodies if body.id == number]

@@ -15,7 +15,10 @@ def frame(number):
 
 @given(st.lists(st.integers(0, 5), max_size=20))
 def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
-    buffer, read, got, number = FrameBuffer(), 0, [], 0
+    buffer = FrameBuffer()
+    read = 0
+    got = []
+    number = 0
     for count in arrivals:
         for _ in range(count):
             buffer.append(frame(number := number + 1))

@@ -9,9 +9,12 @@ from tetractl.lab.culprit import CAMERA, RADIO, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
 
-NAMES, SPEEDS, TURNING = ("green", "blue", "red"), (180.0, 200.0, 150.0), (6.0, 4.0, 3.0)
+NAMES = ("green", "blue", "red")
+SPEEDS = (180.0, 200.0, 150.0)
+TURNING = (6.0, 4.0, 3.0)
 OTHERWISE = ANOTHER.format("around")
-FRAME_NS, SEND_NS = SECOND // 120, SECOND // 40
+FRAME_NS = SECOND // 120
+SEND_NS = SECOND // 40
 NONE = np.zeros(3)
 
 
@@ -29,12 +32,19 @@ def accused(
     before the end; wheels are up to 8 % off. Robots are seen `skew` frames before the newest. In
     the last 0.6 s robot i does what robot `obeys[i]` is commanded, by default its own.
     """
-    random, n = np.random.default_rng(seed), len(who)
+    random = np.random.default_rng(seed)
+    n = len(who)
     drift = DriftCheck(who, 40.0, 1.0, 0.12)
-    culprit, gains = Culprit(who, drift, 1.0), 1 + random.uniform(-0.08, 0.08, (2, n))
+    culprit = Culprit(who, drift, 1.0)
+    gains = 1 + random.uniform(-0.08, 0.08, (2, n))
     places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(n)])
-    sent, ways, u, way, before = [], np.zeros((2, n)), 0.0, np.zeros((n, 3)), ()
-    shots, late = [], np.array(skew[:n])
+    sent = []
+    ways = np.zeros((2, n))
+    u = 0.0
+    way = np.zeros((n, 3))
+    before = ()
+    shots = []
+    late = np.array(skew[:n])
     for now in range(FRAME_NS, 3 * SECOND, FRAME_NS):
         if now // SEND_NS != (now - FRAME_NS) // SEND_NS:
             if now * 5 // SECOND != (now - FRAME_NS) * 5 // SECOND:
@@ -102,7 +112,8 @@ def test_a_slow_radio_is_named_with_its_delay(seed):
 @pytest.mark.parametrize("one, other", [(0, 1), (0, 2), (1, 2)])
 def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed, one, other):
     obeys = [0, 1, 2]
-    obeys[one], obeys[other] = other, one
+    obeys[one] = other
+    obeys[other] = one
     text = SWAPPED.format(NAMES[one], NAMES[other])
     assert accused(obeys=obeys, seed=seed, suspect=one) == text
     assert accused(obeys=obeys, seed=seed, suspect=other) == text

@@ -11,7 +11,9 @@ from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
 from tetractl.lab.motion_check import motion
 
-NAMES, SPEED, FRAME_NS = ("green", "blue", "red"), 180.0, SECOND // 120
+NAMES = ("green", "blue", "red")
+SPEED = 180.0
+FRAME_NS = SECOND // 120
 
 
 def drifting(
@@ -34,9 +36,12 @@ def drifting(
     The check is added to `checks`.
     """
     random = np.random.default_rng(seed)
-    check, gains = DriftCheck(NAMES, 40.0, 1.0, 0.12), 1 + random.uniform(-share, share, 3)
+    check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
+    gains = 1 + random.uniform(-share, share, 3)
     (checks if checks is not None else []).append(check)
-    places, way, before = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)]), 0.0, ()
+    places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)])
+    way = 0.0
+    before = ()
     turning = rate = np.zeros(3)
     for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
         if not before or now * rate_hz // SECOND != (now - FRAME_NS) * rate_hz // SECOND:
@@ -134,12 +139,14 @@ def test_a_picture_that_turns_is_the_cameras():
 
 def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
     """A pose that turns from the start on at 0.2 rad/s, in heading and course."""
-    checks, state = [], {"t": 0.0, "places": None, "off": np.zeros(2)}
+    checks = []
+    state = {"t": 0.0, "places": None, "off": np.zeros(2)}
 
     def turned(places, t):
         if state["places"] is not None:
             x, y = (places - state["places"])[0, :2]
-            cos, sin = np.cos(0.2 * t), np.sin(0.2 * t)
+            cos = np.cos(0.2 * t)
+            sin = np.sin(0.2 * t)
             state["off"] += cos * x - sin * y - x, sin * x + cos * y - y
         state["places"] = places.copy()
         return np.array([[*state["off"], 0.2 * t], [0.0] * 3, [0.0] * 3])
@@ -156,9 +163,12 @@ def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels()
     random = np.random.default_rng(3)
     check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
     assert check.turning() == ((), ())
-    own, off = np.array([0.3, -0.5, 0.1]), []
+    own = np.array([0.3, -0.5, 0.1])
+    off = []
     for seconds in (1.0, 20.0):
-        poses, way, last = np.zeros((3, 3)), np.zeros((3, 3)), ()
+        poses = np.zeros((3, 3))
+        way = np.zeros((3, 3))
+        last = ()
         check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
         for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
             check.sent(now - SECOND // 20, [SPEED, SPEED, 0.0], np.zeros(3))

@@ -166,7 +166,8 @@ def test_a_robot_that_is_seen_for_moments_only_ends_the_run():
 def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_are():
     """Regression: a robot seen for moments only drove on if the robots paused now and then."""
     course = running(replace(RULES, wheel_radius=40.0))
-    began, fits = course.at, []
+    began = course.at
+    fits = []
     while course.guard.state is not GuardState.ABORT and course.at - began < 5 * SECOND:
         course.frames(35, (None, PLACES[1]))
         course.frames(3)
@@ -194,7 +195,8 @@ def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_o
 def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(together):
     rules = replace(RULES, goes_on=True)
     course = running(rules, checks_of=partial(stopped, together=together))
-    guard, lost = course.guard, (None, PLACES[1])
+    guard = course.guard
+    lost = (None, PLACES[1])
     ruling = course.frames(40, lost)
     assert list(guard.lost) == [0]
     assert ruling.moving == (together, True)
@@ -245,7 +247,8 @@ def test_the_pose_in_the_frame_whose_loss_ends_the_run_is_compared_with_its_comm
 
 def walk(step_mm, course, frames=40):
     """Green's pose walks on by `step_mm` a frame; return how far it was accepted [mm]."""
-    x, believed = PLACES[0].x, 0.0
+    x = PLACES[0].x
+    believed = 0.0
     for _ in range(frames):
         x += step_mm
         course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
@@ -468,7 +471,8 @@ def test_a_drift_is_the_same_in_every_unit():
         check = DriftCheck(("green",), 40.0 / mm, mm, 0.12)
         for now in range(0, 20 * SECOND, FRAME):
             check.sent(now, (200.0 / mm,), (1.0,))
-            t, poses = now / SECOND, (Pose(0.0, 0.0, now / SECOND),)
+            t = now / SECOND
+            poses = (Pose(0.0, 0.0, now / SECOND),)
             check.frame(
                 now, [now] * len(poses), poses, np.array([[210.0 / mm, 3.0 / mm, 1.02]]) * t
             )
@@ -491,7 +495,8 @@ def test_robots_that_stand_as_commanded_may_be_seen_so_to_the_last_bit():
 
 def test_a_ghost_is_not_believed_after_the_abort_either():
     """Regression: its pose was valid again as soon as the robot could have driven there."""
-    drive, walked = Drive(), [0.0]
+    drive = Drive()
+    walked = [0.0]
 
     def see(pose):
         walked[0] += 3.0
@@ -638,7 +643,9 @@ class GuardMachine(RuleBasedStateMachine):
     @initialize()
     def begin(self):
         self.guard = Guard(RULES)
-        self.now, self.number, self.bad = MS, 0, 0
+        self.now = MS
+        self.number = 0
+        self.bad = 0
         self.exposed = None
         self.seen = [None, None]
         self.ruling = None

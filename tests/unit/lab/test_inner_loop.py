@@ -83,7 +83,8 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     lab = fake_lab(experiment().setup)
     lab.plant.open()
     lab.plant.send(Steer(0.5))
-    guard, sent = lab.plant.rig.guard, []
+    guard = lab.plant.rig.guard
+    sent = []
 
     class Asked:
         suspect = None

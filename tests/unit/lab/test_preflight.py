@@ -122,7 +122,8 @@ def test_a_camera_whose_program_ends_meanwhile_is_the_problem():
     """Regression: its frames were reported as missing."""
 
     def end(camera):
-        camera.silent, camera.frames = True, gone
+        camera.silent = True
+        camera.frames = gone
 
     def gone():
         raise AbortError("the program of the camera has ended")

@@ -15,13 +15,16 @@ from tetractl.lab.preflight import inspect
 from tetractl.lab.rest_check import moving_robots, wait_for_rest
 
 SETUP = experiment().setup
-MOTIVE, COARSE = (120.0, 0.3, 0.004), (20.0, 0.5, 0.005)  # frames a second, noise [mm, rad]
+# frames a second, noise [mm, rad]
+MOTIVE = (120.0, 0.3, 0.004)
+COARSE = (20.0, 0.5, 0.005)
 ALL = (0, 1, 2)
 
 
 def drifting(lab, rates, who=(0,), noise=(0.0, 0.0), seed=1):
     """Let a lab's camera show robots `who` moving at `rates` [mm/s, mm/s, rad/s], with noise."""
-    rng, frames = np.random.default_rng(seed), lab.camera.frames
+    rng = np.random.default_rng(seed)
+    frames = lab.camera.frames
 
     def seen(i, pose, at_ns):
         x, y, turned = np.array(rates) * (i in who) * at_ns / SECOND

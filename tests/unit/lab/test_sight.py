@@ -74,7 +74,8 @@ class Mat:
                     self.heading[i] += w[i] / 1000
                     self.x[i] += v * math.cos(self.heading[i]) / 1000
                     self.y[i] += v * math.sin(self.heading[i]) / 1000
-                step, turn = self.sight.grid_mm, self.sight.grid_rad
+                step = self.sight.grid_mm
+                turn = self.sight.grid_rad
                 place = on_grid(self.x[i], step), on_grid(self.y[i], step)
                 self.seen[i].append((self.now, Pose(*place, on_grid(self.heading[i], turn))))
             if self.now % (10 * MS) == 0:
@@ -120,7 +121,8 @@ def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
 def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
     mat = Mat(swing=0.5, speed=60.0)
     mat.go(2.0)
-    mat.frozen, began = True, mat.now
+    mat.frozen = True
+    began = mat.now
     while not mat.guard.refused[0]:
         mat.go(0.01)
     assert mat.guard.refused[0] == REPEATS
@@ -172,7 +174,8 @@ def test_a_pose_that_is_refused_leaves_the_time_of_the_pose_before():
     """Regression: the old pose was logged with the new one's time, which went back later."""
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
-    kept, now = mat.held[0][0], mat.now + 10 * MS
+    kept = mat.held[0][0]
+    now = mat.now + 10 * MS
     for i, pose in enumerate((Pose(9e3, 9e3, 0.0), None)):
         own = (now + i * MS, now)
         frame = CameraFrame(10**6 + i, max(own), now + MS, (pose, mat.held[1][1]), exposed_ns=own)
@@ -184,7 +187,8 @@ def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_th
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
     green, blue = (pose for _, pose in mat.held)
-    sideways, now = replace(green, y=green.y + 14.0), mat.now + 10 * MS
+    sideways = replace(green, y=green.y + 14.0)
+    now = mat.now + 10 * MS
 
     def show(after_ns):
         own = (now, now + after_ns)

@@ -46,7 +46,8 @@ def test_datagrams_go_and_come(robot):
 
 def test_a_second_program_is_refused_and_the_first_is_found(robot):
     name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    first, second = port_to(name), port_to(name)
+    first = port_to(name)
+    second = port_to(name)
     first.open()
     try:
         with pytest.raises(PortHeldError) as held:
@@ -155,7 +156,8 @@ def test_all_devices_are_heard_at_a_broadcast_address():
 def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path):
     """Regression: in the shared temporary folder, another user chose which file was opened."""
     name = "udp://127.0.0.1:9758"
-    victim, lock = tmp_path / "victim", lock_file(name)
+    victim = tmp_path / "victim"
+    lock = lock_file(name)
     lock.symlink_to(victim)
     port = port_to(name)
     try:

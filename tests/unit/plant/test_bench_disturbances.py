@@ -188,7 +188,9 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
     simulated.clock.sleep_until(3 * SECOND)
     samples = simulated.samples()
     gone = samples[-1].truth.x - 900
-    lag, sent = (drive or {}).get("lag", 0.0), 0.1  # heard last before the silence
+    # heard last before the silence
+    lag = (drive or {}).get("lag", 0.0)
+    sent = 0.1
     stood = 0.75 + sent if watchdog else lag
     assert gone == pytest.approx(np.array([100, 50]) * (3 - stood), abs=100 * sent)
     at = [round(120 * when) for when in (1.5, 2.0)]

@@ -69,13 +69,15 @@ def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
     for i, a in enumerate((5.0, 3.0)):
         left = 2 * math.atan(math.exp(-a * 0.4))
         assert math.pi / 2 - heading[-1, i] == pytest.approx(left, abs=2e-3)
-    axis, radius = cells.body[:2] / 1000, cells.body[swimming.HELIX] / 1000
+    axis = cells.body[:2] / 1000
+    radius = cells.body[swimming.HELIX] / 1000
     assert (np.hypot(x[-1] - axis[0], y[-1] - axis[1]) <= radius + 1e-12).all()
     assert np.ptp(radius) > 0
 
 
 def test_it_makes_no_difference_how_often_they_are_read():
-    once, twice = drive(walk=0.3), drive(walk=0.3)
+    once = drive(walk=0.3)
+    twice = drive(walk=0.3)
     for cells in (once, twice):
         cells.apply(command(1.0))
     times = np.arange(1, 101) / 240

@@ -61,7 +61,8 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
         late = 3 * PERIOD
 
         def sent(self, command):
-            late, self.late = self.late, 0
+            late = self.late
+            self.late = 0
             return replace(command, due_ns=command.due_ns + late)
 
     simulated = plant(FirstIsLate())
@@ -147,7 +148,8 @@ def test_measured_acts_on_the_frame_alone_and_who_is_lost_keeps_the_last_pose():
     simulated = plant(Blind())
     _, samples = driven(simulated, STRAIGHT)
     for sample in samples:
-        seen, truth = sample.observation, sample.truth
+        seen = sample.observation
+        truth = sample.truth
         assert seen.poses.x[0] == pytest.approx(truth.x[0] + 1)
         assert seen.valid.tolist() == [True, seen.sampled_ns < SECOND // 2]
     last_seen = max(s.truth.x[1] for s in samples if s.observation.valid[1])
@@ -163,11 +165,13 @@ def test_disturbances_act_in_order_each_with_draws_of_its_own():
             self.drawn = self.rng.uniform()
             return a, (speed + self.factor) * 2
 
-    one, two = Draws(1.0), Draws(10.0)
+    one = Draws(1.0)
+    two = Draws(10.0)
     simulated = plant(one, two)
     assert simulated.speed.tolist() == [((100 + 1) * 2 + 10) * 2, ((50 + 1) * 2 + 10) * 2]
     assert one.drawn != two.drawn
-    again, other = Draws(1.0), Draws(1.0)
+    again = Draws(1.0)
+    other = Draws(1.0)
     plant(again)
     plant(other, seed=2)
     assert again.drawn == one.drawn != other.drawn
@@ -193,7 +197,8 @@ class Holds(Disturbance):
     """Holds the first robot from 1 s on, for `time`, counted by its time of moving."""
 
     def __init__(self, time):
-        self.time, self.driven = time, np.zeros(3)
+        self.time = time
+        self.driven = np.zeros(3)
 
     def moved(self, poses, moving, seconds, time_s):
         self.driven = self.driven + moving * seconds

@@ -15,7 +15,9 @@ from tetractl.run.run_trial import Trial
 
 pytestmark = pytest.mark.slow
 
-STEPS, PERIOD_S, REMAINDER_S = 8, 0.2, 0.15
+STEPS = 8
+PERIOD_S = 0.2
+REMAINDER_S = 0.15
 
 
 def driven(dies_s=None):

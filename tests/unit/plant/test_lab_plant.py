@@ -132,7 +132,8 @@ class Watch:
     """A camera's watch, for which blue is lost."""
 
     def __init__(self, instead):
-        self.instead, self.seen = instead, []
+        self.instead = instead
+        self.seen = []
 
     def see(self, sampled_ns):
         self.seen.append(sampled_ns)
@@ -162,7 +163,8 @@ class Watch:
 def test_a_robot_that_counts_as_lost_for_its_camera_is_left_out_or_replaced(
     loss, instead, says, lost
 ):
-    lab, watch = fake_lab(replace(SETUP, loss=loss)), Watch(instead)
+    lab = fake_lab(replace(SETUP, loss=loss))
+    watch = Watch(instead)
     lab.camera.watch = lambda setup, limits: watch
     lab.plant.open()
     lab.plant.observe()
@@ -215,7 +217,8 @@ def test_a_trial_at_20_hz_goes_on_after_a_turn_on_the_spot_and_a_long_search():
 
 def test_a_stop_that_cannot_be_sent_has_the_time_of_the_attempt():
     lab = driving()
-    lab.actuator.failure, now = "the port is gone", lab.clock.now()
+    lab.actuator.failure = "the port is gone"
+    now = lab.clock.now()
     stop = lab.plant.stop()
     assert (stop.sent_ns, stop.delivered, stop.left) == (now, (False,) * 3, None)
 
@@ -353,7 +356,9 @@ class Person:
     """Who places the robots: what was `shown`, after which `act(count)` is called."""
 
     def __init__(self, act=lambda count: None, shows=1):
-        self.shown, self.act, self.shows = [], act, shows
+        self.shown = []
+        self.act = act
+        self.shows = shows
 
     def place(self, lines, questions):
         self.shown.append((tuple(lines), questions))
@@ -379,7 +384,8 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
     lab.camera.check = lambda: Health(("the cameras know no rigid body 'blu'",))
 
     def name_it(count):
-        lab.camera.hidden, lab.camera.check = set(), Health
+        lab.camera.hidden = set()
+        lab.camera.check = Health
 
     lab.supervision.prompt = person = Person(name_it)
     lab.plant.open()
@@ -389,7 +395,8 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
 
 @pytest.mark.parametrize("metres", [0.001, 1.0])
 def test_robots_are_waited_for_while_somebody_places_them(metres):
-    lab, off = fake_lab(replace(SETUP, metres=metres), LabLimits(placing=10.0)), 0.12 / metres
+    lab = fake_lab(replace(SETUP, metres=metres), LabLimits(placing=10.0))
+    off = 0.12 / metres
     lab.world.poses[1, 0] += off
 
     def place(count):

@@ -69,7 +69,8 @@ def test_the_plant_reproduces_the_planners_prediction(motion):
 def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     simulated = plant(wheels={"radius": 40}, measurement_noise={"heading": 0.1})
     simulated.open()
-    seen, command = simulated.observe(), simulated.send(Steer(1.0))
+    seen = simulated.observe()
+    command = simulated.send(Steer(1.0))
     assert command.left is not None
     assert command.right is not None
     speed, turning = body_velocity(command.left, command.right, 40)
@@ -97,7 +98,8 @@ def test_the_dead_time_delays_every_command_and_the_stop(dead_time):
 def test_a_lost_command_leaves_the_one_before_in_force():
     simulated = plant(lost_commands=0.5, seed=3)
     simulated.open()
-    path, held = [simulated.observe().poses.array()], [None] * 3
+    path = [simulated.observe().poses.array()]
+    held = [None] * 3
     checked = 0
     for k in range(20):
         u = DIRECTIONS[k % 12]

@@ -135,7 +135,8 @@ def test_a_host_that_knows_the_lag_turns_robots_as_if_there_were_none():
         simulated.clock.sleep_until(SECOND // 5)
         simulated.observe()
         simulated.stop()
-        setup, found = simulated.setup, simulated.settle().final.heading
+        setup = simulated.setup
+        found = simulated.settle().final.heading
         expected = np.zeros(3)
         for u in (1.0, -0.5):
             nowhere = np.zeros(3)

@@ -70,7 +70,8 @@ def test_a_batch_of_nothing_is_done(tmp_path, jobs):
 
 
 def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch, tmp_path):
-    ran, watcher = scripted(monkeypatch, {}), Watcher()
+    ran = scripted(monkeypatch, {})
+    watcher = Watcher()
     report = run(tmp_path, [0, 2, 3], watcher=watcher)
     assert ran == ran_of(report) == [0, 2, 3]
     assert watcher.events == [
@@ -83,7 +84,8 @@ def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch
 
 @pytest.mark.parametrize("fail_fast", [True, False])
 def test_an_aborted_trial_ends_the_run_only_if_that_is_asked_for(monkeypatch, tmp_path, fail_fast):
-    ran, watcher = scripted(monkeypatch, {1: Outcome.ABORTED}), Watcher()
+    ran = scripted(monkeypatch, {1: Outcome.ABORTED})
+    watcher = Watcher()
     report = run(tmp_path, watcher=watcher, fail_fast=fail_fast)
     assert ran == ([0, 1] if fail_fast else [0, 1, 2, 3])
     assert ([*report.aborted], report.left) == ([("", 1)], 2 if fail_fast else 0)

@@ -60,7 +60,8 @@ def decided(returned):
 
 
 def plan(length=2, **changed):
-    signals, cost = np.full(length, 0.5), 3.0
+    signals = np.full(length, 0.5)
+    cost = 3.0
     search = Search(length, signals, cost, np.array([cost]), 1, StopReason.CRITERION)
     path = np.zeros((length + 1, ROBOTS, 3))
     return replace(Plan(signals, path, cost, cost, 0.0, (search,), 0, 0), **changed)
@@ -156,7 +157,8 @@ FINE = {
 
 @pytest.mark.parametrize("name", FINE)
 def test_what_is_sent_is_read(name, tmp_path):
-    made, taken = trial(steps=12), decided(FINE[name])
+    made = trial(steps=12)
+    taken = decided(FINE[name])
     samples, step = made.rounds[5]
     made.rounds[5] = samples, replace(step, plan=taken)
     read = read_trial(write(made, tmp_path / "trial.mcap")).steps[5].plan
@@ -166,10 +168,12 @@ def test_what_is_sent_is_read(name, tmp_path):
 
 
 def test_arrays_that_are_changed_later_change_nothing():
-    returned, section = plan(), Given()
+    returned = plan()
+    section = Given()
     section._returned = returned
     controller = CheckedController(section, SETUP, 1)
-    taken, targets = controller.plan(SEEN), SETUP.targets.copy()
+    taken = controller.plan(SEEN)
+    targets = SETUP.targets.copy()
     for each in (returned.signals, returned.path, returned.searches[0].history):
         each[:] = np.nan
     section._own.targets[:] = 0

@@ -19,7 +19,9 @@ class Client:
     status = "running"
 
     def __init__(self, threads, deadly=()):
-        self.threads, self.deadly, self.chunks = threads, deadly, []
+        self.threads = threads
+        self.deadly = deadly
+        self.chunks = []
 
     def nthreads(self):
         return {"worker": self.threads}
@@ -35,7 +37,8 @@ class Client:
 
 class Future:
     def __init__(self, error, tasks):
-        self.error, self.tasks = error, tasks
+        self.error = error
+        self.tasks = tasks
 
     def exception(self):
         return self.error

@@ -24,7 +24,8 @@ def test_only_a_second_request_breaks_and_only_what_is_breakable():
 
 def test_breakable_code_is_broken_once():
     """Regression: of eight signals at once the third broke the code that stops the robots."""
-    interrupt, stopped = Interrupt(), False
+    interrupt = Interrupt()
+    stopped = False
     with pytest.raises(KeyboardInterrupt), interrupt.breakable():
         interrupt.request()
         try:

@@ -69,7 +69,8 @@ def driven(way_s, until_s=20.0, rule=GOES_ON):
     losses = Losses(rule, np.full(len(way_s(0.0)), 100.0))
     for k in range(round(120 * until_s)):
         way = 100 * np.array(way_s(k / 120)) + random.normal(0, 0.3, len(losses.left))
-        poses, there = Poses(way, 0 * way, 0 * way), np.ones(len(way), dtype=bool)
+        poses = Poses(way, 0 * way, 0 * way)
+        there = np.ones(len(way), dtype=bool)
         losses.see(Observation(k, round(k / 120 * 1e9), 0, poses, there))
     return losses
 

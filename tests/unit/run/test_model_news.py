@@ -10,7 +10,8 @@ from tetractl.core.plan import Estimate
 from tetractl.run.model_news import FITS_S, ModelNews, StatedDelay
 
 SETUP = experiment().setup
-ROBOTS, NAME = len(SETUP.names), SETUP.names[0]
+ROBOTS = len(SETUP.names)
+NAME = SETUP.names[0]
 EACH = np.ones(ROBOTS)
 FITS = Estimate(4 * EACH, 0.1 * EACH, 200 * EACH, EACH, dead_time=0.11, dead_time_std=0.002)
 FITS = replace(FITS, misfit=np.zeros((ROBOTS, 3)), side=0 * EACH, side_std=0.02 * EACH)

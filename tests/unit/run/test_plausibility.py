@@ -253,7 +253,8 @@ def test_rules_of_consistency_find_errors_and_rules_of_plausibility_find_warning
 
 
 def test_what_the_optimiser_solves_is_never_called_out_of_reach():
-    solved, warned = set(), set()
+    solved = set()
+    warned = set()
     for seed in range(24):
         rng = np.random.default_rng(seed)
         experiment = spec(rng, robots=2, signals=int(rng.integers(10, 40)), kind="apart")

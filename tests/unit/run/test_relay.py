@@ -6,7 +6,8 @@ from tetractl.run.task import ObserverRelay
 
 class Watcher:
     def __init__(self):
-        self.calls, self.threads = [], set()
+        self.calls = []
+        self.threads = set()
 
     def __getattr__(self, name):
         if not name.startswith("on_"):

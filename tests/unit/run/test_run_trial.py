@@ -227,7 +227,8 @@ def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     planning = where == "plan"  # steering and recording are never torn
     assert result.steps == (1 if planning else 2)
-    at_once, finished = "stopped at once by a second interruption", "interrupted; the step was"
+    at_once = "stopped at once by a second interruption"
+    finished = "interrupted; the step was"
     assert result.reason.startswith(at_once if planning else finished)
     fakes.interrupt.request()  # raises nothing: no code is breakable any more
 
@@ -287,7 +288,8 @@ def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raise
 @pytest.fixture
 def watch(monkeypatch):
     """A stop watch: each plan takes as long as the test says, in ns."""
-    taken, now = [], [0]
+    taken = []
+    now = [0]
 
     def read():
         if len(taken) and watch_reads[0] % 2:

@@ -4,7 +4,8 @@ from tetractl.run.task import trial_seeds
 
 
 def test_no_two_trials_or_roots_or_purposes_share_numbers():
-    keys, plants = [], []
+    keys = []
+    plants = []
     for root in (0, 1, 2, 2**32, 2**64 - 1):
         for trial in range(200):
             key, seed = trial_seeds(root, trial)

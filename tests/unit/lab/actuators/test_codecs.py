@@ -27,8 +27,10 @@ from tetractl.lab.cobs import Flag
 
 ROBOTS = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
 
-u8, u16 = st.integers(0, 255), st.integers(0, 65_535)
-counts, flags = st.integers(-127, 127), st.integers(0, 7)
+u8 = st.integers(0, 255)
+u16 = st.integers(0, 65_535)
+counts = st.integers(-127, 127)
+flags = st.integers(0, 7)
 pairs = st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple)
 robots = st.builds(BroadcastCommand, u8, flags.map(Flag), pairs)
 robot_replies = st.builds(Reply, u8, u8, flags.map(Status), u16, u16, u16)

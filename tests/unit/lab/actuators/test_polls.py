@@ -7,7 +7,8 @@ from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import decode_command, encode_reply
 from tetractl.lab.actuators.wheel_commands import Poll, Reply, Status, polled
 
-HONEST_MV, FORGED_MV = 4800, 9999
+HONEST_MV = 4800
+FORGED_MV = 9999
 
 
 def reply_of(index, sequence, battery_mv=HONEST_MV):
@@ -20,7 +21,8 @@ class RobotsPort:
     failure = None
 
     def __init__(self, heard, answer):
-        self.heard, self.answer = heard, answer
+        self.heard = heard
+        self.answer = answer
 
     def open(self, alone=True):
         pass

@@ -17,7 +17,10 @@ class Port:
     """A port whose other end answers with `messages` once it is asked."""
 
     def __init__(self, messages):
-        self.messages, self.failure, self.sent, self.closed = messages, None, [], False
+        self.messages = messages
+        self.failure = None
+        self.sent = []
+        self.closed = False
 
     def made(self, name, baud, device, clock, heard, hint):
         self.heard = heard
@@ -105,7 +108,8 @@ def test_times_on_the_cameras_own_clock_say_which_frames_came_late():
 
 
 def test_a_client_that_fails_is_said_and_released():
-    ended, took = [], []
+    ended = []
+    took = []
 
     class Client(ClientPort):
         def connect(self):

@@ -61,7 +61,8 @@ def test_answers_to_requests():
 
 @given(st.lists(st.tuples(quiet, contents), max_size=5), st.lists(st.integers(0, 1000), max_size=9))
 def test_garbage_between_frames_is_dropped_and_counted(parts, cuts):
-    decoder, found = Decoder(), []
+    decoder = Decoder()
+    found = []
     stream = b"".join(garbage + encode(content) for garbage, content in parts)
     edges = sorted({0, len(stream), *(cut % (len(stream) + 1) for cut in cuts)})
     for start, stop in itertools.pairwise(edges):
@@ -93,7 +94,8 @@ def test_a_frame_behind_a_torn_one_is_found(torn):
 
 
 def test_a_frame_with_a_wrong_checksum_is_dropped_whole():
-    good, decoder = encode(b"\x89\1\0"), Decoder()
+    good = encode(b"\x89\1\0")
+    decoder = Decoder()
     assert decoder.feed(good[:-1] + b"\x76" + good) == [b"\x89\1\0"]
     assert decoder.dropped_bytes == len(good)
 

@@ -24,7 +24,8 @@ def turned_about(axis, angle):
 
 
 def product(p, q):
-    (a, b, c, d), (e, f, g, h) = p, q
+    (a, b, c, d) = p
+    (e, f, g, h) = q
     return (
         d * e + a * h + b * g - c * f,
         d * f - a * g + b * h + c * e,

@@ -17,6 +17,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations, islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,7 @@ RESULT_MM = 10.0  # 0.03 s of driving at 200 mm/s, and the noise of poses at res
 RESTS_S = 1.0  # of pictures that show whether robots rest
 SHOWN_S = NOISE_MM / MOVES_MM_S  # in which the slowest motion that counts is more than noise
 LATE_RADIO = ("late_radio", "overtaken_packets")
+OFF_FLOOR = ("lifted", "tipped")
 ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 
 
@@ -63,19 +65,24 @@ def driven_blind(truth: Truth) -> Iterator[Violation]:
     silent_s = max(limits.stream_lost, (limits.late_steps + 1) * truth.setup.period_s)
     silent_s += limits.reaction
     mute = truth.met(*MUTE) or truth.killed
+    off_floor = [span for span in hidden_spans(truth) if span.fault in OFF_FLOOR]
     for k, command in enumerate(truth.of("command")):
         driven = np.array(truth.drives(command), bool)
         if not driven.any():
             continue
         acts_s = 0.0 if mute else truth.acting[k]
         unseen = np.array(command["unseen_ms"]) / 1000 + acts_s
+        at_s = command["t_ns"] / 1e9
+        for span in off_floor:  # the camera tracks the body, and shows no robot
+            if span.began_s < at_s < span.ended_s:
+                unseen[span.robot] = max(unseen[span.robot], at_s + acts_s - span.began_s)
         found = ""
         if unseen[driven].max() > own_s or unseen.max() > other_s:
             found = f"unseen for {unseen.max():.3f} s"
         elif truth.undirected[k] > silent_s and not mute:
             found = f"without a direction for {truth.undirected[k]:.2f} s"
         if found:
-            yield Violation("driven blind", command["t_ns"] / 1e9, found, frozen(truth))
+            yield Violation("driven blind", at_s, found, frozen(truth))
             return
     yield from _seldom_shown(truth)
 
@@ -276,23 +283,41 @@ def _least_off(truth: Truth) -> tuple[Floats, Floats]:
 
 
 def _seen_though_hidden(truth: Truth) -> Iterator[Violation]:
-    """Yield a robot of which the log has a pose, though it was hidden or not on the floor; a robot
-    that is swapped is shown where another is.
+    """Yield a robot of which the log has a pose, though it was hidden or not on the floor."""
+    for span in hidden_spans(truth):
+        began_s = span.began_s + 2 * FRAME_S
+        ended_s = span.ended_s - 2 * FRAME_S
+        during = (truth.times > began_s) & (truth.times < ended_s)
+        shown = during & truth.fresh[:, span.robot]
+        if shown.any():
+            name = truth.setup.names[span.robot]
+            yield Violation("untrue", float(truth.times[shown.argmax()]), f"{name} is not hidden")
+            return
+
+
+class HiddenSpan(NamedTuple):
+    """A time in which a fault hides a robot, or its body is not on the floor: begin, end [s]."""
+
+    robot: int
+    fault: str
+    began_s: float
+    ended_s: float
+
+
+def hidden_spans(truth: Truth) -> Iterator[HiddenSpan]:
+    """Yield when robots were hidden, or lifted or tipped by more than the spec allows; nothing if
+    robots are swapped: each is then shown where another is.
     """
+    if truth.met("swap"):
+        return
     limits = truth.limits
     for began_s, ended_s, fault in truth.faults:
+        kind = fault["fault"]
         high = fault.get("height", 0.0) > limits.height_mm[1] + NOISE_MM
-        tilted = fault["fault"] == "tipped" and abs(fault["angle"]) > limits.tilt + 0.05
-        if fault["fault"] not in ("untracked", "nan", "bad_quaternion") and not high and not tilted:
-            continue
-        if truth.met("swap"):
-            continue
-        i = truth.setup.names.index(fault["robot"])
-        during = (truth.times > began_s + 2 * FRAME_S) & (truth.times < ended_s - 2 * FRAME_S)
-        if (during & truth.fresh[:, i]).any():
-            row = int((during & truth.fresh[:, i]).argmax())
-            yield Violation("untrue", float(truth.times[row]), f"{fault['robot']} is not hidden")
-            return
+        tilted = kind == "tipped" and abs(fault["angle"]) > limits.tilt + 0.05
+        if kind in ("untracked", "nan", "bad_quaternion") or high or tilted:
+            robot = truth.setup.names.index(fault["robot"])
+            yield HiddenSpan(robot, kind, began_s, ended_s)
 
 
 def hidden(truth: Truth) -> str:

@@ -106,6 +106,15 @@ def test_no_robot_is_driven_blind(events, wrong):
 
 
 @pytest.mark.parametrize(
+    ("height", "at_s", "wrong"), [(600.0, 2.1, False), (600.0, 2.3, True), (400.0, 2.3, False)]
+)
+def test_a_robot_that_is_lifted_is_not_shown_though_it_is_tracked(height, at_s, wrong):
+    lifted = {"kind": "lifted", "fault": "lifted", "robot": "green", "height": height, "at": 1.0}
+    events = [*RUN, starts(2.0), command(at_s, 20), command(at_s + 0.02, 0, 0), END]
+    assert ("driven blind" in broken(events, fault=lifted)) == wrong
+
+
+@pytest.mark.parametrize(
     ("sent_s", "whole", "wrong"), [(1.6, True, False), (1.4, True, True), (1.4, False, False)]
 )
 def test_no_robot_is_driven_without_a_direction(sent_s, whole, wrong):

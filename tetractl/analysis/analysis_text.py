@@ -1,111 +1,174 @@
-"""The result of `tetractl analyze` as tables and as JSON."""
+"""The result of `tetractl analyze` as tables, as JSON, and as a line of advice."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
+from tetractl.analysis.steering import Steering
 from tetractl.core.poses import ellipse
 from tetractl.core.table.table import Column, Table, fixed
 
 NO_PLAN = "no plan found"
 SAYS = "errors predicted by a linearised closed loop; no trial was run"
 
+Fact = tuple[str, str]
+"""A figure of the analysis, and its value as text."""
 
-def tables(found: Analysis) -> list[Table]:
+
+def tables(analysis: Analysis) -> list[Table]:
     """Return the tables of an analysis, without the line from `advice`."""
-    setup, here, unit = found.setup, found.steering, found.setup.unit
-    reaching = 0 if here is None else len(here.errors)
-    names, robots = setup.names, f"{len(setup.names)} robot{'s' * (len(setup.names) > 1)}"
-    facts = [
-        ("noise assumed", _noise(found)),
-        ("plans that reach", f"{reaching} of {found.plans}, to {found.tolerance:g} {unit}"),
-        ("fewest signals that reach", _shortest(found)),
-    ]
-    if found.reach:
-        facts.insert(0, ("reach of the signal", str(found.reach)))
-    if found.alike:
-        facts.append(
-            ("smallest difference of a", f"{100 * found.gap:.3g} % ({', '.join(found.alike)})")
-        )
-    if setup.hold is not None and setup.wheel_radius is None:
-        least = setup.speed / setup.a.min()
-        circles = ", ".join(f"{name} {r:.3g}" for name, r in zip(names, least, strict=True))
-        facts.append((f"radii of the smallest circles, v / least a [{unit}]", circles))
-    title = f"{setup.name}: {robots}, {SAYS}"
-    if here is None:
-        return [Table.of_texts(title, ("figure", "value"), facts), *_maps(found)]
-    shares = zip(names, here.weakest, strict=True)
-    facts += [
-        (
-            f"singular values of d(ends)/d({here.signals} signals) [{unit}/rad]",
-            " ".join(f"{value:.3g}" for value in here.singular),
-        ),
-        ("hardest to correct", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)),
-    ]
-    plans = f"{len(here.errors)} plan{'s' * (len(here.errors) > 1)}"
-    errors = (here.errors, here.open_loop, here.planned)
-    axes = [ellipse(one) for one in here.covariance]
-    found_tables = [
-        Table.of_texts(title, ("figure", "value"), facts),
-        Table(
-            f"Mean total error of {plans}",
-            (
-                Column("error", ["with feedback", "without feedback", "without noise"], unit),
-                Column("median", [float(np.median(values)) for values in errors], "", fixed(3)),
-                Column("min", [float(values.min()) for values in errors], "", fixed(3)),
-                Column("max", [float(values.max()) for values in errors], "", fixed(3)),
-            ),
-        ),
-        Table(
-            f"Plan with the median error ({here.signals} signals), with 95 % ellipses",
-            (
-                Column("robot", names),
-                Column("mean error", here.robot_errors, unit, fixed(3)),
-                Column("long half axis", [one[0] for one in axes], unit, "{:.3g}".format),
-                Column("short half axis", [one[1] for one in axes], unit, "{:.3g}".format),
-                Column("angle", [math.degrees(one[2]) for one in axes], "deg", fixed(0)),
-            ),
-        ),
-    ]
-    return [*found_tables, *_maps(found)]
-
-
-def _maps(found: Analysis) -> list[Table]:
-    """Return tables of the predicted error for other turning rates a, and for fewer robots."""
-    if not found.by_gap:
-        return []
-
-    def column(errors: Iterable[tuple[float, float]]) -> Column:
-        texts = [NO_PLAN if math.isnan(error) else f"{error:.4g}" for _, error in errors]
-        return Column("mean total error", texts, found.setup.unit)
-
-    gaps = [gap for gap, _ in found.by_gap]
-    gap = Column("smallest relative difference", gaps, "", lambda gap: f"{100 * gap:g} %")
-    count = Column("robots", [count for count, _ in found.by_count])
+    names = analysis.setup.names
+    title = f"{analysis.setup.name}: {len(names)} {_plural('robot', len(names))}, {SAYS}"
+    facts = list(_facts(analysis))
+    steering = analysis.steering
+    if steering is None:
+        return [Table.of_texts(title, ("figure", "value"), facts), *_maps(analysis)]
+    facts += _facts_of_steering(analysis, steering)
     return [
-        Table("With other turning rates a, in equal ratios", (gap, column(found.by_gap))),
-        Table("With only the first robots of the spec", (count, column(found.by_count))),
+        Table.of_texts(title, ("figure", "value"), facts),
+        _errors(analysis, steering),
+        _ellipses(analysis, steering),
+        *_maps(analysis),
     ]
 
 
-def as_json(found: Analysis) -> dict[str, Any]:
+def _facts(analysis: Analysis) -> Iterator[Fact]:
+    """Yield what is known even if no plan reaches the targets."""
+    setup = analysis.setup
+    unit = setup.unit
+    if analysis.reach:
+        yield "reach of the signal", str(analysis.reach)
+    yield "noise assumed", _noise(analysis)
+    reaching = f"{_reaching(analysis)} of {analysis.plans}, to {analysis.tolerance:g} {unit}"
+    yield "plans that reach", reaching
+    yield "fewest signals that reach", _shortest(analysis)
+    if analysis.alike:
+        pair = ", ".join(analysis.alike)
+        yield "smallest difference of a", f"{100 * analysis.gap:.3g} % ({pair})"
+    if setup.hold is not None and setup.wheel_radius is None:
+        radii = setup.speed / setup.a.min()
+        circles = [f"{name} {r:.3g}" for name, r in zip(setup.names, radii, strict=True)]
+        yield f"radii of the smallest circles, v / least a [{unit}]", ", ".join(circles)
+
+
+def _facts_of_steering(analysis: Analysis, steering: Steering) -> Iterator[Fact]:
+    """Yield in which directions the ends can be corrected."""
+    unit = analysis.setup.unit
+    values = " ".join(f"{value:.3g}" for value in steering.singular)
+    yield f"singular values of d(ends)/d({steering.signals} signals) [{unit}/rad]", values
+    shares = zip(analysis.setup.names, steering.weakest, strict=True)
+    yield "hardest to correct", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
+
+
+def _errors(analysis: Analysis, steering: Steering) -> Table:
+    """Return the table of the predicted total errors, over all plans that reach."""
+    plans = len(steering.errors)
+    rows = {
+        "with feedback": steering.errors,
+        "without feedback": steering.open_loop,
+        "without noise": steering.planned,
+    }
+    medians = [float(np.median(errors)) for errors in rows.values()]
+    least = [float(errors.min()) for errors in rows.values()]
+    most = [float(errors.max()) for errors in rows.values()]
+    return Table(
+        f"Mean total error of {plans} {_plural('plan', plans)}",
+        (
+            Column("error", list(rows), analysis.setup.unit),
+            Column("median", medians, "", fixed(3)),
+            Column("min", least, "", fixed(3)),
+            Column("max", most, "", fixed(3)),
+        ),
+    )
+
+
+def _ellipses(analysis: Analysis, steering: Steering) -> Table:
+    """Return the table of where the robots end by the plan with the median error."""
+    unit = analysis.setup.unit
+    axes = [ellipse(covariance) for covariance in steering.covariance]
+    long_axes = [long_axis for long_axis, _, _ in axes]
+    short_axes = [short_axis for _, short_axis, _ in axes]
+    angles = [math.degrees(angle) for _, _, angle in axes]
+    return Table(
+        f"Plan with the median error ({steering.signals} signals), with 95 % ellipses",
+        (
+            Column("robot", analysis.setup.names),
+            Column("mean error", steering.robot_errors, unit, fixed(3)),
+            Column("long half axis", long_axes, unit, "{:.3g}".format),
+            Column("short half axis", short_axes, unit, "{:.3g}".format),
+            Column("angle", angles, "deg", fixed(0)),
+        ),
+    )
+
+
+def _maps(analysis: Analysis) -> list[Table]:
+    """Return tables of the predicted error for other turning rates a, and for fewer robots."""
+    if not analysis.by_gap:
+        return []
+    gaps = [gap for gap, _ in analysis.by_gap]
+    counts = [count for count, _ in analysis.by_count]
+    gap = Column("smallest relative difference", gaps, "", lambda gap: f"{100 * gap:g} %")
+    unit = analysis.setup.unit
+    by_gap = _predicted([error for _, error in analysis.by_gap], unit)
+    by_count = _predicted([error for _, error in analysis.by_count], unit)
+    return [
+        Table("With other turning rates a, in equal ratios", (gap, by_gap)),
+        Table("With only the first robots of the spec", (Column("robots", counts), by_count)),
+    ]
+
+
+def _predicted(errors: list[float], unit: str) -> Column:
+    """Return a column of predicted errors, NaN where no plan was found."""
+    texts = [NO_PLAN if math.isnan(error) else f"{error:.4g}" for error in errors]
+    return Column("mean total error", texts, unit)
+
+
+def _reaching(analysis: Analysis) -> int:
+    """Return how many plans reach the targets."""
+    return 0 if analysis.steering is None else len(analysis.steering.errors)
+
+
+def _noise(analysis: Analysis) -> str:
+    """Return the noise that is assumed as text."""
+    noise = analysis.noise
+    texts: list[str] = []
+    if noise.a:
+        texts.append(f"a {100 * noise.a:.2g} %")
+    if noise.speed:
+        texts.append(f"speed {100 * noise.speed:.2g} %")
+    if noise.walk:
+        texts.append(f"heading {noise.walk:.3g} rad/sqrt(s)")
+    if noise.position:
+        texts.append(f"measured position {noise.position:.3g} {analysis.setup.unit}")
+    if noise.heading:
+        texts.append(f"measured heading {noise.heading:.3g} rad")
+    text = ", ".join(texts) or "none"
+    if analysis.left_out:
+        text += f" (without {', '.join(analysis.left_out)}, which the plant also has)"
+    return text
+
+
+def _shortest(analysis: Analysis) -> str:
+    steering = analysis.steering
+    if steering is None or steering.shortest is None:
+        return NO_PLAN
+    return f"{steering.shortest}, {steering.shortest * steering.signal_s:.3g} s"
+
+
+def _plural(noun: str, count: int) -> str:
+    return noun if count == 1 else f"{noun}s"
+
+
+def as_json(analysis: Analysis) -> dict[str, Any]:
     """Return an analysis as the items of a JSON object; unknown values are None."""
-    setup, here, noise = found.setup, found.steering, found.noise
-    columns: dict[str, Iterable[Any]] = {"name": setup.names, "a": setup.a, "speed": setup.speed}
-    if here is not None:
-        columns["mean_error"] = here.robot_errors
-        columns["end_covariance"] = here.covariance
-        columns["end_covariance_without_feedback"] = here.free_covariance
-        columns["share_of_weakest_direction"] = here.weakest
-    rows = zip(*columns.values(), strict=True)
-    robots = [dict(zip(columns, one, strict=True)) for one in rows]
-    change = found.change
+    steering = analysis.steering
+    noise = analysis.noise
     return {
-        "name": setup.name,
-        "unit": setup.unit,
+        "name": analysis.setup.name,
+        "unit": analysis.setup.unit,
         "prediction": SAYS,
         "noise": {
             "a_std": noise.a,
@@ -114,73 +177,71 @@ def as_json(found: Analysis) -> dict[str, Any]:
             "position_std": noise.position,
             "heading_std": noise.heading,
         },
-        "not_in_the_prediction": list(found.left_out),
-        "reach": found.reach and found.reach.fields,
-        "plans": found.plans,
-        "plans_that_reach": 0 if here is None else len(here.errors),
-        "tolerance": found.tolerance,
-        "fewest_signals": here and here.shortest,
-        "signal_s": here and here.signal_s,
-        "mean_total_error": here and here.error,
-        "mean_total_error_by_plan": here and here.errors,
-        "without_feedback_by_plan": here and here.open_loop,
-        "without_noise_by_plan": here and here.planned,
-        "signals": here and here.signals,
-        "singular_values": here and here.singular,
-        "robots": robots,
-        "smallest_gap": found.gap if found.alike else None,
-        "most_alike": list(found.alike or ()),
-        "by_gap": [{"gap": gap, "mean_total_error": error} for gap, error in found.by_gap],
-        "by_robots": [{"robots": n, "mean_total_error": error} for n, error in found.by_count],
-        "change": change
-        and {
-            "robot": change.robot,
-            "a": change.old,
-            "a_advised": change.new,
-            "mean_total_error": change.error,
-        },
+        "not_in_the_prediction": list(analysis.left_out),
+        "reach": analysis.reach and analysis.reach.fields,
+        "plans": analysis.plans,
+        "plans_that_reach": _reaching(analysis),
+        "tolerance": analysis.tolerance,
+        "fewest_signals": steering and steering.shortest,
+        "signal_s": steering and steering.signal_s,
+        "mean_total_error": steering and steering.error,
+        "mean_total_error_by_plan": steering and steering.errors,
+        "without_feedback_by_plan": steering and steering.open_loop,
+        "without_noise_by_plan": steering and steering.planned,
+        "signals": steering and steering.signals,
+        "singular_values": steering and steering.singular,
+        "robots": [_robot(analysis, i) for i in range(len(analysis.setup.names))],
+        "smallest_gap": analysis.gap if analysis.alike else None,
+        "most_alike": list(analysis.alike or ()),
+        "by_gap": [{"gap": gap, "mean_total_error": error} for gap, error in analysis.by_gap],
+        "by_robots": [{"robots": n, "mean_total_error": error} for n, error in analysis.by_count],
+        "change": _change(analysis),
     }
 
 
-def _noise(found: Analysis) -> str:
-    noise, unit = found.noise, found.setup.unit
-    known = [
-        (noise.a, f"a {100 * noise.a:.2g} %"),
-        (noise.speed, f"speed {100 * noise.speed:.2g} %"),
-        (noise.walk, f"heading {noise.walk:.3g} rad/sqrt(s)"),
-        (noise.position, f"measured position {noise.position:.3g} {unit}"),
-        (noise.heading, f"measured heading {noise.heading:.3g} rad"),
-    ]
-    words = ", ".join(text for value, text in known if value) or "none"
-    if found.left_out:
-        words += f" (without {', '.join(found.left_out)}, which the plant also has)"
-    return words
+def _robot(analysis: Analysis, i: int) -> dict[str, Any]:
+    """Return the items of robot i."""
+    setup = analysis.setup
+    items: dict[str, Any] = {"name": setup.names[i], "a": setup.a[i], "speed": setup.speed[i]}
+    steering = analysis.steering
+    if steering is not None:
+        items["mean_error"] = steering.robot_errors[i]
+        items["end_covariance"] = steering.covariance[i]
+        items["end_covariance_without_feedback"] = steering.free_covariance[i]
+        items["share_of_weakest_direction"] = steering.weakest[i]
+    return items
 
 
-def _shortest(found: Analysis) -> str:
-    here = found.steering
-    if here is None or here.shortest is None:
-        return NO_PLAN
-    return f"{here.shortest}, {here.shortest * here.signal_s:.3g} s"
+def _change(analysis: Analysis) -> dict[str, Any] | None:
+    """Return the items of the advised change, None if none is advised."""
+    change = analysis.change
+    if change is None:
+        return None
+    return {
+        "robot": change.robot,
+        "a": change.old,
+        "a_advised": change.new,
+        "mean_total_error": change.error,
+    }
 
 
-def advice(found: Analysis) -> str:
+def advice(analysis: Analysis) -> str:
     """Return the advice on the spec, in one line."""
-    unit, here = found.setup.unit, found.steering
-    if here is None and found.change is None:
+    steering = analysis.steering
+    change = analysis.change
+    if steering is None and change is None:
         return f"advice: {NO_PLAN}; raise controller.horizon_max, or choose nearer targets"
-    if found.alike is None:
+    if analysis.alike is None:
         return "advice: none is needed for a single robot"
-    low, high = found.alike
-    change = found.change
-    if change:
-        was, new = f"{change.old:g}", f"{change.new:g}"
-        now = NO_PLAN if here is None else f"{here.error:.4g}"
+    low, high = analysis.alike
+    if change is not None:
+        now = NO_PLAN if steering is None else f"{steering.error:.4g}"
         return (
-            f"advice: {low} and {high} are too alike; change a of {change.robot} from {was} to "
-            f"{new}: predicted mean total error {change.error:.4g} {unit} in place of {now}"
+            f"advice: {low} and {high} are too alike; change a of {change.robot} from "
+            f"{change.old:g} to {change.new:g}: predicted mean total error {change.error:.4g} "
+            f"{analysis.setup.unit} in place of {now}"
         )
-    if found.looked:
+    if analysis.looked:
         return (
             f"advice: {low} and {high} are alike, but changing a of either lowers the predicted "
             f"error by less than {100 * (1 - WORTH):.0f} %"

@@ -17,8 +17,10 @@ from tetractl.core.table.table import NONE, lengths
 
 CONFIDENCE = 0.95
 
-FAR = 10  # errors above this multiple of the median are the tail, if the spec states no bound
-VALUES_MIN = 3  # least number of values for an interval of a mean: two have no skewness
+FAR = 10
+"""Errors above this multiple of the median are the tail, if the spec states no bound."""
+VALUES_MIN = 3
+"""Least number of values for an interval of a mean: two have no skewness."""
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 """Quantile z of the normal distribution for the confidence of the intervals."""
@@ -149,9 +151,9 @@ class ArmErrors:
         return cls(value, label, arms, errors, distributions(errors[None], bound)[0])
 
 
-def numeric(found: Iterable[ArmErrors]) -> bool:
+def numeric(arms: Iterable[ArmErrors]) -> bool:
     """Return whether all values are numbers."""
-    values = [arm.value for arm in found]
+    values = [arm.value for arm in arms]
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
@@ -163,16 +165,34 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
     if n == 0:
         return [known_distribution(0, _NAN, _NAN, Interval.none("no values"))] * count
     rows = np.sort(rows, axis=1)  # so that no result depends on the order of the trials
-    low, high = rows[:, 0], rows[:, -1]
-    mean = np.clip(rows.mean(axis=1), low, high)
-    std = np.where(high > low, rows.std(axis=1, ddof=1), 0.0) if n > 1 else np.full(count, _NAN)
-    median = np.median(rows, axis=1)
-    intervals = map(_mean_interval, rows, mean, std)
-    figures = np.column_stack([mean, std, median, low, high]).tolist()
+    least = rows[:, 0]
+    greatest = rows[:, -1]
+    means = np.clip(rows.mean(axis=1), least, greatest)
+    medians = np.median(rows, axis=1)
+    stds = _deviations(rows)
     return [
-        Distribution(n, *figure, ci95=interval, tail=_tail(row, figure[2], bound))
-        for row, figure, interval in zip(rows, figures, intervals, strict=True)
+        Distribution(
+            n=n,
+            mean=float(means[i]),
+            std=float(stds[i]),
+            median=float(medians[i]),
+            min=float(least[i]),
+            max=float(greatest[i]),
+            ci95=_mean_interval(rows[i], float(means[i]), float(stds[i])),
+            tail=_tail(rows[i], float(medians[i]), bound),
+        )
+        for i in range(count)
     ]
+
+
+def _deviations(rows: Floats) -> Floats:
+    """Return the standard deviation (R,) of sorted rows (R, n), with n - 1; NaN for one value, and
+    exactly 0 if all values are equal.
+    """
+    count, n = rows.shape
+    if n == 1:
+        return np.full(count, _NAN)
+    return np.where(rows[:, -1] > rows[:, 0], rows.std(axis=1, ddof=1), 0.0)
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
@@ -259,8 +279,10 @@ def proportion_interval(successes: int, n: int) -> Interval:
     """
     if n == 0:
         return Interval.none("no trials")
-    p, z2 = successes / n, Z**2
-    middle, scale = p + z2 / (2 * n), 1 + z2 / n
+    p = successes / n
+    z2 = Z**2
+    middle = p + z2 / (2 * n)
+    scale = 1 + z2 / n
     half = Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n**2))
     low = (middle - half) / scale if successes > 0 else 0.0
     high = (middle + half) / scale if successes < n else 1.0

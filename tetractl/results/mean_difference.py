@@ -42,8 +42,11 @@ class MeanDifference:
 
     def text(self, unit: str, show: Callable[[float], str], p: float) -> str:
         """Return the difference with its interval and a p-value, corrected or not, as text."""
-        found = f"{show(self.value)} {unit} (95 % interval {self.ci95.text(show)})"
-        return f"{found}, p {'' if p < 0.001 else '= '}{p_value(p)}" if p >= 0 else found
+        difference = f"{show(self.value)} {unit} (95 % interval {self.ci95.text(show)})"
+        if not p >= 0:  # NaN
+            return difference
+        equals = "" if p < 0.001 else "= "
+        return f"{difference}, p {equals}{p_value(p)}"
 
     def as_dict(self) -> dict[str, object]:
         """Return the items of JSON that describe the difference."""
@@ -64,7 +67,8 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
     difference = mean1 - mean2
     if min(n1, n2) < 2:
         return MeanDifference.untested(difference, "Welch's t needs two values on each side")
-    v1, v2 = std1**2 / n1, std2**2 / n2
+    v1 = std1**2 / n1
+    v2 = std2**2 / n2
     if v1 + v2 == 0:
         return MeanDifference.untested(difference, "the values do not vary on either side")
     share = v1 / (v1 + v2)
@@ -92,7 +96,8 @@ def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
     Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 +
     (m' - l')^2).
     """
-    (low, high), (low2, high2) = _reach(ours), _reach(theirs)
+    low, high = _reach(ours)
+    low2, high2 = _reach(theirs)
     if not all(map(math.isfinite, (low, high, low2, high2))):
         side = ours if not ours.ci95.known else theirs
         return Interval.none(f"no interval of one of the means: {side.ci95.reason}")
@@ -124,9 +129,15 @@ def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
     """
     if n < 2 or (m is not None and m < 2):
         return _NAN
-    degrees, size = (n - 1, n) if m is None else (m + n - 2, m * n / (m + n))
-    found = t_quantile(degrees, 1 - (1 - CONFIDENCE) / tests) + t_quantile(degrees, 2 * POWER - 1)
-    return found / math.sqrt(size)
+    if m is None:
+        degrees = n - 1
+        size = float(n)
+    else:
+        degrees = m + n - 2
+        size = m * n / (m + n)
+    level = (1 - CONFIDENCE) / tests
+    # `t_quantile` is two-sided: its bound for 2 POWER - 1 is not exceeded with POWER on one side
+    return (t_quantile(degrees, 1 - level) + t_quantile(degrees, 2 * POWER - 1)) / math.sqrt(size)
 
 
 EXACT = 60
@@ -141,9 +152,11 @@ def signed_rank(differences: Floats) -> float:
     """
     from scipy import stats  # slow to import, and needed by comparisons alone
 
-    kept = differences[differences != 0]
-    found: Any = stats.wilcoxon(kept) if len(kept) else None
-    return float(found.pvalue) if found else _NAN
+    differing = differences[differences != 0]
+    if not len(differing):
+        return _NAN
+    test: Any = stats.wilcoxon(differing)
+    return float(test.pvalue)
 
 
 def rank_sum(ours: Floats, theirs: Floats) -> float:
@@ -153,12 +166,12 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
     """
     from scipy import stats
 
-    every = np.concatenate([ours, theirs])
     if min(len(ours), len(theirs)) == 0:
         return _NAN
-    if every.min() == every.max():
+    pooled = np.concatenate([ours, theirs])
+    if pooled.min() == pooled.max():
         return 1.0
-    exact = len(every) <= EXACT and len(np.unique(every)) == len(every)
+    exact = len(pooled) <= EXACT and len(np.unique(pooled)) == len(pooled)
     method = "exact" if exact else "asymptotic"
     return float(stats.mannwhitneyu(ours, theirs, use_continuity=False, method=method).pvalue)
 
@@ -170,8 +183,9 @@ def holm(p_values: Sequence[float]) -> list[float]:
     the next smaller p-value if that is larger. NaN stays NaN and is not counted in k.
     """
     order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
-    found, least = [_NAN] * len(p_values), 0.0
+    corrected = [_NAN] * len(p_values)
+    largest = 0.0  # of the corrected values of smaller p-values
     for rank, (p, i) in enumerate(order):
-        least = max(least, min(1.0, p * (len(order) - rank)))
-        found[i] = least
-    return found
+        largest = max(largest, min(1.0, p * (len(order) - rank)))
+        corrected[i] = largest
+    return corrected

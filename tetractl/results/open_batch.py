@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from glob import has_magic
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 
 OnLog = Callable[[int, int], object]
+"""Called with the numbers of logs read and of all logs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,20 +46,26 @@ class Batch:
     damaged: tuple[Damaged, ...] = ()
 
     def __repr__(self) -> str:
-        counts = (self.trials, "trials"), (self.attempts, "attempts"), (self.damaged, "damaged")
-        return f"Batch({', '.join(f'{len(these)} {what}' for these, what in counts if these)})"
+        counts = {
+            "trials": len(self.trials),
+            "attempts": len(self.attempts),
+            "damaged": len(self.damaged),
+        }
+        return f"Batch({', '.join(f'{count} {what}' for what, count in counts.items() if count)})"
 
     @classmethod
-    def of(cls, found: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
+    def of(cls, results: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
         """Return the trials as a batch, with earlier attempts separated."""
-        found = list(found)
-        done = {_key(trial) for trial in found if trial.outcome.complete}
+        results = list(results)
+        complete = {_key(trial) for trial in results if trial.outcome.complete}
         trials: list[ResultSummary] = []
         attempts: list[ResultSummary] = []
-        for trial in found:
-            replaced = not trial.outcome.complete and _key(trial) in done
-            aside = replaced or is_set_aside(Path(trial.log).name)
-            (attempts if aside else trials).append(trial)
+        for trial in results:
+            replaced = not trial.outcome.complete and _key(trial) in complete
+            if replaced or is_set_aside(Path(trial.log).name):
+                attempts.append(trial)
+            else:
+                trials.append(trial)
         return cls(tuple(trials), tuple(attempts), tuple(damaged))
 
     @property
@@ -106,20 +114,22 @@ class Source:
         """
         places = [Path(path) for path in paths]
         logs = find_logs(places, attempts=True)
-        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-        name = str(paths[0]) if any(c in str(paths[0]) for c in "*?[") else places[0].resolve().name
-        return cls(name + more, logs)
+        first = str(paths[0])
+        name = first if has_magic(first) else places[0].resolve().name
+        if len(paths) > 1:
+            name += f" and {len(paths) - 1} more"
+        return cls(name, logs)
 
     def by_arm(self, folder: Path) -> "list[Source]":
         """Return a source per folder in `folder` if all trials are in several of these, such as the
         arms of a study, otherwise this source.
         """
-        logs: dict[Path, list[Path]] = {}
+        by_arm: dict[Path, list[Path]] = {}
         for log in self.logs:
-            logs.setdefault(log.parent, []).append(log)
-        if len(logs) < 2 or any(arm.parent != folder for arm in logs):
+            by_arm.setdefault(log.parent, []).append(log)
+        if len(by_arm) < 2 or any(arm.parent != folder for arm in by_arm):
             return [self]
-        return [Source(arm.name, found) for arm, found in logs.items()]
+        return [Source(arm.name, logs) for arm, logs in by_arm.items()]
 
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
         """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
@@ -146,12 +156,14 @@ def sources(paths: Sequence[str]) -> list[Source]:
     together.
     """
     paths = [str(path) for path in without_others(paths)]
-    if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
-        found = [one_source([path]) for path in paths]
-        if len({source.name for source in found}) < len(found):
-            found = [Source(path, s.logs) for path, s in zip(paths, found, strict=True)]
-        return found
-    return Source.of(paths).by_arm(Path(paths[0])) if len(paths) == 1 else [one_source(paths)]
+    if len(paths) == 1:
+        return Source.of(paths).by_arm(Path(paths[0]))
+    if not all(Path(path).is_dir() for path in paths):
+        return [one_source(paths)]
+    batches = [one_source([path]) for path in paths]
+    if len({source.name for source in batches}) == len(batches):
+        return batches
+    return [Source(path, source.logs) for path, source in zip(paths, batches, strict=True)]
 
 
 def one_source(paths: Sequence[str]) -> Source:
@@ -160,13 +172,15 @@ def one_source(paths: Sequence[str]) -> Source:
     """
     source = Source.of(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
-        listed = source if len(paths) == 1 else Source.of([folder])
-        if (count := len(listed.by_arm(folder))) > 1:
-            raise UsageError(f"{folder}: holds {count} batches", "name the folder of each")
+        in_folder = source if len(paths) == 1 else Source.of([folder])
+        batches = len(in_folder.by_arm(folder))
+        if batches > 1:
+            raise UsageError(f"{folder}: holds {batches} batches", "name the folder of each")
     return source
 
 
-_BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not change a trial
+_BOOKKEEPING = {"trials", "description", "error_bound"}
+"""Fields of a spec that do not change a trial."""
 
 
 def experiment_of(batch: Batch) -> Experiment:
@@ -183,28 +197,35 @@ def experiment_of(batch: Batch) -> Experiment:
         raise UsageError("no trial to summarise")
     first = batch.trials[0]
     for other in (*batch.trials, *batch.attempts):
-        if other.origin is not first.origin:
-            raise UsageError(
-                f"{first.log} is from the {first.origin}, {other.log} from the {other.origin}",
-                "give the logs of one plant, and the others with --against",
-            )
-        if other.experiment is first.experiment:
-            continue
-        if found := differences(first.experiment, other.experiment):
-            raise UsageError(
-                f"{first.log} and {other.log} have different experiments: {listing(found)}",
-                "give the logs of one batch, and the other batch with --against",
-            )
+        _check_alike(first, other)
     _refuse_copies(batch.trials)
     return first.experiment
 
 
+def _check_alike(first: ResultSummary, other: ResultSummary) -> None:
+    """Raise UsageError for two trials of different plants or experiments."""
+    if other.origin is not first.origin:
+        raise UsageError(
+            f"{first.log} is from the {first.origin}, {other.log} from the {other.origin}",
+            "give the logs of one plant, and the others with --against",
+        )
+    if other.experiment is first.experiment:
+        return
+    fields = differences(first.experiment, other.experiment)
+    if fields:
+        raise UsageError(
+            f"{first.log} and {other.log} have different experiments: {listing(fields)}",
+            "give the logs of one batch, and the other batch with --against",
+        )
+
+
 def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
-    seen: dict[object, ResultSummary] = {}
+    """Raise UsageError if a trial occurs twice."""
+    trials_by_key: dict[object, ResultSummary] = {}
     for trial in trials:
         # Two trials in the lab may have the same number and seed, and are different trials.
-        key = (trial.seed, trial.trial) if trial.simulated else trial.digest or id(trial)
-        twin = seen.setdefault(key, trial)
+        key = _key(trial) if trial.simulated else trial.digest or id(trial)
+        twin = trials_by_key.setdefault(key, trial)
         if twin is not trial:
             raise UsageError(
                 f"{twin.log} and {trial.log} are the same trial"
@@ -213,7 +234,7 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
             )
 
 
-def differences(one: Experiment, two: Experiment) -> list[str]:
+def differences(ours: Experiment, theirs: Experiment) -> list[str]:
     """Return a text such as `controller.horizon_max: 20 != 30` for each field in which two
     experiments differ; only the field's path if its value is a section, or a list that differs in
     length.
@@ -223,12 +244,14 @@ def differences(one: Experiment, two: Experiment) -> list[str]:
     directions that are given: each trial has its own.
     """
     left_out: dict[str, Any] = dict.fromkeys(_BOOKKEEPING, True)
-    if one.chosen is not None and one.asked == two.asked:
-        left_out |= {"robots": True, "chosen": True}
-    if directions_given(one) and directions_given(two):
+    if ours.chosen is not None and ours.asked == theirs.asked:
+        left_out["robots"] = True
+        left_out["chosen"] = True
+    if directions_given(ours) and directions_given(theirs):
         left_out["controller"] = {"directions"}
-    ours, theirs = (each.model_dump(mode="json", exclude=left_out) for each in (one, two))
-    return list(_differences(ours, theirs))
+    our_fields = ours.model_dump(mode="json", exclude=left_out)
+    their_fields = theirs.model_dump(mode="json", exclude=left_out)
+    return list(_differences(our_fields, their_fields))
 
 
 def directions_given(experiment: Experiment) -> bool:
@@ -237,23 +260,34 @@ def directions_given(experiment: Experiment) -> bool:
     return isinstance(experiment.controller, GivenDirections)
 
 
-def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:
-    if one == two:
+def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
+    """Yield the differences between two values at a path of a spec."""
+    if ours == theirs:
         return
-    if isinstance(one, dict) and isinstance(two, dict):
-        for key in one | two:
-            yield from _differences(one.get(key), two.get(key), f"{path}.{key}" if path else key)
-    elif isinstance(one, list) and isinstance(two, list) and len(one) == len(two):
-        for index, (left, right) in enumerate(zip(one, two, strict=True)):
-            yield from _differences(left, right, f"{path}.{index}")
-    elif isinstance(one, (dict, list)) or isinstance(two, (dict, list)):
+    if isinstance(ours, dict) and isinstance(theirs, dict):
+        for key in ours | theirs:
+            inner = f"{path}.{key}" if path else key
+            yield from _differences(ours.get(key), theirs.get(key), inner)
+    elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
+        for i, (our_item, their_item) in enumerate(zip(ours, theirs, strict=True)):
+            yield from _differences(our_item, their_item, f"{path}.{i}")
+    elif isinstance(ours, dict | list) or isinstance(theirs, dict | list):
         yield path
     else:
-        words = (value if isinstance(value, str) else json.dumps(value) for value in (one, two))
-        yield f"{path}: {' != '.join(words)}"
+        yield f"{path}: {_as_text(ours)} != {_as_text(theirs)}"
+
+
+def _as_text(value: Any) -> str:
+    """Return a single value as in JSON, text without quotes."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+LISTED = 4
+"""Most texts in one line."""
 
 
 def listing(texts: Sequence[str], between: str = ", ") -> str:
-    """Join the first four texts into one line, with the number of the rest."""
-    more = len(texts) - 4
-    return between.join(texts[:4]) + (f" and {more} more" if more > 0 else "")
+    """Join the first texts into one line, with the number of the rest."""
+    joined = between.join(texts[:LISTED])
+    more = len(texts) - LISTED
+    return f"{joined} and {more} more" if more > 0 else joined

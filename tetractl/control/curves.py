@@ -18,7 +18,8 @@ def interpolate(knots: Floats, length: int) -> Floats:
     The first and last signals are the first and last knots; K is at most `length`.
     """
     places = np.linspace(0, len(knots) - 1, length)
-    below = np.minimum(places.astype(np.int64), max(len(knots) - 2, 0))
+    last_below = max(len(knots) - 2, 0)
+    below = np.minimum(places.astype(np.int64), last_below)
     share = (places - below)[:, None]
     after = np.minimum(below + 1, len(knots) - 1)
     return knots[below] * (1 - share) + knots[after] * share

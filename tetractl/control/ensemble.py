@@ -105,7 +105,9 @@ class Ensemble(PlainController):
         step = self.section.rate * float(problem.a.min()) * self.section.period
         if self._phase is None:
             heading = problem.poses.heading
-            self._phase = float(np.arctan2(np.sin(heading).sum(), np.cos(heading).sum()))
+            sine = np.sin(heading).sum()
+            cosine = np.cos(heading).sum()
+            self._phase = float(np.arctan2(sine, cosine))
         self._phase = float(np.remainder(self._phase + step + np.pi, 2 * np.pi) - np.pi)
         self._turned += step
 

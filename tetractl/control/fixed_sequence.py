@@ -77,4 +77,5 @@ def best_stop(
     targets = problem.targets
     errors = np.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
-    return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))
+    delay_ns = round(float(delays[best]) * SECOND)
+    return StopForecast(delay_ns, error=float(errors[best]))

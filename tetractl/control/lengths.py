@@ -141,7 +141,8 @@ class Searcher:
         """
         before = len(self.found)
         for start in starts:
-            search = self._search(problem, len(start), start, mix(self._key, len(start)))
+            key = mix(self._key, len(start))
+            search = self._search(problem, len(start), start, key)
             if search is None or good(search):
                 break
         costs = [search.cost for search in self.found]

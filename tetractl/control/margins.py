@@ -206,7 +206,8 @@ class Margins:
         of a body to obstacles and walls, negative inside, and of all distances of two robots minus
         `apart`.
         """
-        nearest = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf).reshape(x.shape)
+        gaps = self._gaps(x.ravel(), y.ravel())
+        nearest = gaps.min(axis=0, initial=np.inf).reshape(x.shape)
         i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
         between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
         to_robots = between.min(axis=-1, initial=np.inf) - apart

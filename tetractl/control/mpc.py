@@ -777,7 +777,8 @@ class Mpc:
     def _standing(self, problem: Problem, state: State, searches: Iterable[Search] = ()) -> Plan:
         """Return a plan by which robots stand; `searches` are those of this step, for the log. Its
         one signal is not sent: a stop is, or a turn."""
-        return replace(self._given(problem, np.zeros(1), state, searches), instead=Stop())
+        plan = self._given(problem, np.zeros(1), state, searches)
+        return replace(plan, instead=Stop())
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `known`, None if certain."""

@@ -184,7 +184,8 @@ class Squares:
         starts = starts[passable]
         ends = ends[passable]
         length = np.hypot(*(self.centres[starts] - self.centres[ends]).T)
-        graph = coo_array((length, (starts, ends)), shape=(len(free), len(free))).tocsr()
+        cells = len(free)
+        graph = coo_array((length, (starts, ends)), shape=(cells, cells)).tocsr()
         return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
 
 
@@ -255,7 +256,8 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
     between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
     apart = (between > problem.separation).all(axis=-1)  # (T, B)
-    outside = (_gaps(problem, x.ravel(), y.ravel()) > 0).all(axis=0).reshape(x.shape).all(axis=-1)
+    gaps = _gaps(problem, x.ravel(), y.ravel())
+    outside = (gaps > 0).all(axis=0).reshape(x.shape).all(axis=-1)
     return np.asarray((apart & outside).all(axis=0))
 
 

@@ -383,7 +383,8 @@ class NextFilters(NamedTuple):
     def empty(cls, size: int, robots: int) -> Self:
         """Return room for `size` filters of each of some robots."""
         shape = (size, robots)
-        return cls(np.empty(shape, np.int64), np.empty(shape), np.empty(shape))
+        rows = np.empty(shape, np.int64)
+        return cls(rows, dead_time_s=np.empty(shape), score=np.empty(shape))
 
     def taken_from(self, bank: Bank) -> Bank:
         """Return the bank of these filters, each with the dead time and the score that it takes. If

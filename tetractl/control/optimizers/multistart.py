@@ -97,7 +97,8 @@ class Multistart(OptimizerSection):
     def _rounds(self, problem: Problem, length: int) -> int:
         """Return `rounds`, but 1 if the targets are out of reach even along straight lines."""
         gaps = problem.poses.distances(problem.targets)
-        beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
+        reach = problem.speed * problem.seconds(length)
+        beyond = float(np.maximum(gaps - reach, 0.0).sum())
         return 1 if beyond > self.tolerance else self.rounds
 
 

@@ -102,7 +102,8 @@ class Pso(OptimizerSection):
         if warm is None:
             return Swarm.scatter(self, length, key, costs_of)
         cost = compiled_costs(problem, 1)(warm[:, None])[0]
-        return Swarm.scatter(self, length, key, costs_of, Best(warm.copy(), float(cost)))
+        best = Best(warm.copy(), float(cost))
+        return Swarm.scatter(self, length, key, costs_of, best)
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield the fields of a logged search that contradict its history."""

@@ -72,8 +72,10 @@ class Rerun:
     """
 
     def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
-        self._search_again, self._cpu = search_again, cpu
-        self._until = np.inf if search_again else cpu() + limits.seconds_limit()
+        self._search_again = search_again
+        self._cpu = cpu
+        self._compiled = not search_again  # searches are compiled by the first one
+        self._until_s = cpu() + limits.seconds_limit()  # of processor time, once compiled
         self.wrong: list[tuple[str, str]] = []
         self.asked: dict[int, Asked] = {}
         self._left: list[tuple[int, Search]] = []
@@ -85,12 +87,15 @@ class Rerun:
 
     def expired(self) -> bool:
         """Return whether the time limit is exceeded."""
-        return self._cpu() > self._until
+        return self._compiled and self._cpu() > self._until_s
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Continue with the logged searches of a step; given signals need no search."""
-        found = [(i, one) for i, one in enumerate(searches) if one.stopped != StopReason.FIXED]
-        self._left, self.wrong, self.asked = found, [], {}
+        self._left = [
+            (i, search) for i, search in enumerate(searches) if search.stopped != StopReason.FIXED
+        ]
+        self.wrong = []
+        self.asked = {}
 
     def _timer(self) -> int:
         """Return the time [ns] for the controller's deadline: 0 while logged searches are left,
@@ -107,17 +112,21 @@ class Rerun:
         if not self._search_again:
             self._evaluate(asked, f"searches.{index}", logged)
             return logged
-        optimizer, problem, length = asked.optimizer, asked.problem, asked.length
-        if self._until == np.inf:  # compile
-            least = Limits(optimizer.evaluations_min)
-            optimizer.search(problem, 1, np.zeros(1), asked.key, least)
-            self._until = self._cpu() + limits.seconds_limit()
+        if not self._compiled:
+            self._compile(asked)
         most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
         limited = replace(asked.limits, expired=lambda spent: self.expired() or spent >= most)
-        found = optimizer.search(problem, length, asked.warm, asked.key, limited)
+        search = asked.optimizer.search(asked.problem, asked.length, asked.warm, asked.key, limited)
         if self.expired():
             raise TooLongError
-        return found
+        return search
+
+    def _compile(self, asked: Asked) -> None:
+        """Compile an optimiser by its shortest search; the time limit begins after it."""
+        least = Limits(asked.optimizer.evaluations_min)
+        asked.optimizer.search(asked.problem, 1, np.zeros(1), asked.key, least)
+        self._compiled = True
+        self._until_s = self._cpu() + limits.seconds_limit()
 
     def _evaluate(self, asked: Asked, name: str, logged: Search) -> None:
         """Add to `wrong` how a logged search contradicts its problem or its optimiser."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from tetractl.core.commands import Action, Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
-from tetractl.core.plan import Plan
+from tetractl.core.plan import INNOVATIONS, Estimate, Plan, Search
+from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT
@@ -38,20 +39,29 @@ def check_frames(frames: Frames) -> None:
 
 def check_commands(commands: Sequence[Command], robots: int) -> None:
     """Check commands to N robots, all at once, which is faster."""
-    check_actions([one.action for one in commands])
-    wheels = [wheel for one in commands for wheel in (one.left, one.right) if wheel is not None]
-    for count in {len(one.delivered) for one in commands} - {robots}:
+    check_actions([command.action for command in commands])
+    for count in {len(command.delivered) for command in commands} - {robots}:
         raise ValueError(f"a command is for {count} robots instead of {robots}")
-    for count in {len(wheel) for wheel in wheels} - {robots}:
+    left = [command.left for command in commands if command.left is not None]
+    right = [command.right for command in commands if command.right is not None]
+    speeds = [*left, *right]
+    for count in {len(side) for side in speeds} - {robots}:
         raise ValueError(f"a command has {count} wheel speeds per side for {robots} robots")
-    _finite("a wheel's speed", np.concatenate([[], *wheels]))
+    _finite("a wheel's speed", np.concatenate([[], *speeds]))
 
 
 def check_actions(actions: Iterable[Action]) -> None:
     """Check the directions of actions."""
-    directed = [one for one in actions if isinstance(one, Steer | Turn)]
-    found = [one.direction if isinstance(one, Steer) else one.facing for one in directed]
-    _finite("a direction", found)
+    directions: list[float] = []
+    for action in actions:
+        match action:
+            case Steer():
+                directions.append(action.direction)
+            case Turn():
+                directions.append(action.facing)
+            case _:
+                pass  # no other action has a direction
+    _finite("a direction", directions)
 
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:
@@ -64,37 +74,60 @@ def check_steps(steps: Sequence[Step], robots: int) -> None:
 
 def check_plan(plan: Plan, robots: int) -> None:
     """Check a plan for N robots, as it is logged or before: headings of its path may be NaN."""
-    searches, known, count = plan.searches, plan.estimate, plan.signals.size
+    count = plan.signals.size
     if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
         shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
         raise ValueError(f"a path has shape {shapes} and {robots} robots")
-    for search in searches:
-        if not (search.signals.shape == (search.length,) and search.length):
-            raise ValueError(
-                f"a search of length {_shown(search.length)} has a different number of signals"
-            )
-        if search.history.ndim != 1 or not search.history.size:
-            raise ValueError("a search has no history")
-        if not isinstance(search.stopped, str):
-            raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
-    costs = [plan.cost, plan.target_cost, plan.obstacle_cost, *(one.cost for one in searches)]
-    found = {
-        "a predicted position": drawn(plan.path[..., :2]).ravel(),
-        "a signal": np.concatenate([plan.signals, *(one.signals for one in searches)]),
-        "a cost": np.concatenate([costs, *(one.history for one in searches)]),
-    }
-    for name in OF_ESTIMATE if known else ():
-        value = getattr(known, name)
-        if isinstance(value, np.ndarray):
-            found[name] = value.ravel()
-            if value.shape != ((robots, 3) if name == "misfit" else (robots,)):
-                raise ValueError(f"an estimated {name} has shape {value.shape}")
-        elif value is not None:
-            found[name] = np.array([value])
-    if np.isfinite(np.concatenate([*found.values()])).all():
+    for search in plan.searches:
+        _check_search(search)
+    values = _numbers(plan)
+    if plan.estimate is not None:
+        values |= _numbers_of_estimate(plan.estimate, robots)
+    if np.isfinite(np.concatenate([*values.values()])).all():
         return  # at once, as this is done in every control step
-    for what, values in found.items():
-        _finite(f"an estimated {what}" if what in OF_ESTIMATE else what, values)
+    for what, numbers in values.items():
+        _finite(what, numbers)
+
+
+def _check_search(search: Search) -> None:
+    """Check that a search has as many signals as it says, a history, and a reason for its end."""
+    if not (search.signals.shape == (search.length,) and search.length):
+        raise ValueError(
+            f"a search of length {_shown(search.length)} has a different number of signals"
+        )
+    if search.history.ndim != 1 or not search.history.size:
+        raise ValueError("a search has no history")
+    if not isinstance(search.stopped, str):
+        raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
+
+
+def _numbers(plan: Plan) -> dict[str, Floats]:
+    """Return all numbers of a plan and its searches that must be finite, by what they are."""
+    searches = plan.searches
+    costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
+    costs += [search.cost for search in searches]
+    return {
+        "a predicted position": drawn(plan.path[..., :2]).ravel(),
+        "a signal": np.concatenate([plan.signals, *(search.signals for search in searches)]),
+        "a cost": np.concatenate([costs, *(search.history for search in searches)]),
+    }
+
+
+def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
+    """Return all numbers of an estimate of N robots, by what they are; ValueError for arrays that
+    are not of N robots.
+    """
+    values: dict[str, Floats] = {}
+    for name in OF_ESTIMATE:
+        value = getattr(estimate, name)
+        if value is None:
+            continue
+        if isinstance(value, np.ndarray):
+            shape = (robots, len(INNOVATIONS)) if name == "misfit" else (robots,)
+            if value.shape != shape:
+                raise ValueError(f"an estimated {name} has shape {value.shape}")
+        values[f"an estimated {name}"] = np.atleast_1d(value).ravel()
+    return values
 
 
 def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit: str) -> Result:
@@ -112,11 +145,12 @@ def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit:
 
 def check_result(result: Result) -> None:
     """Check a result; final poses and errors may be NaN if the trial is not complete."""
-    verdict, final = result.verdict, result.verdict.final
-    lengths = np.array([result.total_error, *result.robot_errors, *final.xy.ravel()])
-    headings = final.heading
+    verdict = result.verdict
+    lengths = np.array([result.total_error, *result.robot_errors, *verdict.final.xy.ravel()])
+    headings = verdict.final.heading
     if not result.outcome.complete:
-        lengths, headings = lengths[~np.isnan(lengths)], headings[~np.isnan(headings)]
+        lengths = lengths[~np.isnan(lengths)]
+        headings = headings[~np.isnan(headings)]
     _finite("a length", lengths)
     _finite("a heading", headings)
     # distances are inf without obstacles or other robots, errors of a turn without a drive
@@ -128,10 +162,10 @@ def check_result(result: Result) -> None:
 
 def _finite(what: str, values: Iterable[float]) -> None:
     """Check that values are finite."""
-    found = np.asarray(values, dtype=np.float64)
-    good = np.isfinite(found)
-    if not good.all():
-        raise ValueError(f"{what} is {float(found[~good].flat[0])!r}")
+    numbers = np.asarray(values, dtype=np.float64)
+    wrong = numbers[~np.isfinite(numbers)]
+    if wrong.size:
+        raise ValueError(f"{what} is {float(wrong.flat[0])!r}")
 
 
 def _shown(number: int) -> str:

@@ -57,6 +57,7 @@ def test_the_learner_of_the_page_exports_a_policy(tmp_path):
     page = (ROOT / "docs" / "how-to" / "step-by-step.md").read_text("utf-8")
     (script,) = re.findall(r"```python title=learn\.py\n(.*?)```", page, re.DOTALL)
     (tmp_path / "learn.py").write_text(script)
+    (tmp_path / "experiments").symlink_to(ROOT / "experiments")
     subprocess.run([sys.executable, "learn.py", "100"], cwd=tmp_path, check=True)
     layers = json.loads((tmp_path / "weights.json").read_text())["layers"]
     assert [len(layer["bias"]) for layer in layers] == [64, 64, 2]  # the learner's default network

@@ -360,7 +360,7 @@ WORLDS = {
     "later": _hurt("later", 0.1),
     # at 20 Hz one direction of four gets out; 30 % of the commands lost, by each robot on its own
     "sparse-radio": _hurt("sparse-radio", 0.2),
-    "lossy-radio": World(_radio("loss: 0.3")),
+    "lossy-radio": World((*HURT, "plant.lost_commands=0.3")),
     "slow-pictures": _hurt("slow-pictures", 0.06),
     # the same with a dead time from sending; `plant.dead_time` counts from the exposure, so that
     # late pictures shorten what is left of it

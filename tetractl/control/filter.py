@@ -72,6 +72,7 @@ from tetractl.control.body_model import body_model, filter_model, with_saturatio
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     GRID,
+    LISTENED,
     Bank,
     NextFilters,
     Outlook,
@@ -110,6 +111,16 @@ class Forecast(NamedTuple):
     """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
     estimate: Estimate
     """What is known of the robots' motion."""
+
+
+class Heard(NamedTuple):
+    """What frames say of whether N robots heard C commands."""
+
+    sent_s: Floats
+    """(C,) times of sending [s]."""
+    ln_factors: Floats
+    """(C, N) ln of the factors by which the odds of this changed, from the moment when a command
+    acts until the next one acts; NaN if frames do not say, as it was no news for the robot."""
 
 
 class RunningFilters(NamedTuple):
@@ -202,6 +213,19 @@ class FilterBank:
         robots = np.arange(len(self.prior.a))
         slots = self.bank.weight[filters, robots].argmax(axis=1)
         return filters, robots, slots
+
+    def heard(self) -> Heard:
+        """Return what frames say of the latest commands after which another one acts on every
+        robot, up to half of LISTENED: the other half is for robots on which they act sooner."""
+        filters = self._likeliest_filters()
+        robots = np.arange(len(self.prior.a))
+        coming = self.bank.coming[filters, robots]
+        end = int(coming.min()) - 1
+        commands = np.arange(max(0, end - LISTENED // 2), max(0, end))
+        ages = coming - 1 - commands[:, None]  # in commands, 1 for the last one that was replaced
+        kept = self.bank.ln_heard[filters, robots, np.maximum(LISTENED - ages, 0)]
+        ln_factors = np.where(ages <= LISTENED, kept, np.nan)
+        return Heard(self.commands.all.sent_s[commands], ln_factors)
 
     # ---- what becomes known ----
 

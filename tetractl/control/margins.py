@@ -6,9 +6,10 @@ robot,
 
     LOST_SHARE v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
 
-with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
-identified values. The first term is due to a lost command, the others to uncertain values. The
-centres of two robots keep a distance of the spec's separation plus twice that deviation.
+with its speed v, the control period T (while robots miss many commands, a signal's), the dead time
+tau and the standard deviations sigma of the identified values. The first term is due to a lost
+command, the others to uncertain values. The centres of two robots keep a distance of the spec's
+separation plus twice that deviation.
 
 If a robot or a target is already nearer to an obstacle, the margin is reduced to its distance,
 because no plan could keep the full margin. It is never reduced below the robot's radius, unless a

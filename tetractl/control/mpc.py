@@ -20,7 +20,9 @@ the method of its name.
     pass     go on through a passage               stay     in a hold: all are within its radius
     stop     in the coming period, if no plan      finish   if no plan can have a lower value,
              can have a lower value                         or none fits into the time left
-    (plans are searched)                           (plans are searched)
+    keep     the signal, if no robot hears many    (plans are searched)
+             commands
+    (plans are searched)
     go on    by the safe plan of least value       turn     on the spot, if none found is safe:
     rest     if a plan from rest can have a                 other headings allow other plans
              lower value, or none found is safe    give up  if none is safe after all turns
@@ -259,7 +261,7 @@ class Mpc:
         )
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
-        self.standings = Standings(setup.names)
+        self.standings = Standings(setup.names, section.period)
         self.legs = setup.legs
         self.progress = TrialProgress(Leg(0, 0.0, 0, False, Outcome.ARRIVED))
         self.course = self._course(0, setup.starts)
@@ -273,7 +275,7 @@ class Mpc:
         """Decide what the robots do in one step, or end the trial."""
         self.time.seen(observation, last_command)
         motion = self.estimator.seen(observation, last_command, earlier)
-        self.standings.see(self.estimator.estimate)
+        self.standings.see(self.estimator.estimate, self.time.passed_s)
         dead = self.estimator.losses.dead
         if dead.any() and self.setup.loss and self.setup.loss.ends:
             raise ControlError(told_dead(self.setup.names, dead))
@@ -393,6 +395,13 @@ class Mpc:
         return last.signals[1:] if held_periods == 0 else last.signals
 
     @property
+    def _heard_s(self) -> float:
+        """The time in which robots hear a command [s]: a control period, or a signal's if they miss
+        many."""
+        periods = self.section.signal_periods if self.estimator.hearing.misses_many else 1
+        return self.section.period * periods
+
+    @property
     def _sticking_hz(self) -> float:
         """How often robots on wheels were found to stick [1/s]. Cells, which rest by themselves and
         then go on, have 0: with such a price some trials ended far from their targets."""
@@ -435,6 +444,9 @@ class Mpc:
         stop = self._stop(step, warm, instead.least)
         if stop is not None:
             return stop
+        kept = self._keep(step, warm)
+        if kept is not None:
+            return kept
         searched = self._search_under_way(step, warm)
         plan = self._go_on(searched, instead.rest)
         if plan is not None:
@@ -550,6 +562,19 @@ class Mpc:
         if stop.delay_ns > 0 and self.stands and self.course.margins.meets(problem, held, seconds):
             return best_stop(problem, held, 0.0)
         return stop
+
+    def _keep(self, step: ControlStep, warm: Floats) -> Plan | None:
+        """Send the present signal again if many commands are missed by all robots.
+
+        Searched again in each period, the ones that get out would be meant for the rest of a signal
+        alone, and last for all of it. Where the signal leads a body into something another one
+        might not get out in time, so robots stop.
+        """
+        if self._held_periods() == 0 or not self.estimator.hearing.misses_many:
+            return None
+        if self.stands and self._enters(step.problem, warm):
+            return self._standing(step.problem, State.RESTING)
+        return self._given(step.problem, warm, State.DRIVING)
 
     def _go_on(self, searched: Searched, rest: float) -> Plan | None:
         """Follow the plan of least value that is safe, unless a rest can have a lower value.
@@ -783,14 +808,14 @@ class Mpc:
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `known`, None if certain."""
         grown, apart = self.course.margins.around(
-            problem, self.section.collision, self.section.period, self.estimator.dead_time_s, known
+            problem, self.section.collision, self._heard_s, self.estimator.dead_time_s, known
         )
         return replace(problem, obstacles=grown, separation=apart)
 
     def _enters(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before a stop can act, which the next step may
         send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
-        seconds = self.section.period + LATE * self.estimator.dead_time_s
+        seconds = self._heard_s + LATE * self.estimator.dead_time_s
         held = np.full(len(problem.a), signals[0])
         return self.course.margins.meets(problem, held, seconds)
 

@@ -109,6 +109,8 @@ def _follow_last(bank, model, commands, b, i, time_s):
     if number == 0:
         return
     bank.coming[b, i] = number
+    bank.first_odds[b, i] = math.nan
+    bank.ln_heard[b, i] = math.nan
     for s in range(bank.weight.shape[2] - 1):
         bank.direction[b, i, s] = commands.directions[number - 1]
         bank.until_s[b, i, s] = commands.sent_s[number - 1] + model.watchdog_s + dead_time_s
@@ -244,10 +246,14 @@ def _predict(bank, model, commands, b, i, since_s, until_s, step_s, scratch):
         now_s = next_s
         if acts:
             u = commands.directions[coming]
+            u_before = commands.directions[coming - 1] if coming > 0 else math.nan
+            _listen(bank.ln_heard[b, i], _ln_odds(hypotheses, u_before) - bank.first_odds[b, i])
+            is_news = _is_news(hypotheses, u)
             if hypotheses.weight.size == FOLLOWS + 1:
                 _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
             else:
                 _branch_all(hypotheses, model, i, u, now_s, step_s)
+            bank.first_odds[b, i] = _ln_odds(hypotheses, u) if is_news else math.nan
             bank.coming[b, i] += 1
 
 
@@ -283,6 +289,43 @@ def _least_likely(weight, count):
         if weight[s] < weight[least]:
             least = s
     return least
+
+
+# ---- what frames say of whether a robot heard a command ----
+
+
+@compiled(**INLINE_FAST)
+def _listen(ln_heard, ln_factor):
+    """Add what frames said of whether the robot heard the latest command."""
+    for k in range(ln_heard.size - 1):
+        ln_heard[k] = ln_heard[k + 1]
+    ln_heard[ln_heard.size - 1] = ln_factor
+
+
+@compiled(**INLINE_FAST)
+def _is_news(hypotheses, u):
+    """Return whether u [rad] is not the direction that the robot most probably follows."""
+    driving = hypotheses.weight.size - 1
+    return hypotheses.direction[likeliest(hypotheses.weight, driving)] != u
+
+
+@compiled(**INLINE_FAST)
+def _ln_odds(hypotheses, u):
+    """Return ln of the odds that the robot follows u [rad] rather than what it was sent before; NaN
+    if it can only do one of both, or most probably is stuck."""
+    stuck = hypotheses.weight.size - 1
+    best = hypotheses.weight[likeliest(hypotheses.weight, stuck)]
+    if hypotheses.weight[stuck] > best:
+        return math.nan
+    follows = 0.0
+    other = 0.0
+    for s in range(stuck):
+        probability = math.exp(hypotheses.weight[s] - best)
+        if hypotheses.direction[s] == u:
+            follows += probability
+        else:
+            other += probability
+    return math.log(follows / other) if follows > 0 and other > 0 else math.nan
 
 
 # ---- a command acts: hypotheses branch ----

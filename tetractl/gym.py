@@ -69,6 +69,11 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         self.render_mode = render_mode
         self.metadata = {"render_modes": RENDER_MODES, "render_fps": round(1 / setup.period_s)}
         self._start_error = float(setup.starts.distances(setup.targets).sum())
+        if self._start_error == 0.0:
+            raise UsageError(
+                "the robots start on their targets, so that no reward can be had",
+                "place starts or targets apart",
+            )
         self._worst_error = greatest_error(setup)
         size = features_of(len(setup.names))
         high = np.ones(size, dtype=np.float32)
@@ -114,12 +119,12 @@ class TrialEnv(gymnasium.Env[Features, Features]):
             self.trial.stop()
         result = self.trial.result
         if result is None:
-            return self._observed(), self._progress(self._measured_error()), False, False, {}
+            return self._observed(), self._take_reward(self._measured_error()), False, False, {}
         failed = self.trial.failed
         error = self._worst_error if failed else result.total_error
         terminated = failed or result.outcome is Outcome.ARRIVED
         info = {"outcome": "failed" if failed else result.outcome.value, "total_error": error}
-        return self._observed(), self._progress(error), terminated, not terminated, info
+        return self._observed(), self._take_reward(error), terminated, not terminated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return a picture (H, W, 3) of the episode so far, None without a render mode."""
@@ -129,9 +134,9 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
         return arena_picture(self.trial.setup, np.array(self._ways))
 
-    def _progress(self, error: float) -> float:
-        """Return by how much the sum of distances has decreased to `error`, over that at the
-        starts."""
+    def _take_reward(self, error: float) -> float:
+        """Return by how much the sum of distances has decreased to `error` since the last reward,
+        over that at the starts; the next reward counts from `error`."""
         decrease = self._error - error
         self._error = error
         return decrease / self._start_error

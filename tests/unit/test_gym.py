@@ -153,3 +153,9 @@ def test_an_episode_is_saved_as_a_log_that_is_verified(tmp_path):
 def test_a_step_before_the_first_reset_is_refused():
     with pytest.raises(UsageError, match="call reset first"):
         TrialEnv(SPEC).step(EAST)
+
+
+def test_robots_that_start_on_their_targets_are_refused():
+    on_target = {**SPEC["robots"][0], "start": SPEC["robots"][0]["target"]}
+    with pytest.raises(UsageError, match="start on their targets"):
+        TrialEnv({**SPEC, "robots": [on_target]})

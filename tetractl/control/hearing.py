@@ -65,7 +65,7 @@ class Hearing:
         return replace(self, until_s=sent_s, shown=False)
 
     def _missed_before_one(self) -> float:
-        """Return the mean with a command that was sent out. Those before it of which frames shown
+        """Return the mean with a command that was sent out. Those before it of which frames showed
         nothing, as where a signal is sent again, may all have been missed: then it is no news."""
         shown = self.shown or self.since > 0
         if not shown or self.since > RUN:

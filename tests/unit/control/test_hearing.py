@@ -48,7 +48,7 @@ def test_a_signal_that_is_sent_again_tells_nothing_of_the_commands_missed():
     missed, heard, repeated = (AGAINST,) * 3, (FOR,) * 3, (NOTHING,) * 3
     learnt = (missed, missed, missed, heard) * 10
     kept = (heard, repeated, repeated, repeated) * 30
-    # of the kept signals the first one alone follows a command of which frames shown
+    # of the kept signals the first one alone follows a command of which frames showed
     assert after(*learnt, *kept).missed == after(*learnt, heard).missed
 
 

@@ -268,14 +268,19 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
 
 def _least_off(truth: Truth) -> tuple[Floats, Floats]:
     """Return how far each pose accepted is, in place [mm] and in heading [rad] (T, N), from the
-    nearest true one of the `late_s` in which it may have been exposed.
+    nearest true one of the time in which it may have been exposed: the `late_s` and, if it repeats
+    the pose before to the last bit, the time in which a frozen pose cannot be told from one of a
+    robot that stands, since a stop or no command may still act on it.
     """
-    last = np.arange(len(truth.times))
-    first = np.searchsorted(truth.times, truth.times - truth.late_s)
+    frozen_s = truth.limits.stale + AIR_S + truth.watchdog_s
+    within_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
+    last = np.arange(len(truth.times))[:, None]
+    first = np.searchsorted(truth.times, truth.times[:, None] - within_s)
+    robots = np.arange(truth.fresh.shape[1])
     least_mm = np.full(truth.fresh.shape, np.inf)
     least_rad = least_mm.copy()
     for back in range(int((last - first).max(initial=0)) + 1):
-        off = truth.accepted - truth.poses[np.maximum(last - back, first)]
+        off = truth.accepted - truth.poses[np.maximum(last - back, first), robots]
         turned = np.abs(np.remainder(off[..., 2] + np.pi, 2 * np.pi) - np.pi)
         least_mm = np.fmin(least_mm, np.hypot(off[..., 0], off[..., 1]))
         least_rad = np.fmin(least_rad, turned)

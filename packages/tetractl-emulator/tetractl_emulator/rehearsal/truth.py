@@ -320,6 +320,13 @@ class Truth:
         return found
 
     @cached_property
+    def repeated(self) -> Bools:
+        """Whether a pose accepted equals the one before to the last bit (T, N)."""
+        found = np.zeros(self.fresh.shape, bool)
+        found[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
+        return found
+
+    @cached_property
     def error(self) -> Floats:
         """Distance between a pose accepted and the true one (T, N) [mm]; 0 before the first."""
         off = self.accepted - self.poses

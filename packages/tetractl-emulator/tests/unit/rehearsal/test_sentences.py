@@ -234,6 +234,21 @@ def test_a_robot_may_turn_while_no_new_pose_of_it_is_accepted():
     assert names_of(3, truth) == set()
 
 
+@pytest.mark.parametrize(("turned_before_s", "wrong"), [(0.3, False), (0.7, True)])
+def test_a_pose_that_repeats_is_not_known_to_be_frozen_at_once(turned_before_s, wrong):
+    """Regression: a robot that turned to rest under a frozen pose broke the sentence.
+
+    `stale` 0.1 s, a packet in the air and the watchdog may pass until no stop acts any more.
+    """
+    x, y, heading = STARTS[0]
+    turned = [[x, y, heading + 1.2], *STARTS[1:]]
+    truth = with_log(STARTS)
+    truth.day.events[-4]["poses"] = turned
+    vars(truth)["repeated"] = np.ones((4, 3), bool)
+    truth.day.events.insert(2, truth_at(2.2 - turned_before_s, 180.0, STARTS))
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
 @pytest.mark.parametrize(("late_s", "wrong"), [(0.15, False), (0.05, True)])
 def test_a_picture_that_comes_late_shows_how_a_robot_stood_before(late_s, wrong):
     late = {"kind": "pictures late", "fault": "late_pictures", "by": late_s, "at": 2.1}

@@ -3,7 +3,7 @@
 import socket
 
 import pytest
-from support.good_runs import RUNS, check, script_of
+from support.good_runs import BEFORE_OBSTACLE, RUNS, check, script_of
 from support.lab_processes import play
 from support.scripts import load_script
 
@@ -22,7 +22,7 @@ def free_port():
 
 def test_robots_that_take_lines_over_udp(tmp_path):
     port = f"udp://127.0.0.1:{free_port()}"
-    sets = (f"lab.actuator={{type: twist, port: '{port}', {ROBOTS}}}",)
+    sets = (f"lab.actuator={{type: twist, port: '{port}', {ROBOTS}}}", BEFORE_OBSTACLE)
     script = tmp_path / "script.yaml"
     script.write_text("about: nothing goes wrong\n")
     played = play(script, load_script(script), tmp_path, sets=sets)

@@ -269,7 +269,7 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
 def _least_off(truth: Truth) -> tuple[Floats, Floats]:
     """Return how far each pose accepted is, in place [mm] and in heading [rad] (T, N), from the
     nearest true one of the time in which it may have been exposed: the `late_s` and, if it repeats
-    the pose before to the last bit, the time in which a frozen pose cannot be told from one of a
+    the pose before to the last bit, the time in which a frozen pose looks like that of a
     robot that stands, since a stop or no command may still act on it.
     """
     frozen_s = truth.limits.stale + AIR_S + truth.watchdog_s

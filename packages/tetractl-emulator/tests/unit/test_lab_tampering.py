@@ -1,8 +1,9 @@
 """What `verify` notices of the log of a lab in which somebody changed one thing.
 
 Of a lab's log `verify` computes the decisions and the result again from the logged frames and
-commands. Records that nothing is computed from (scenes, notes, facts of the devices, the times at
-which records were written) are sealed by the digests alone, which are made to fit here.
+commands. Records that nothing is computed from (scenes, notes, facts of the devices, repeated
+commands, the times at which records were written) are sealed by the digests alone, which are made
+to fit here.
 """
 
 import pytest
@@ -31,7 +32,6 @@ DECIDED = {
 }
 RESULTS = ("-", "outcome", "unit", "steps", "duration_s", "total_error", "robot_errors", "entered")
 ENDED = {
-    (channels.COMMANDS, "stop"),
     *((channels.RESULT, field) for field in (*RESULTS, "final_x", "final_y", "final_heading")),
 }
 SMALL = (  # 5 Hz, few steps and a small swarm

@@ -17,6 +17,7 @@ from typing import Self
 from rich.console import Console
 
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
+FULL_S = 0.5  # for which a full terminal takes nothing
 _CODES = re.compile(r"\x1b(?:\[[0-9;?]*(?:[A-Za-z]|$)|[=>]|$)")
 
 
@@ -73,10 +74,16 @@ class Terminal:
             self.press(keys)
 
     def fill(self) -> None:
-        """Leave the terminal as it is, unread, until it takes nothing more."""
-        deadline = time.monotonic() + PATIENCE_S
-        while select.select([], [self._slave], [], 0)[1]:
-            assert time.monotonic() < deadline, "nothing fills the terminal"
+        """Leave the terminal as it is, unread, until it takes nothing more.
+
+        It takes nothing for a moment, too, while the kernel passes on what was written: so it must
+        have taken nothing for FULL_S, in which the live view draws some pictures.
+        """
+        began = since = time.monotonic()
+        while time.monotonic() - since < FULL_S:
+            assert time.monotonic() - began < PATIENCE_S, "nothing fills the terminal"
+            if select.select([], [self._slave], [], 0.01)[1]:
+                since = time.monotonic()
             self.process.poll()
 
     def close(self) -> None:

@@ -8,6 +8,6 @@ pytestmark = pytest.mark.system
 
 
 def test_days_of_a_fixed_seed_break_nothing(tmp_path):
-    words = ("--days", "200", "--seed", "2", "--jobs", "2", "--out", "days")
+    words = ("--days", "100", "--seed", "2", "--jobs", "2", "--out", "days")
     done = tetractl(tmp_path, "lab", "rehearse", SPEC, *words)
-    assert done.stdout.endswith("200 days, 0 violations\n"), done.stderr
+    assert done.stdout.endswith("100 days, 0 violations\n"), done.stderr

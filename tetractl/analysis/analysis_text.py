@@ -9,7 +9,7 @@ import numpy as np
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.analysis.steering import Steering
 from tetractl.core.poses import ellipse
-from tetractl.core.table.table import Column, Table, fixed
+from tetractl.core.table.table import Column, Table, fixed, plural
 
 NO_PLAN = "no plan found"
 SAYS = "errors predicted by a linearised closed loop; no trial was run"
@@ -21,7 +21,7 @@ Fact = tuple[str, str]
 def tables(analysis: Analysis) -> list[Table]:
     """Return the tables of an analysis, without the line from `advice`."""
     names = analysis.setup.names
-    title = f"{analysis.setup.name}: {len(names)} {_plural('robot', len(names))}, {SAYS}"
+    title = f"{analysis.setup.name}: {len(names)} {plural('robot', len(names))}, {SAYS}"
     facts = list(_facts(analysis))
     steering = analysis.steering
     if steering is None:
@@ -75,7 +75,7 @@ def _errors(analysis: Analysis, steering: Steering) -> Table:
     least = [float(errors.min()) for errors in rows.values()]
     most = [float(errors.max()) for errors in rows.values()]
     return Table(
-        f"Mean total error of {plans} {_plural('plan', plans)}",
+        f"Mean total error of {plans} {plural('plan', plans)}",
         (
             Column("error", list(rows), analysis.setup.unit),
             Column("median", medians, "", fixed(3)),
@@ -156,10 +156,6 @@ def _shortest(analysis: Analysis) -> str:
     if steering is None or steering.shortest is None:
         return NO_PLAN
     return f"{steering.shortest}, {steering.shortest * steering.signal_s:.3g} s"
-
-
-def _plural(noun: str, count: int) -> str:
-    return noun if count == 1 else f"{noun}s"
 
 
 def as_json(analysis: Analysis) -> dict[str, Any]:

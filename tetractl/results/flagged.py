@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from tetractl.core.plan import Outcome
+from tetractl.core.table.table import plural
 from tetractl.core.tour import STOOD
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts
@@ -52,13 +53,13 @@ def trial_notes(trial: ResultSummary) -> list[str]:
     notes = _unsafe_robots(trial)
     lost = sum(result.lost)
     if lost:
-        notes.append(f"{lost} {_plural('robot', lost)} lost")
+        notes.append(f"{lost} {plural('robot', lost)} lost")
     if trial.outcome is Outcome.STEPS_MAX:
         notes.append(f"did not end in {result.steps} steps")
     if trial.outcome is Outcome.TIME_LIMIT:
         notes.append(f"did not end in {trial.experiment.controller.time_limit:g} s")
     if trial.warnings and not trial.simulated:
-        notes.append(f"{trial.warnings} {_plural('warning', trial.warnings)}")
+        notes.append(f"{trial.warnings} {plural('warning', trial.warnings)}")
     if trial.recovered:
         notes.append("read from a damaged log")
     if not counts(trial) or result.reason.endswith(STOOD):
@@ -77,7 +78,3 @@ def _unsafe_robots(trial: ResultSummary) -> list[str]:
             robots = [name for name, unsafe in zip(names, did, strict=True) if unsafe]
             notes.append(f"{', '.join(robots)} {label}")
     return notes
-
-
-def _plural(noun: str, count: int) -> str:
-    return noun if count == 1 else f"{noun}s"

@@ -35,6 +35,11 @@ def digits(value: float) -> str:
     return fixed(min(max(2 - math.floor(math.log10(value)), 0), 9))(value)
 
 
+def plural(noun: str, count: int) -> str:
+    """Return a regular noun as it stands after a count."""
+    return noun if count == 1 else f"{noun}s"
+
+
 def p_value(p: float) -> str:
     """Return a p-value as text with two digits."""
     if not math.isfinite(p):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core.table.table import plural
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
 from tetractl_emulator.rehearsal.truth import Truth
 from tetractl_emulator.rehearsal.violation import Violation
@@ -93,7 +94,7 @@ def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
 def reasons(rows: Sequence[DayRow]) -> str:
     """Return for what reasons days were refused or aborted, the most frequent ones first."""
     why = Counter(re.sub(r"\d+(\.\d+)?", "…", row["reason"]) for row in rows if row["reason"])
-    return "\n".join(f"{n} {'day' if n == 1 else 'days'}: {one}" for one, n in why.most_common(10))
+    return "\n".join(f"{n} {plural('day', n)}: {one}" for one, n in why.most_common(10))
 
 
 def summary(rows: Sequence[DayRow]) -> str:

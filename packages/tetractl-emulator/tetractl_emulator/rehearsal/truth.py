@@ -324,7 +324,7 @@ class Truth:
         """Whether a pose accepted equals the one before to the last bit (T, N)."""
         found = np.zeros(self.fresh.shape, bool)
         found[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
-        return found
+        return found & self.fresh
 
     @cached_property
     def error(self) -> Floats:

@@ -39,7 +39,6 @@ def test_what_is_identified_from_a_damaged_log_is_told_with_a_failure(folder, tm
     assert (done.returncode, "dead time" in done.stdout) == (1, True)
 
 
-@pytest.mark.long
 def test_exported_tables_say_the_same(folder):
     assert tetractl(folder, "export", "logs", "-o", "tables").returncode == 0
     logs, tables = (

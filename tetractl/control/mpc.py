@@ -61,7 +61,6 @@ from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
-from tetractl.control.standings import Standings
 from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
@@ -244,8 +243,8 @@ class Mpc:
     """The controller of one trial.
 
     `plan` is called once a control step. Between two steps it keeps the `progress` of the trial,
-    the `course` of the leg, and what `estimator`, `time` and `standings` have counted. `key` seeds
-    all random numbers; `timer()`, the time [ns], is read for deadlines alone.
+    the `course` of the leg, and what the `estimator` and the `time` have counted. `key` seeds all
+    random numbers; `timer()`, the time [ns], is read for deadlines alone.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -261,7 +260,6 @@ class Mpc:
         )
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
-        self.standings = Standings(setup.names, section.period)
         self.legs = setup.legs
         self.progress = TrialProgress(Leg(0, 0.0, 0, False, Outcome.ARRIVED))
         self.course = self._course(0, setup.starts)
@@ -275,7 +273,6 @@ class Mpc:
         """Decide what the robots do in one step, or end the trial."""
         self.time.seen(observation, last_command)
         motion = self.estimator.seen(observation, last_command, earlier)
-        self.standings.see(self.estimator.estimate, self.time.passed_s)
         dead = self.estimator.losses.dead
         if dead.any() and self.setup.loss and self.setup.loss.ends:
             raise ControlError(told_dead(self.setup.names, dead))
@@ -375,7 +372,6 @@ class Mpc:
                 spent_s=self.time.passed_s - self.progress.leg.began_s,
                 period_s=motion.period,
                 patience_s=section.patience_s(self.setup),
-                sticking_hz=self._sticking_hz,
             ),
         )
 
@@ -400,14 +396,6 @@ class Mpc:
         many."""
         periods = self.section.signal_periods if self.estimator.hearing.misses_many else 1
         return self.section.period * periods
-
-    @property
-    def _sticking_hz(self) -> float:
-        """How often robots on wheels were found to stick [1/s]. Cells, which rest by themselves and
-        then go on, have 0: with such a price some trials ended far from their targets."""
-        if self.setup.wheel_radius is None:
-            return 0.0
-        return self.standings.rate_hz(self.time.passed_s)
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""

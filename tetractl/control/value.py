@@ -2,22 +2,18 @@
 
 The value of a candidate is an error [length unit], the less the better:
 
-    V = J + attempt + price t + failing (1 - exp(-h t)) + caution
+    V = J + attempt + price t + caution
 
     J        predicted total error at the candidate's end, f of the paper's (8)
     attempt  what disturbances make of a new attempt, in other words of a plan that leads the robots
              away from the plan under way: `accept` at first. It doubles every `patience_s`, because
              a trial that lasts long is disturbed much. 0 for the plan under way and for a stop
     price t  the price of the time t until the robots stand at the end
-    failing  what a plan costs in which a robot sticks. By the rate h at which robots were found to
-             stand in this trial, one sticks in the time t with probability 1 - exp(-h t). Where
-             none ever stands h is 0
     caution  if the path touches a margin, or if robots that receive nothing might touch something
 
 `accept` is the spec's `accept_error`, the scale of all of them.
 """
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -27,16 +23,13 @@ PATIENCE_S = 80.0  # time in which `attempt` doubles
 @dataclass(frozen=True, slots=True)
 class Worth:
     """The values of the candidates of a control step `spent_s` after the leg began; each signal
-    lasts `period_s`. `attempt` doubles in `patience_s`; robots stick `sticking_hz` times a second.
-    """
+    lasts `period_s`. `attempt` doubles in `patience_s`."""
 
     accept: float
     spent_s: float
     period_s: float
     patience_s: float = PATIENCE_S
-    sticking_hz: float = 0.0
     price: ClassVar[float] = 0.02  # of a second, in units of `accept`
-    failing: ClassVar[float] = 2.5  # of a plan in which a robot sticks, in units of `accept`
     touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
     unheard: ClassVar[float] = 1.5  # caution if robots that receive nothing might touch something
 
@@ -46,9 +39,8 @@ class Worth:
         """Return the value of a plan of `length` signals that ends with the total `error`."""
         attempt = 2 ** (self.spent_s / self.patience_s) if new else 0.0
         time = self.price * self.period_s * length
-        fails = self.failing * -math.expm1(-self.sticking_hz * self.period_s * length)
         caution = self.touch * touches + self.unheard * unheard
-        return error + self.accept * (attempt + time + fails + caution)
+        return error + self.accept * (attempt + time + caution)
 
     def rest(self, length: int, wait_s: float) -> float:
         """Return the value of a rest that ends with a plan of `length` signals in `wait_s`; whether

@@ -1,7 +1,5 @@
 """The one value by which candidates of a control step are compared."""
 
-import math
-
 import pytest
 
 from tetractl.control.value import PATIENCE_S, Worth
@@ -31,10 +29,3 @@ def test_caution_costs_as_much_as_errors_in_units_of_the_accepted_one():
 
 def test_a_rest_is_no_better_than_the_plan_that_follows_it():
     assert AT_FIRST.rest(5, 1.0) == pytest.approx(AT_FIRST.plan(0.0, 10, True, unheard=True))
-
-
-def test_where_robots_stick_a_plan_costs_by_the_chance_that_one_sticks_in_it():
-    # robots that stick once in 2 s on average stick with probability 1 - exp(-1) in 10 signals
-    sticking = Worth(10.0, 0.0, 0.2, sticking_hz=0.5)
-    fails = 10 * Worth.failing * (1 - math.exp(-1))
-    assert sticking.plan(3.0, 10, True) == pytest.approx(AT_FIRST.plan(3.0, 10, True) + fails)

@@ -1,4 +1,4 @@
-"""Measure the solver against its peers, and print the tables of docs/explanation/solver.md.
+"""Measure the solver against its peers, and print the tables of docs/reference/measured.md.
 
     python benchmarks/solver.py                     everything, some 20 minutes
     python benchmarks/solver.py --quick             every row once, in seconds; figures mean little

@@ -1,4 +1,4 @@
-"""Write the tables of reproduced papers into docs/explanation/reproduce.md, between its markers.
+"""Write the tables of reproduced papers into docs/reference/reproduce.md, between its markers.
 
 Run `python docs/make_reproduce.py [FOLDER]` after a change of a paper: it does what `tetractl
 reproduce --all --out FOLDER` does. Trials in FOLDER (logs/reproduce) are kept, so that what was
@@ -17,7 +17,7 @@ from tetractl.reproduce.claim import assess
 from tetractl.reproduce.paper import table
 from tetractl.reproduce.trials import run_arms
 
-PAGE = Path(__file__).parent / "explanation/reproduce.md"
+PAGE = Path(__file__).parent / "reference/reproduce.md"
 BEGIN = "<!-- figures: begin -->\n"
 END = "<!-- figures: end -->"
 

@@ -20,7 +20,7 @@ from tetractl.results.estimate import distributions
 
 pytestmark = pytest.mark.system
 
-DISTURBED = ROOT / "docs/explanation/disturbed.md"
+MEASURED = ROOT / "docs/reference/measured.md"
 BENCH = ROOT / "docs/explanation/bench.md"
 BENCHMARK = ROOT / "docs/reference/benchmark.md"
 MEAN = re.compile(r"([\d.e+]+) \[([\d.e+-]+), ([\d.e+-]+)\]")
@@ -79,14 +79,14 @@ ROWS = [
 @pytest.mark.parametrize(("mark", "row", "options"), ROWS, ids=lambda one: str(one).split()[0])
 def test_a_row_of_what_disturbs_is_as_printed(mark, row, options):
     now = run("benchmarks/disturbed.py", *options, "--only", row, "--trials", "20")
-    page = printed(DISTURBED, mark)
+    page = printed(MEASURED, mark)
     assert mean_in(line_of(now, row)).agrees(mean_in(line_of(page, row)))
 
 
 def test_a_row_of_the_floor_is_as_printed():
     now = run("benchmarks/floors.py", "--trials", "5", "--seed", "60201", "--rows", "0")
     row = "three_m3pi_bench.yaml", "24"
-    page = printed(DISTURBED, "floors")
+    page = printed(MEASURED, "floors")
     assert mean_in(line_of(now, *row)).agrees(mean_in(line_of(page, *row)))
 
 

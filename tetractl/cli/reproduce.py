@@ -31,7 +31,7 @@ def reproduce(
 
     Without a PAPER it lists them. Trials with a log in DIR are kept: an interrupted command goes on
     where it was. The exit code is 1 if a verdict differs from that of
-    docs/explanation/reproduce.md.
+    docs/reference/reproduce.md.
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """

@@ -60,7 +60,7 @@ def test_a_film_is_a_recording_that_track_follows_and_a_video_shows_a_trial():
 
 
 def test_the_disturbances_of_the_solvers_figures_are_those_of_its_page():
-    page = (ROOT / "docs/explanation/solver.md").read_text()
+    page = (ROOT / "docs/reference/measured.md").read_text()
     assert all(f"`{setting}`" in page for setting in DISTURBED)
 
 

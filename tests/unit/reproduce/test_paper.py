@@ -19,7 +19,7 @@ from tetractl.reproduce.ou_measures import spinning_time, total_error
 from tetractl.reproduce.paper import Paper, Runs, Work
 
 COMPLETE = partial(api.run_batch, resume=True)
-PAGE = Path(__file__).parents[3] / "docs/explanation/reproduce.md"
+PAGE = Path(__file__).parents[3] / "docs/reference/reproduce.md"
 
 
 def claim(bound, expected=Fate.REACHED, why=""):

@@ -30,7 +30,9 @@ UNLIMITED = 2**62
 
 
 class Multistart(OptimizerSection):
-    """Many random starts, the best polished by Levenberg-Marquardt; see docs/explanation/solver.md.
+    """Many random starts, the best polished by Levenberg-Marquardt.
+
+    See docs/explanation/controller.md.
 
     Each round scatters `particles` smooth random sequences, evaluates them in one rollout, and
     polishes the best `polished` of them until one has a cost of at most `tolerance`.

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         to_arrays,
         to_dataframe,
         verify,
+        write_weights,
     )
     from tetractl.core.errors import TetractlError
     from tetractl.core.plan import Outcome, Plan
@@ -57,6 +58,7 @@ __all__ = [
     "to_arrays",
     "to_dataframe",
     "verify",
+    "write_weights",
 ]
 
 _TYPES = {

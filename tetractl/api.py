@@ -151,6 +151,20 @@ def stepped(spec: Spec) -> LoadedSpec:
     return found
 
 
+def write_weights(path: str | Path, modules: Iterable[Any]) -> None:
+    """Write the file of weights that the controller `policy` reads, of a network given as its
+    modules in order, as torch's are.
+
+    Modules with `weight` and `bias`, such as `torch.nn.Linear`, are its layers; others stand
+    between them and are not written: the spec's `activation` says which they are. Raises UsageError
+    for a layer of another kind.
+    """
+    from tetractl.experiment import policy_weights
+
+    _demand(path, str | Path, "weights are written to a file")
+    policy_weights.write_weights(Path(path), modules)
+
+
 def run_batch(
     spec: Spec,
     folder: str | Path,

@@ -8,13 +8,14 @@ FILE`; the layers, packed as text, replace the name, so that a log needs no othe
 import base64
 import binascii
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from tetractl.core.errors import printable
+from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Model
 from tetractl.experiment.yaml.document import Document, Place, read_text
@@ -87,6 +88,28 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
                 f"layers.{number}: weights must be rows of equal length, and bias one number a row"
             ) from None
     return packed, text
+
+
+def write_weights(path: Path, modules: Iterable[Any]) -> None:
+    """Write the file of weights of a network, given as its modules in order; those without a
+    `weight` are left out. Raises UsageError for a module that is no layer of a policy."""
+    layers = []
+    for module in modules:
+        weight = getattr(module, "weight", None)
+        bias = getattr(module, "bias", None)
+        if weight is None:
+            continue
+        layer = {"weights": weight.tolist(), "bias": [] if bias is None else bias.tolist()}
+        try:
+            _packed(layer)
+        except ValueError:
+            raise UsageError(
+                f"a {type(module).__name__} is no layer of a policy: it has no matrix with a bias"
+            ) from None
+        layers.append(layer)
+    if not layers:
+        raise UsageError("no layer is given", "give the modules of the network in order")
+    path.write_text(json.dumps({"layers": layers}), encoding="utf-8")
 
 
 def _packed(layer: Any) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import yaml
 
 from tetractl import api
 from tetractl.control.policy import ACTIVATIONS, features, forward
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
@@ -124,3 +125,39 @@ def test_a_policy_without_weights_is_refused(tmp_path):
     path = spec_file(tmp_path, [TOWARDS_TARGET], weights=None)
     with pytest.raises(InvalidSpecError, match="needs weights"):
         api.load_spec(path)
+
+
+class Module:
+    """A module of a network as torch has them: tensors have `tolist`, an activation has none."""
+
+    def __init__(self, **tensors):
+        for name, values in tensors.items():
+            setattr(self, name, np.array(values, dtype=np.float32))
+
+
+def test_the_modules_of_a_network_are_written_as_its_file_of_weights(tmp_path):
+    first = Module(weight=TOWARDS_TARGET["weights"], bias=[0, 0.5])
+    last = Module(weight=[[2, 0], [0, 2]], bias=[0, 0])
+    path = spec_file(tmp_path, [TOWARDS_TARGET])
+    api.write_weights(tmp_path / "weights.json", [first, Module(), last])
+    layers = api.load_spec(path).experiment.controller.layers
+    assert [layer.arrays()[0].tolist() for layer in layers] == [
+        TOWARDS_TARGET["weights"],
+        [[2, 0], [0, 2]],
+    ]
+    assert layers[0].arrays()[1].tolist() == [0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("modules", "words"),
+    [
+        ([], "no layer is given"),
+        ([Module()], "no layer is given"),
+        ([Module(weight=[[1, 2]])], "a Module is no layer of a policy"),
+        ([Module(weight=[1, 2], bias=[1, 2])], "a Module is no layer of a policy"),
+    ],
+)
+def test_a_module_that_is_no_layer_is_refused(modules, words, tmp_path):
+    with pytest.raises(UsageError, match=words):
+        api.write_weights(tmp_path / "weights.json", modules)
+    assert not (tmp_path / "weights.json").exists()

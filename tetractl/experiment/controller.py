@@ -111,8 +111,8 @@ class ControllerSection(Model):
     """Time from the first command after which a trial ends [s], turns, rests and the hold at the
     targets included."""
     arrival_tolerance: NonNegative = 0.0
-    """The robots are close enough when each is within this distance of its target [length unit];
-    with 0, no trial ends early for this reason."""
+    """The robots have arrived when each is within this distance of its target [length unit]; with
+    0, no trial ends early for this reason."""
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
 
@@ -137,7 +137,10 @@ class ControllerSection(Model):
         return self
 
     def arrived(self, gaps: Floats) -> bool:
-        """Return whether all robots, at distances `gaps` (N,) from their targets, have arrived."""
+        """Return whether all robots, at distances `gaps` (N,) from their targets, have arrived.
+
+        This is the one place where that is decided, for every controller and for scripts.
+        """
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
 
     def bounds(self) -> dict[str, str]:

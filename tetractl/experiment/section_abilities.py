@@ -72,14 +72,6 @@ class GivenDirections(Protocol):
 
 
 @runtime_checkable
-class AcceptsSum(Protocol):
-    """A controller that ends a trial when it predicts a sum of distances to the targets of at most
-    `accept_error` [length unit]."""
-
-    accept_error: float
-
-
-@runtime_checkable
 class Estimating(Protocol):
     """A controller that, if `estimate`, identifies robots and dead time while it drives."""
 
@@ -111,7 +103,8 @@ class KnownNoise(Protocol):
 
 @runtime_checkable
 class Accepting(Protocol):
-    """A controller that ends a trial at a total error that it accepts [length unit]."""
+    """A controller that goes on, within its time, while it expects a total error above the one that
+    it accepts [length unit]."""
 
     accept_error: float
     prior: KnownNoise

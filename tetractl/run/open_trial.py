@@ -21,25 +21,26 @@ from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
-from tetractl.experiment.section_abilities import AcceptsSum
 from tetractl.model.obstacles import Obstacles
 from tetractl.run import task
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Decision, TimedDecision, Trial
+from tetractl.run.run_trial import Answer, DecisionRequest, TimedDecision, Trial
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""
 FIRST = 0.0
 """A direction of the section of `sequence`, which needs one; the script's take its place [rad]."""
+THINKING_NS = 0
+"""Time that a script needs for a decision [ns]: virtual time stands still meanwhile."""
 
 
 def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
     """Return a spec with the controller `sequence`, whose directions a script gives.
 
-    Period, dead time, limit of time, first plan and tolerance are those of the spec's controller. A
-    controller that accepts a sum of distances gives each robot its equal part. Raises SpecError for
-    what `sequence` cannot do, such as a hold, and UsageError for a lab.
+    Period, dead time, limit of time, first plan and `arrival_tolerance` are those of the spec's
+    controller. Raises SpecError for what `sequence` cannot do, such as a hold, and UsageError for a
+    lab.
     """
     experiment = spec.experiment
     if experiment.plant.real_time:
@@ -53,23 +54,20 @@ def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
         period=control.period,
         dead_time=control.dead_time,
         time_limit=control.time_limit,
-        arrival_tolerance=tolerance(control, len(experiment.setup.names)),
+        arrival_tolerance=control.arrival_tolerance,
         first_plan=control.first_plan,
         directions=(FIRST,),
     )
     return parse_spec(with_controller(spec, section).text, spec.name)
 
 
-def tolerance(control: ControllerSection, robots: int) -> float:
-    """Return the distance from its target at which each robot counts as arrived [length unit]."""
-    if control.arrival_tolerance > 0 or not isinstance(control, AcceptsSum):
-        return control.arrival_tolerance
-    return control.accept_error / robots
-
-
 class TruthWatch:
     """An observer of the true paths: whether a robot entered an obstacle or left the arena, as far
-    as camera frames show it. The trial's result knows it from the finest samples."""
+    as camera frames show it. The trial's result knows it from the finest samples.
+
+    A `PathCheck` of the same frames would find distances too, which are not read at each step, and
+    take three to six times as long.
+    """
 
     def __init__(self, setup: Setup) -> None:
         self._arena = setup.arena
@@ -140,7 +138,7 @@ class OpenTrial:
         ).course()
         self._result: Result | None = None
         self._observation: Observation
-        self._go_on(None)
+        self._advance(None)
 
     @property
     def setup(self) -> Setup:
@@ -186,7 +184,7 @@ class OpenTrial:
         if not math.isfinite(direction):
             raise UsageError(f"a direction is a finite number of radians, but this is {direction}")
         self._directions.append(direction)
-        self._go_on(self._plan(direction))
+        self._advance(TimedDecision(self._plan(direction), THINKING_NS))
         return self.observation
 
     def stop(self) -> Result:
@@ -197,7 +195,7 @@ class OpenTrial:
         self._demand_open()
         if not self._directions:
             raise UsageError("a trial has at least one direction", "step it before it is stopped")
-        self._go_on(Outcome.SEQUENCE_COMPLETED)
+        self._advance(TimedDecision(Outcome.SEQUENCE_COMPLETED, THINKING_NS))
         assert self._result is not None
         return self._result
 
@@ -246,25 +244,26 @@ class OpenTrial:
             generator=0,
         )
 
-    def _go_on(self, decision: Decision | None) -> None:
-        """Send a decision to the trial, None to begin it, and take its next question, or its
+    def _advance(self, answer: Answer | None) -> None:
+        """Answer what the trial has asked, None to begin it; take what it asks next, or its
         result."""
         try:
-            if decision is None:
-                question = next(self._course)
-            else:
-                question = self._course.send(TimedDecision(decision, solve_ns=0))
-            self._observation = question.observation
-            try:
-                step = self._controller.step(question.observation, question.last)
-            except TetractlError as error:  # the trial ends by it, robots first
-                self._course.send(error)
-                return
+            request = next(self._course) if answer is None else self._course.send(answer)
         except StopIteration as end:
             self._result = end.value
             return
-        if isinstance(step, Outcome):
-            self._go_on(step)
+        self._observation = request.observation
+        self._end_if_over(request)
+
+    def _end_if_over(self, request: DecisionRequest) -> None:
+        """End the trial where `sequence` ends it: on arrival, at the limit of time, by an error."""
+        try:
+            state = self._controller.step(request.observation, request.last)
+        except TetractlError as error:
+            self._advance(error)  # the robots are stopped first
+            return
+        if isinstance(state, Outcome):
+            self._advance(TimedDecision(state, THINKING_NS))
 
 
 def _outcome_of(result: Result) -> tuple[object, ...]:

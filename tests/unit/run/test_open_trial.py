@@ -23,7 +23,7 @@ SPEC = {
         {"name": "a", "start": [200, 500], "target": [500, 500], "a": 3, "speed": 100},
         {"name": "b", "start": [200, 300], "target": [500, 300], "a": 2, "speed": 100},
     ],
-    "controller": {"type": "mpc", "time_limit": 20, "accept_error": 30},
+    "controller": {"type": "mpc", "time_limit": 20},
     "plant": {"type": "sim", "measurement_noise": {"position": 1, "heading": 0.02}},
     "trials": {"count": 3, "seed": 5},
 }
@@ -62,12 +62,19 @@ def test_its_spec_is_text_that_gives_the_same_trial(tmp_path):
     assert again.result.robot_errors == result.robot_errors
 
 
-def test_it_ends_when_each_robot_has_its_part_of_the_accepted_sum():
-    trial = tetractl.open_trial(SPEC)  # 30 mm for two robots: 15 mm each
+def test_it_ends_when_each_robot_is_within_the_tolerance_of_the_spec():
+    within = SPEC["controller"] | {"arrival_tolerance": 15}
+    trial = tetractl.open_trial(SPEC | {"controller": within})
     drive(trial, 100, direction=0.0)  # straight on: both targets are 300 mm ahead
     assert trial.result is not None
     assert trial.result.outcome is Outcome.ARRIVED
     assert max(trial.result.robot_errors) < 15 + 5  # 5 mm are driven in a control period
+
+
+def test_an_error_that_mpc_accepts_is_no_arrival():
+    trial = tetractl.open_trial(SPEC | {"controller": {"type": "mpc", "accept_error": 500}})
+    drive(trial, 70, direction=0.0)  # by 5 mm, so past both targets
+    assert trial.result is None
 
 
 def test_it_ends_at_the_limit_of_time():

@@ -22,7 +22,6 @@ from support.dish_films import film  # noqa: E402
 from support.needs_opencv import video  # noqa: E402
 from support.virtual_lab import virtual_dish  # noqa: E402
 
-from tetractl.core.colors import robot_colors  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.replay.player import Recording  # noqa: E402
@@ -81,11 +80,11 @@ def main() -> None:
 def live(log: TrialLog, out: Path) -> None:
     """Write the live arena of a terminal in the middle of a trial, as text in an SVG."""
     console = Console(record=True, width=100, height=32, file=io.StringIO(), force_terminal=True)
-    recording, setup = Recording(log), log.start.setup
+    recording = Recording(log)
     footer = Footer("trial 1 of 20", 0.03, "9 s left", ("Ctrl-C stops",))
     moment = recording.at(round(MIDDLE * recording.end_ns))
-    colors = robot_colors(setup.names, setup.colors)
-    console.print(Dashboard(moment, colors, f"{setup.name}, sim", footer), height=32)
+    dashboard = Dashboard(moment, f"{log.start.setup.name}, sim", footer)
+    console.print(dashboard, height=32)
     out.write_text(console.export_svg(title="tetractl run experiments/three_m3pi_bench.yaml"))
 
 

@@ -1,13 +1,16 @@
-"""`tetractl replay`: play a trial back."""
+"""`tetractl replay`: play trials back."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, switch
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.log.read.find import find_logs
+
+if TYPE_CHECKING:
+    from tetractl.replay.player import Player, Recording
 
 
 def replay(
@@ -38,48 +41,102 @@ def replay(
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
-    from rich.console import Console
-
-    from tetractl.log.read.reader import read_trial
-    from tetractl.replay.player import Playback, Player, Recording, span
-    from tetractl.view.terminal.replay_screen import play, print_lines
-
     ui.require_positive(rate)
-    paths, wall, screen = find_logs(logs), MonotonicClock(), ui.is_terminal()
-    if paused and not screen:
+    paths = find_logs(logs)
+    on_screen = ui.is_terminal()
+    if paused and not on_screen:
         raise UsageError("--paused needs a terminal, where a key continues")
-    if loop and not screen and len(paths) > 1:
+    if loop and not on_screen and len(paths) > 1:
         raise UsageError(
             "--loop without a terminal takes one log: other logs would never be played"
         )
-    damaged = False
-
-    def opened(path: Path, again: bool = False) -> Recording:
-        nonlocal damaged
-        recording = Recording(read_trial(path) if again else ui.open_trial(path))
-        damaged |= recording.log.damage is not None
-        return recording
-
-    def turn_to(index: int) -> Player:
-        """Return a player of another trial, with the rate of the last player and paused like it."""
-        nonlocal player
-        found, paused = opened(paths[index], again=True), player.state is Playback.PAUSED
-        whole = (found.began_ns, found.end_ns)
-        player = Player(found, wall, whole, rate=player.rate, loop=loop, paused=paused)
-        return player
-
+    playlist = Playlist(paths, rate, start, until, loop)
     try:
-        if screen:
-            first = opened(paths[0])
-            played = span(first, start, until)
-            player = Player(first, wall, played, rate=rate or 1.0, loop=loop, paused=paused)
-            if play(Console(), player, len(paths), turn_to):
-                return Exit.INTERRUPTED
-        for path in () if screen else paths:
-            recording = opened(path)
-            if len(paths) > 1:
-                print(printable(f"{path}:"))
-            print_lines(recording, wall, span(recording, start, until), rate=rate, loop=loop)
+        if on_screen:
+            stopped = playlist.play(paused)
+        else:
+            stopped = False
+            playlist.print_all()
     except KeyboardInterrupt:
+        stopped = True
+    if stopped:
         return Exit.INTERRUPTED
-    return Exit.FAILED if damaged else Exit.DONE
+    return Exit.FAILED if playlist.damaged else Exit.DONE
+
+
+class Playlist:
+    """The logs to play; `damaged` says whether one that was opened is damaged.
+
+    The first log that is shown is played from `start_s` to `until_s`, others whole; without a
+    terminal, where no key turns to another log, each is printed from `start_s` to `until_s`.
+    """
+
+    def __init__(
+        self,
+        paths: list[Path],
+        rate: float | None,
+        start_s: float,
+        until_s: float | None,
+        loop: bool,
+    ) -> None:
+        self.damaged = False
+        self._paths = paths
+        self._rate = rate
+        self._start_s = start_s
+        self._until_s = until_s
+        self._loop = loop
+        self._wall = MonotonicClock()
+
+    def play(self, paused: bool) -> bool:
+        """Play on the terminal's screen until q is pressed; return whether a signal ended it."""
+        from rich.console import Console
+
+        from tetractl.replay.player import Player, span
+        from tetractl.view.terminal.replay_screen import play
+
+        recording = self._open(self._paths[0])
+        player = Player(
+            recording,
+            self._wall,
+            span(recording, self._start_s, self._until_s),
+            rate=self._rate or 1.0,
+            loop=self._loop,
+            paused=paused,
+        )
+        return play(Console(), player, len(self._paths), self._turn_to)
+
+    def print_all(self) -> None:
+        """Print each log as lines."""
+        from tetractl.replay.player import span
+        from tetractl.view.terminal.replay_screen import print_lines
+
+        for path in self._paths:
+            recording = self._open(path)
+            if len(self._paths) > 1:
+                print(printable(f"{path}:"))
+            times_ns = span(recording, self._start_s, self._until_s)
+            print_lines(recording, self._wall, times_ns, rate=self._rate, loop=self._loop)
+
+    def _turn_to(self, index: int, player: "Player") -> "Player":
+        """Return a player of another log, with the rate of `player` and paused like it."""
+        from tetractl.replay.player import Playback, Player
+
+        recording = self._open(self._paths[index], on_screen=True)
+        return Player(
+            recording,
+            self._wall,
+            (recording.began_ns, recording.end_ns),
+            rate=player.rate,
+            loop=self._loop,
+            paused=player.state is Playback.PAUSED,
+        )
+
+    def _open(self, path: Path, on_screen: bool = False) -> "Recording":
+        """Read a log; its damage is printed, unless the screen is open, which shows it."""
+        from tetractl.log.read.reader import read_trial
+        from tetractl.replay.player import Recording
+
+        log = read_trial(path) if on_screen else ui.open_trial(path)
+        if log.damage is not None:
+            self.damaged = True
+        return Recording(log)

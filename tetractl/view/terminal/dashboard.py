@@ -1,4 +1,17 @@
-"""The dashboard: the arena on the left, numbers on the right, a line of controls below."""
+"""The dashboard: one instant of a trial on the whole terminal, as the library rich prints it.
+
+    +--------------+  heading and time
+    |              |  distance of each robot
+    |    arena     |  total error            the numbers: blocks of lines, of which the
+    |              |  plan                   least important are left out if space is short
+    |              |  effort
+    +--------------+  warnings and the end
+    events, the newest at the bottom
+    footer: what the keys do, and how far it is
+
+`live_screen` shows it of running trials, `replay_screen` of logs. Widths and heights are in columns
+and lines of the terminal.
+"""
 
 import math
 import textwrap
@@ -12,13 +25,36 @@ from rich.segment import Segment
 from rich.text import Text
 
 from tetractl.core.clock import milliseconds
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.colors import robot_colors
+from tetractl.core.plan import Outcome
+from tetractl.core.trial import Result
 from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
-COMPACT = 30  # width of the numbers below which labels are short [columns]
+"""Style of an event by its level."""
+SHORT_LABELS_BELOW = 30
+"""Width of the numbers below which labels are short."""
+ARENA_SHARE = 0.58
+"""Part of the width that the arena may take, and more if the numbers still have NUMBERS_WANTED."""
+NUMBERS_WANTED = 36
+NUMBERS_LEAST = 19
+"""Width that the arena always leaves to the numbers."""
+NUMBERS_SHOWN = 8
+"""Least width at which numbers are shown at all."""
+NUMBERS_MOST = 58
+GAP = 2
+"""Columns between arena and numbers, and between hints."""
+BAR_MOST = 60
+BAR_WANTED = 12
+"""Widths of the footer's bar: the greatest, and what hints leave to it."""
+ROBOT_BAR_MOST = 40
+SPARKLINE_MOST = 48
+LINES_OF_OTHERS = 12
+"""Lines that the robots' block leaves to other blocks."""
+EVENTS_SHOWN = ((36, 6), (24, 2), (16, 1))
+"""Least height of the terminal, and how many events it then shows; the first that fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,18 +68,253 @@ class Footer:
 
     def text(self, glyphs: Glyphs, width: int) -> Text:
         """Return the line; if it is too long, hints are left out, then the bar is shortened."""
-        fixed = len(self.left) + len(self.right) + 2
+        words = len(self.left) + len(self.right) + 2
         hints = list(self.hints)
-        while hints and fixed + 12 + _length(hints) > width:
+        while hints and words + BAR_WANTED + _width_of_hints(hints) > width:
             hints.pop()
-        room = max(width - fixed - _length(hints), 0)
-        line = Text.assemble(
-            f"{self.left} ", bar(glyphs, min(room, 60), self.fraction, "bold"), f" {self.right}"
-        )
+        bar_width = max(width - words - _width_of_hints(hints), 0)
+        filled = bar(glyphs, min(bar_width, BAR_MOST), self.fraction, "bold")
+        line = Text.assemble(f"{self.left} ", filled, f" {self.right}")
         for hint in hints:
-            key, _, does = hint.partition(" ")
-            line.append_text(Text.assemble("  ", (key, "bold"), (f" {does}", "dim")))
+            key, _, action = hint.partition(" ")
+            line.append_text(Text.assemble(" " * GAP, (key, "bold"), (f" {action}", "dim")))
         return line
+
+
+def _width_of_hints(hints: list[str]) -> int:
+    return sum(len(hint) + GAP for hint in hints)
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Lines that are shown together or not at all; those of the greatest `rank` go first."""
+
+    rank: int
+    lines: list[Text]
+
+
+class Dashboard:
+    """Shows a trial at one instant, on all the space available.
+
+    `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
+    below the notes.
+    """
+
+    def __init__(
+        self,
+        moment: Moment,
+        heading: str,
+        footer: Footer,
+        notes: tuple[str, ...] = (),
+        aside: str = "",
+    ) -> None:
+        self._moment = moment
+        self._colors = robot_colors(moment.setup.names, moment.setup.colors)
+        self._heading = heading
+        self._footer = footer
+        self._notes = notes
+        self._aside = aside
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        glyphs = glyphs_for(console)
+        width = options.max_width
+        height = options.height or console.height
+        events = self._events(height)
+        footer = self._footer.text(glyphs, width)
+        body_height = max(height - 1 - len(events), 1)
+
+        rows = self._arena(glyphs, width, body_height)
+        arena_width = Segment.get_line_length(rows[0])
+        numbers_width = min(width - arena_width - GAP, NUMBERS_MOST)
+        if numbers_width >= NUMBERS_SHOWN:
+            numbers = self._numbers(glyphs, numbers_width, body_height)
+            for row, text in zip(rows, numbers, strict=False):
+                row += [Segment(" " * GAP), *fitted(console, text, numbers_width)]
+        cut = "crop" if glyphs.ascii else "ellipsis"
+        rows += [fitted(console, event, width, cut) for event in events]
+        rows.append(fitted(console, footer, width))
+        yield from printed(rows, width)
+
+    def _arena(self, glyphs: Glyphs, width: int, height: int) -> list[list[Segment]]:
+        """Return exactly `height` rows of equal width: the arena in its frame, then blanks."""
+        arena = self._moment.setup.arena
+        most = min(max(round(ARENA_SHARE * width), width - GAP - NUMBERS_WANTED), _most(width))
+        inside = Projection.fit(arena, max(most, 3) - 2, height - 2)
+        canvas = draw(self._moment, self._colors, glyphs, inside.width, inside.height)
+        size = f"{arena.width:g} {glyphs.times} {arena.height:g} {self._moment.setup.unit}"
+        rows = list(framed(canvas, size, glyphs))
+        blank = Segment(" " * (inside.width + 2))
+        while len(rows) < height:
+            rows.append([blank])
+        return rows[:height]
+
+    def _numbers(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
+        """Return the numbers in at most `height` lines: the blocks that fit, with an empty line
+        between them as far as lines are left.
+        """
+        blocks = [
+            _Block(0, self._head(glyphs, width)),
+            _Block(3, self._robots(glyphs, width, height)),
+            _Block(2, self._total(glyphs, width)),
+            _Block(4, self._plan(glyphs, width)),
+            _Block(5, self._effort(width)),
+            _Block(1, self._warnings_and_end(width)),
+        ]
+        blocks = [block for block in blocks if block.lines]
+        while _height_of(blocks) > height and len(blocks) > 1:
+            blocks.remove(max(blocks, key=lambda block: block.rank))
+        spare = height - _height_of(blocks)
+        lines: list[Text] = []
+        for index, block in enumerate(blocks):
+            if lines and spare >= len(blocks) - index:  # enough for each gap that follows
+                lines.append(Text())
+                spare -= 1
+            lines += block.lines
+        return lines[:height]
+
+    def _head(self, glyphs: Glyphs, width: int) -> list[Text]:
+        """Return what the trial is, the time, the control step and the direction sent."""
+        moment = self._moment
+        step = moment.step
+        until = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
+        lines = [
+            Text(_first_fitting(width, *_shortened(self._heading)), "bold", no_wrap=True),
+            _row(width, "time", "t", f"{moment.time_s:.1f}{until} s"),
+        ]
+        if step is None:
+            lines.append(_row(width, "step k", "k", "none yet"))
+            return lines
+        lines.append(_row(width, "step k", "k", f"{step.k}"))
+        if not step.plan.pauses:
+            count = len(step.plan.signals)
+            signals = "1 signal" if count == 1 else f"{count} signals"
+            lines.append(_row(width, "horizon", "h", signals))
+        direction = step.command.direction
+        if direction is None:
+            lines.append(_row(width, "robots", "do", step.plan.doing))
+        else:
+            degrees = math.degrees(math.remainder(direction, math.tau))
+            shown = f"{arrow(glyphs, direction)} {degrees:+.0f}{glyphs.degree}"
+            lines.append(_row(width, "direction", "u", shown))
+        return lines
+
+    def _robots(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
+        """Return a title, then each robot's distance to its target as a number and a bar; as many
+        as fit, and a line on the others.
+        """
+        moment = self._moment
+        setup = moment.setup
+        distances = moment.distances
+        full = max(float(np.nanmax(setup.distances(setup.starts.xy))), 1e-12)  # of a whole bar
+        most = max(height - LINES_OF_OTHERS, 3)
+        shown = len(distances) if len(distances) <= most else most - 1
+        names = setup.names[:shown]
+        standing = self._standing()
+
+        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # four digits: 854.0 mm
+        values = [f"{distance:.{decimals}f}" for distance in distances[:shown]]
+        widest = f"{full:.{decimals}f}"
+        value_width = max(len(value) for value in (widest, *values))
+        longest_name = max((len(name) for name in names), default=0)
+        name_width = min(longest_name, max(width - 5 - value_width, 4))
+        gaps = 4  # of the mark, the name, the value and the bar
+        bar_width = min(max(width - gaps - name_width - value_width - 1, 0), ROBOT_BAR_MOST)
+
+        what = f"to target [{setup.unit}]"
+        titles = (f"distance {what}, {moment.known}", f"{what}, {moment.known}", what)
+        lines = [Text(_first_fitting(width, *titles), "dim", no_wrap=True)]
+        for robot, (name, value) in enumerate(zip(names, values, strict=True)):
+            color = self._colors[robot]
+            mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, moment.poses[robot, 2])
+            line = Text.assemble(
+                (mark, f"bold {color}"),
+                (f" {name[:name_width]:<{name_width}} ", color),
+                f"{value:>{value_width}} ",
+            )
+            if name in standing:
+                line.append(_first_fitting(bar_width, "stands", ""), "yellow")
+            else:
+                part = float(distances[robot]) / full
+                line.append_text(bar(glyphs, bar_width, part, color))
+            lines.append(line)
+        if shown < len(distances):
+            worst = _number(float(distances[shown:].max()))
+            lines.append(Text(f"and {len(distances) - shown} more, at most {worst}", "dim"))
+        return lines
+
+    def _standing(self) -> list[str]:
+        """Return the names of the robots that stand by the newest plan's estimate."""
+        step = self._moment.step
+        if step is None or not step.plan.estimate:
+            return []
+        return step.plan.estimate.standing(self._moment.setup.names)
+
+    def _total(self, glyphs: Glyphs, width: int) -> list[Text]:
+        """Return the total error, and how it went."""
+        moment = self._moment
+        total = _number(float(moment.distances.sum()))
+        line_width = min(width, SPARKLINE_MOST)
+        return [
+            _row(width, "total error", "error", f"{total} {moment.setup.unit}"),
+            sparkline(glyphs, moment.totals, line_width, total=moment.steps_end),
+        ]
+
+    def _plan(self, glyphs: Glyphs, width: int) -> list[Text]:
+        """Return the cost of the newest plan before and after its search, and the iterations."""
+        setup = self._moment.setup
+        step = self._moment.step
+        if step is None or step.plan.pauses:
+            return []  # robots that stand follow no plan
+        search = step.plan.search
+        done = len(search.history) - 1
+        most = max(setup.iterations_max, done)
+        first = _number(float(search.history[0])) if done >= 0 else "?"
+        last = _number(step.plan.cost)
+        change = f"{first} {glyphs.to} {last}"
+        iterations = f"{done} of {most}"
+        line_width = min(width, SPARKLINE_MOST)
+        return [
+            _row(width, "plan cost J", "J", f"{change} {setup.unit}", change, last),
+            sparkline(glyphs, search.history, line_width, total=most + 1, log=True),
+            _row(width, "iterations", "z", f"{iterations}, {search.ended}", iterations),
+        ]
+
+    def _effort(self, width: int) -> list[Text]:
+        """Return how long the newest search took, and its evaluations."""
+        step = self._moment.step
+        if step is None:
+            return []
+        solve = _row(width, "solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
+        if step.deadline_missed:
+            late = "late" if width < SHORT_LABELS_BELOW else "deadline missed"
+            solve.append(f"  {late}", "bold red")
+        evaluations = f"{step.plan.evaluations:,}".replace(",", " ")
+        return [solve, _row(width, "evaluations", "evals", evaluations)]
+
+    def _warnings_and_end(self, width: int) -> list[Text]:
+        """Return the notes, the text aside and, at the end, the result."""
+        lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
+        aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
+        lines += [Text(line, "dim", no_wrap=True) for line in aside]
+        if self._moment.result is not None:
+            lines += _end_lines(self._moment.result, width)
+        return lines
+
+    def _events(self, height: int) -> list[Text]:
+        """Return the newest events that a terminal of `height` lines shows, above them empty lines
+        for those to come; nothing before the first event.
+        """
+        if not self._moment.events:
+            return []
+        most = next((count for least, count in EVENTS_SHOWN if height >= least), 0)
+        lines = []
+        for event in self._moment.events[len(self._moment.events) - most :][:most]:
+            text = event.text if event.level == "info" else f"{event.level}: {event.text}"
+            time = (f"{event.time_s:7.1f} s  ", "dim")
+            style = LEVEL_STYLES.get(event.level, "")
+            lines.append(Text.assemble(time, text, style=style, no_wrap=True))
+        empty = [Text() for _ in range(most - len(lines))]
+        return empty + lines
 
 
 def fitted(
@@ -63,213 +334,34 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
         yield from Segment.adjust_line_length(row, width)
 
 
-def _length(hints: list[str]) -> int:
-    return sum(len(hint) + 2 for hint in hints)
+def _most(width: int) -> int:
+    """Return the greatest width of the arena with its frame."""
+    return width - GAP - NUMBERS_LEAST
 
 
-class Dashboard:
-    """Shows a trial at one time, on all the space available; the library rich prints it.
+def _height_of(blocks: list[_Block]) -> int:
+    return sum(len(block.lines) for block in blocks)
 
-    `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
-    below the notes.
-    """
 
-    def __init__(
-        self,
-        frame: Moment,
-        colors: list[str],
-        heading: str,
-        footer: Footer,
-        notes: tuple[str, ...] = (),
-        aside: str = "",
-    ) -> None:
-        self._frame, self._colors = frame, colors
-        self._heading, self._footer = heading, footer
-        self._notes, self._aside = notes, aside
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        glyphs = glyphs_for(console)
-        width, height = options.max_width, (options.height or console.height)
-        events = self._events(height)
-        body = max(height - 1 - len(events), 1)
-        arena, unit = self._frame.setup.arena, self._frame.setup.unit
-        # the arena may take 58 % of the screen, and leaves the numbers 20 to 58 columns
-        most = max(min(width - 21, max(round(0.58 * width), width - 38)), 3)
-        view = Projection.fit(arena, most - 2, body - 2)
-        canvas = draw(self._frame, self._colors, glyphs, view.width, view.height)
-        label = f"{arena.width:g} {glyphs.times} {arena.height:g} {unit}"
-        rows = [*framed(canvas, label, glyphs)]
-        across = view.width + 2
-        rows = [*rows, *([Segment(" " * across)] for _ in range(body - len(rows)))][:body]
-        room = min(width - across - 2, 58)
-        side = self.side(glyphs, room, body) if room >= 8 else []
-        for row, text in zip(rows, side, strict=False):
-            row += [Segment("  "), *fitted(console, text, room)]
-        cut = "ellipsis" if not glyphs.ascii else "crop"
-        rows += [fitted(console, event, width, cut) for event in events]
-        yield from printed([*rows, fitted(console, self._footer.text(glyphs, width), width)], width)
-
-    def side(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
-        """Return the numbers in at most `height` lines; if these are too few, the least important
-        blocks are left out.
-        """
-        blocks = [
-            (0, self._head(glyphs, width)),
-            (3, self._robots(glyphs, width, height)),
-            (2, self._total(glyphs, width)),
-            (4, self._plan(glyphs, width)),
-            (5, self._effort(width)),
-            (1, self._last(width)),
-        ]
-        blocks = [(rank, lines) for rank, lines in blocks if lines]
-        while sum(len(lines) for _, lines in blocks) > height and len(blocks) > 1:
-            blocks.remove(max(blocks, key=lambda block: block[0]))
-        spare = height - sum(len(lines) for _, lines in blocks)
-        laid: list[Text] = []
-        for index, (_, lines) in enumerate(blocks):
-            if laid and spare >= len(blocks) - index:
-                laid.append(Text())
-                spare -= 1
-            laid += lines
-        return laid[:height]
-
-    def _head(self, glyphs: Glyphs, width: int) -> list[Text]:
-        frame, step = self._frame, self._frame.step
-        end = "" if frame.end_s is None else f" / {frame.end_s:.1f}"
-        lines = [
-            Text(_fitting(width, *_shortened(self._heading)), "bold", no_wrap=True),
-            _row(width, "time", "t", f"{frame.time_s:.1f}{end} s"),
-        ]
-        if step is None:
-            return [*lines, _row(width, "step k", "k", "none yet")]
-        lines.append(_row(width, "step k", "k", f"{step.k}"))
-        signals = len(step.plan.signals)
-        if not step.plan.pauses:
-            lines.append(_row(width, "horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
-        u = step.command.direction
-        if u is None:
-            return [*lines, _row(width, "robots", "do", step.plan.doing)]
-        degrees = math.degrees(math.remainder(u, math.tau))
-        sign = f"{arrow(glyphs, u)} {degrees:+.0f}{glyphs.degree}"
-        return [*lines, _row(width, "direction", "u", sign)]
-
-    def _robots(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
-        frame, setup = self._frame, self._frame.setup
-        now = frame.distances
-        full = max(float(np.nanmax(setup.distances(setup.starts.xy))), 1e-12)
-        most = max(height - 12, 3)
-        shown = len(now) if len(now) <= most else most - 1
-        names = setup.names[:shown]
-        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # four digits: 854.0 mm
-        values = [f"{value:.{decimals}f}" for value in now[:shown]]
-        value_width = max(len(f"{full:.{decimals}f}"), *(len(value) for value in values))
-        longest = max((len(name) for name in names), default=0)
-        name_width = min(longest, max(width - 5 - value_width, 4))  # the bar has what is left
-        bar_width = width - 3 - name_width - 1 - value_width - 1
-        what = f"to target [{setup.unit}]"
-        titles = (f"distance {what}, {frame.known}", f"{what}, {frame.known}", what)
-        known = frame.step and frame.step.plan.estimate
-        stands = known.standing(setup.names) if known else []
-        lines = [Text(_fitting(width, *titles), "dim", no_wrap=True)]
-        for robot, (name, value) in enumerate(zip(names, values, strict=True)):
-            color = self._colors[robot]
-            mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, frame.poses[robot, 2])
-            line = Text.assemble(
-                (mark, f"bold {color}"),
-                (f" {name[:name_width]:<{name_width}} ", color),
-                f"{value:>{value_width}} ",
-            )
-            room, part = min(max(bar_width, 0), 40), float(now[robot]) / full
-            stood = Text(_fitting(room, "stands", ""), "yellow")
-            line.append_text(stood if name in stands else bar(glyphs, room, part, color))
-            lines.append(line)
-        if shown < len(now):
-            worst = _number(float(now[shown:].max()))
-            lines.append(Text(f"and {len(now) - shown} more, at most {worst}", "dim"))
-        return lines
-
-    def _total(self, glyphs: Glyphs, width: int) -> list[Text]:
-        frame = self._frame
-        unit = frame.setup.unit
-        total = _number(float(frame.distances.sum()))
-        return [
-            _row(width, "total error", "error", f"{total} {unit}"),
-            sparkline(glyphs, frame.totals, min(width, 48), total=frame.steps_end),
-        ]
-
-    def _plan(self, glyphs: Glyphs, width: int) -> list[Text]:
-        if self._frame.step is None or self._frame.step.plan.pauses:
-            return []  # robots that stand follow no plan
-        plan: Plan = self._frame.step.plan
-        search = plan.search
-        done = len(search.history) - 1
-        most = max(self._frame.setup.iterations_max, done)
-        unit = self._frame.setup.unit
-        first = _number(float(search.history[0])) if done >= 0 else "?"
-        last = _number(plan.cost)
-        costs = (f"{first} {glyphs.to} {last} {unit}", f"{first} {glyphs.to} {last}", last)
-        return [
-            _row(width, "plan cost J", "J", *costs),
-            sparkline(glyphs, search.history, min(width, 48), total=most + 1, log=True),
-            _row(
-                width, "iterations", "z", f"{done} of {most}, {search.ended}", f"{done} of {most}"
-            ),
-        ]
-
-    def _effort(self, width: int) -> list[Text]:
-        step = self._frame.step
-        if step is None:
-            return []
-        solve = _row(width, "solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
-        if step.deadline_missed:
-            solve.append("  late" if width < COMPACT else "  deadline missed", "bold red")
-        return [
-            solve,
-            _row(width, "evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " ")),
-        ]
-
-    def _events(self, height: int) -> list[Text]:
-        """Return the newest events that fit in `height` lines, the newest at the bottom."""
-        most = 0 if height < 16 else 1 if height < 24 else 2 if height < 36 else 6
-        if not self._frame.events:
-            return []
-        shown = self._frame.events[-most:] if most else ()
-        lines = [
-            Text.assemble(
-                (f"{event.time_s:7.1f} s  ", "dim"),
-                (event.text if event.level == "info" else f"{event.level}: {event.text}"),
-                style=LEVEL_STYLES.get(event.level, ""),
-                no_wrap=True,
-            )
-            for event in shown
-        ]
-        return [Text() for _ in range(most - len(lines))] + lines
-
-    def _last(self, width: int) -> list[Text]:
-        lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
-        aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
-        lines += [Text(line, "dim", no_wrap=True) for line in aside]
-        if result := self._frame.result:
-            ended = f"ended: {result.outcome}"
-            lines.append(Text(ended, "bold", no_wrap=True))
-            alarm = "bold red" if result.outcome is Outcome.ABORTED else ""
-            lines += [
-                Text(line, alarm, no_wrap=True) for line in textwrap.wrap(result.reason, width)
-            ]
-            if result.entered_obstacle:
-                lines.append(Text("a robot entered an obstacle", "bold red"))
-        return lines
+def _end_lines(result: Result, width: int) -> list[Text]:
+    """Return how a trial ended and why, as lines."""
+    alarm = "bold red" if result.outcome is Outcome.ABORTED else ""
+    lines = [Text(f"ended: {result.outcome}", "bold", no_wrap=True)]
+    lines += [Text(line, alarm, no_wrap=True) for line in textwrap.wrap(result.reason, width)]
+    if result.entered_obstacle:
+        lines.append(Text("a robot entered an obstacle", "bold red"))
+    return lines
 
 
 def _row(width: int, label: str, short: str, *values: str) -> Text:
     """Return a row of a label and the first of several values that fits, with a short label if
     there is little width.
     """
-    words = f"{short:<5} " if width < COMPACT else f"{label:<11} "
-    return Text.assemble((words, "dim"), _fitting(width - len(words), *values), no_wrap=True)
+    words = f"{short:<5} " if width < SHORT_LABELS_BELOW else f"{label:<11} "
+    return Text.assemble((words, "dim"), _first_fitting(width - len(words), *values), no_wrap=True)
 
 
-def _fitting(width: int, *texts: str) -> str:
+def _first_fitting(width: int, *texts: str) -> str:
     """Return the first of several texts that fits, else the last: a number without its last digits
     would be another number.
     """
@@ -289,4 +381,8 @@ def _number(value: float) -> str:
     if not math.isfinite(value):
         return str(value)
     size = abs(value)
-    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 1 else f"{value:.3g}"
+    if size >= 100:
+        return f"{value:.0f}"
+    if size >= 1:
+        return f"{value:.1f}"
+    return f"{value:.3g}"

@@ -1,5 +1,9 @@
 """The live view of running trials: the dashboard, drawn while the loop runs.
 
+    events of the trial -> TrialSoFar.moment --+
+                                               +-> Dashboard -> Screen
+    events of the batch -> BatchSoFar.footer --+
+
 In the lab it also prints notes, a line per trial, and where to place robots.
 """
 
@@ -10,10 +14,8 @@ from typing import Self
 
 import numpy as np
 from rich.console import Console
-from rich.live import Live
 
 from tetractl.core.clock import seconds
-from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Observer
@@ -25,10 +27,125 @@ from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.keys import SAYS
 from tetractl.view.terminal.progress import Tally, duration, trial_line
+from tetractl.view.terminal.screen import Screen
+
+LEAST_S = 1 / 12
+"""Least time between two pictures of a trial [s]."""
+
+
+class TrialSoFar:
+    """What was observed of a trial so far; `moment` is its newest instant.
+
+    It is to a trial that runs what `Recording` is to a log.
+    """
+
+    def __init__(self, start: Start) -> None:
+        self.start = start
+        self._poses = start.setup.starts.array()
+        self._trail: list[Floats] = []
+        self._totals: list[float] = []
+        self._notes: list[Note] = []
+        self._step: Step | None = None
+        self._result: Result | None = None
+        self._now_ns = 0
+        self._first_direction_ns: int | None = None
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Add camera frames to the trails."""
+        for sample in samples:
+            observation = sample.observation
+            poses = observation.poses.array()
+            self._trail.append(tracked(poses[None], observation.valid[None])[0])
+            self._poses = np.where(observation.valid[:, None], poses, self._poses)
+            self._now_ns = observation.sampled_ns
+
+    def on_step(self, step: Step) -> None:
+        """Store the control step and the total error at it."""
+        self.on_command(step.command)
+        self._step = step
+        self._now_ns = max(self._now_ns, step.command.sent_ns)
+        distances = self.start.setup.distances(step.observation.poses.xy)
+        self._totals.append(float(distances.sum()))
+
+    def on_command(self, command: Command) -> None:
+        """Store the time of the first direction; the command's effect shows in the trails."""
+        if self._first_direction_ns is None and not command.stops:
+            self._first_direction_ns = command.sent_ns
+
+    def on_note(self, note: Note) -> None:
+        """Store the note."""
+        self._notes.append(note)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Store the result."""
+        self._result = result
+
+    def moment(self) -> Moment:
+        """Return the newest instant."""
+        setup = self.start.setup
+        began_ns = self._first_direction_ns
+        if began_ns is None:
+            began_ns = self._now_ns
+        events = (
+            Event(seconds(note.t_ns - began_ns), note.level, note.text) for note in self._notes
+        )
+        return Moment(
+            setup=setup,
+            time_s=seconds(self._now_ns - began_ns),
+            end_s=None,
+            poses=self._poses,
+            trail=np.array(self._trail).reshape(-1, len(setup.names), 2),
+            step=self._step,
+            totals=np.array(self._totals),
+            steps_end=0,
+            result=self._result,
+            events=tuple(events),
+            known="true" if self._result and self.start.plant.simulated else "measured",
+        )
+
+
+class BatchSoFar:
+    """How far a batch is: the present trial, the trials that have ended, and the time they took.
+
+    `wall` returns the wall time [s].
+    """
+
+    def __init__(self, wall: Callable[[], float]) -> None:
+        self._wall = wall
+        self._tally = Tally()
+        self._trial = 0
+        self._count = 1
+        self._began_s: float | None = None
+
+    def trial_started(self, task: Task) -> None:
+        """Store the trial's number and the number of trials."""
+        self._trial = task.trial
+        self._count = task.count
+        if self._began_s is None:
+            self._began_s = self._wall()
+
+    def trial_ended(self, ending: Ending) -> None:
+        """Add the trial to the counts."""
+        if ending.result:
+            self._tally.add(ending.result)
+
+    def summary(self, unit: str) -> str:
+        """Return the results so far as text."""
+        return self._tally.summary(unit)
+
+    def footer(self, hints: tuple[str, ...]) -> Footer:
+        """Return the number of the trial, and how long the others will take."""
+        ended = len(self._tally.errors)
+        taken_s = 0.0 if self._began_s is None else self._wall() - self._began_s
+        left = ""
+        if ended and taken_s:
+            left = f"{duration(taken_s / ended * (self._count - ended))} left"
+        number = f"trial {self._trial + 1} of {self._count}"
+        return Footer(number, ended / self._count, left, hints)
 
 
 class LiveView(Observer):
-    """Shows one trial after another on the alternate screen: an `Observer` of each trial and a
+    """Shows one trial after another on the terminal: an `Observer` of each trial and a
     `RunObserver`; a context manager.
 
     It draws at most 12 pictures per second; `wall` returns the wall time [s]. While its screen is
@@ -37,129 +154,86 @@ class LiveView(Observer):
 
     def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
         self._wall = wall
-        self._live = Live(
-            console=console, screen=True, auto_refresh=False, redirect_stdout=False, transient=True
-        )
-        self._tally = Tally()
-        self._index, self._count = 0, 1
-        self._began: float | None = None
-        self._drawn = -np.inf
-        self._notes: list[Note] = []
+        self._screen = Screen(console)
+        self._batch = BatchSoFar(wall)
+        self._trial: TrialSoFar | None = None
+        self._drawn_s = -np.inf
 
     def __enter__(self) -> Self:
-        self._live.start()
+        self._screen.open()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._live.stop()
+        self._screen.close()
 
     def trial_started(self, task: Task) -> None:
         """Store the trial's number and the number of trials."""
-        self._index, self._count = task.trial, task.count
-        if self._began is None:
-            self._began = self._wall()
+        self._batch.trial_started(task)
 
     def trial_ended(self, ending: Ending) -> None:
         """Add the trial to the counts."""
-        if ending.result:
-            self._tally.add(ending.result)
+        self._batch.trial_ended(ending)
 
     def on_start(self, start: Start) -> None:
-        """Clear the view for a new trial."""
-        setup = self._setup = start.setup
-        self._plant, self._true = start.plant.kind, start.plant.simulated
-        virtual = start.plant.virtual
-        self._hints = ("Ctrl-C stops",) if virtual else (SAYS,)
-        self._colors = robot_colors(setup.names, setup.colors)
-        self._poses = setup.starts.array()
-        self._trail: list[Floats] = []
-        self._totals: list[float] = []
-        self._step: Step | None = None
-        self._result: Result | None = None
-        self._time_ns = 0
-        self._first_ns: int | None = None  # when the first direction was sent
-        self._notes = []
+        """Show a new trial."""
+        self._trial = TrialSoFar(start)
         self._draw()
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Add camera frames to the trails."""
-        for sample in samples:
-            seen = sample.observation
-            poses = seen.poses.array()
-            self._trail.append(tracked(poses[None], seen.valid[None])[0])
-            self._poses = np.where(seen.valid[:, None], poses, self._poses)
-            self._time_ns = seen.sampled_ns
+        self._of_trial.on_samples(samples)
         self._draw_in_time()
 
     def on_step(self, step: Step) -> None:
         """Show the control step."""
-        self.on_command(step.command)
-        self._step = step
-        self._time_ns = max(self._time_ns, step.command.sent_ns)
-        self._totals.append(float(self._setup.distances(step.observation.poses.xy).sum()))
+        self._of_trial.on_step(step)
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Store the time of the first direction; the command's effect shows in the trails."""
-        if self._first_ns is None and not command.stops:
-            self._first_ns = command.sent_ns
+        """Pass the command on; its effect shows in the trails."""
+        self._of_trial.on_command(command)
 
     def on_note(self, note: Note) -> None:
         """Show the note in the list of events."""
-        self._notes.append(note)
+        self._of_trial.on_note(note)
         self._draw_in_time()
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Show the outcome."""
-        self._result = result
+        self._of_trial.on_stop(stop, result)
         self._draw()
 
+    @property
+    def _of_trial(self) -> TrialSoFar:
+        assert self._trial is not None, "a trial's first message is its start"
+        return self._trial
+
     def _draw_in_time(self) -> None:
-        if self._wall() - self._drawn >= 1 / 12:
+        if self._wall() - self._drawn_s >= LEAST_S:
             self._draw()
 
     def _draw(self) -> None:
-        if not self._live.is_started:
+        if not self._screen.is_open:
             return
-        self._drawn = self._wall()
-        self._live.update(self._dashboard(), refresh=True)
-
-    def _dashboard(self) -> Dashboard:
-        setup = self._setup
-        first_ns = self._time_ns if self._first_ns is None else self._first_ns
-        frame = Moment(
-            setup=setup,
-            time_s=seconds(self._time_ns - first_ns),
-            end_s=None,
-            poses=self._poses,
-            trail=np.array(self._trail).reshape(-1, len(setup.names), 2),
-            step=self._step,
-            totals=np.array(self._totals),
-            steps_end=0,
-            result=self._result,
-            events=tuple(
-                Event(seconds(note.t_ns - first_ns), note.level, note.text) for note in self._notes
-            ),
-            known="true" if self._result and self._true else "measured",
+        self._drawn_s = self._wall()
+        start = self._of_trial.start
+        hints = ("Ctrl-C stops",) if start.plant.virtual else (SAYS,)
+        self._screen.show(
+            Dashboard(
+                self._of_trial.moment(),
+                heading=f"{start.setup.name}, {start.plant.kind}",
+                footer=self._batch.footer(hints),
+                aside=self._batch.summary(start.setup.unit),
+            )
         )
-        done, n = len(self._tally.errors), self._count
-        taken_s = self._wall() - self._began if self._began is not None else 0.0
-        footer = Footer(
-            left=f"trial {self._index + 1} of {n}",
-            fraction=done / n,
-            right=f"{duration(taken_s / done * (n - done))} left" if done and taken_s else "",
-            hints=self._hints,
-        )
-        heading = f"{setup.name}, {self._plant}"
-        so_far = self._tally.summary(setup.unit)
-        return Dashboard(frame, self._colors, heading, footer, aside=so_far)
 
 
 class TerminalPrompt:
     """A `PlacementPrompt` at the terminal: prints where robots must stand, and waits for Enter."""
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
-        self._console, self._entered = console, entered
+        self._console = console
+        self._entered = entered
         self._shown: tuple[Sequence[str], Sequence[str]] | None = None
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
@@ -190,14 +264,16 @@ class LabWatch(LiveView):
 
     def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
         super().__init__(console)
-        self._console, self._quiet = console, quiet
-        self._unit, self._wanted = unit, live
+        self._console = console
+        self._quiet = quiet
+        self._unit = unit
+        self._wanted = live
         self._unprinted: list[Note] = []
 
     def trial_ended(self, ending: Ending) -> None:
         """Close the live view, and print the notes and the trial's line."""
         super().trial_ended(ending)
-        self._live.stop()
+        self._screen.close()
         self._print_notes()
         if ending.result:
             text = trial_line(ending.task, ending.result, self._unit)
@@ -206,7 +282,7 @@ class LabWatch(LiveView):
     def on_start(self, start: Start) -> None:
         """Open the live view."""
         if self._wanted:
-            self._live.start()
+            self._screen.open()
         super().on_start(start)
 
     def on_note(self, note: Note) -> None:
@@ -214,13 +290,13 @@ class LabWatch(LiveView):
         if note.level == "debug":
             return
         self._unprinted.append(note)
-        if self._live.is_started:
+        if self._screen.is_open:
             super().on_note(note)
         else:
             self._print_notes()
 
     def _print_notes(self) -> None:
-        notes, self._unprinted = self._unprinted, []
-        for note in notes:
+        for note in self._unprinted:
             text = f"{note.level}: {note.text}"
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+        self._unprinted.clear()

@@ -4,13 +4,12 @@ it prints a line for each control step and event.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from rich.console import Console, ConsoleOptions, RenderResult
-from rich.live import Live
+from rich.console import Console, ConsoleDimensions, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from tetractl.core.clock import Clock
-from tetractl.core.colors import robot_colors
 from tetractl.core.plan import State
 from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import Event
@@ -18,73 +17,109 @@ from tetractl.replay.player import Playback, Player, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard
+from tetractl.view.terminal.screen import Screen
 
 SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
+"""What the space bar does, by the player's state."""
 TURNS = {"n": 1, "p": -1}
+"""Keys that go to another trial, and how many trials on."""
+LOOK_S = 1 / 15
+"""How long a key is waited for before a picture is due again [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrialOfSeveral:
+    """This is trial `index` of `count` that are played, from 0."""
+
+    index: int = 0
+    count: int = 1
+
+    def turned(self, key: str) -> "TrialOfSeveral":
+        """Return the place that a key leads to: this one if there is no trial there."""
+        index = self.index + TURNS.get(key, 0)
+        return TrialOfSeveral(index, self.count) if 0 <= index < self.count else self
+
+
+ALONE = TrialOfSeveral()
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What a picture depends on: while it is the same, nothing is drawn."""
+
+    place: TrialOfSeveral
+    now_ns: int
+    rate: float
+    state: Playback
+    size: ConsoleDimensions
+    help: bool
 
 
 def play(
     console: Console,
     player: Player,
     count: int = 1,
-    turn_to: Callable[[int], Player] | None = None,
+    turn_to: Callable[[int, Player], Player] | None = None,
 ) -> bool:
     """Play the first of `count` trials until q is pressed; the keys n and p go to the next and the
     previous trial.
 
-    `turn_to(i)` returns the player of trial i. Returns whether a signal ended the play.
+    `turn_to(i, player)` returns the player of trial i, which goes on like `player`; without it,
+    only the first is played. Returns whether a signal ended the play.
     """
-    index, drawn, helping = 0, None, False
-    live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
+    place = TrialOfSeveral(0, count)
+    shows_help = False
+    drawn: _Shown | None = None
+    screen = Screen(console)
     # the keyboard is the outer context: no signal interrupts before the screen is restored
-    with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
+    with Keyboard(leave=screen.close, back=screen.open) as keyboard, screen:
         while player.state is not Playback.QUIT:
             player.update()
-            scene = (index, player.now, player.rate, player.state, console.size, helping)
-            if scene != drawn:
-                drawn, glyphs = scene, glyphs_for(console)
-                place = (index + 1, count)
-                picture = Help(glyphs) if helping else dashboard(player, glyphs, place)
-                live.update(picture, refresh=True)
-            for key in keyboard.read(1 / 15):
-                if turn_to and key in TURNS and 0 <= index + TURNS[key] < count:
-                    index += TURNS[key]
-                    player = turn_to(index)
-                helping = key == "?" and not helping
+            wanted = _Shown(place, player.now, player.rate, player.state, console.size, shows_help)
+            if wanted != drawn:
+                glyphs = glyphs_for(console)
+                screen.show(Help(glyphs) if shows_help else dashboard(player, glyphs, place))
+                drawn = wanted
+            for key in keyboard.read(LOOK_S):
+                turned = place.turned(key)
+                if turn_to and turned != place:
+                    place = turned
+                    player = turn_to(place.index, player)
+                shows_help = key == "?" and not shows_help
                 player.press(key)
     return keyboard.interrupted
 
 
-def dashboard(player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1)) -> Dashboard:
-    """Return the dashboard at the player's time; it states that this is log `place[0]` of
-    `place[1]`.
-    """
-    recording, now_ns = player.recording, player.now
-    setup, log = recording.log.start.setup, recording.log
+def dashboard(player: Player, glyphs: Glyphs, place: TrialOfSeveral = ALONE) -> Dashboard:
+    """Return the dashboard at the player's time."""
+    recording = player.recording
+    log = recording.log
+    which = f" ({place.index + 1} of {place.count})" if place.count > 1 else ""
+    return Dashboard(
+        recording.at(player.now),
+        heading=f"{log.start.setup.name}, trial {log.start.trial}{which}",
+        footer=_footer(player, glyphs, place),
+        notes=("damaged log", *log.damage.lost) if log.damage else (),
+    )
+
+
+def _footer(player: Player, glyphs: Glyphs, place: TrialOfSeveral) -> Footer:
+    """Return the rate, how far the trial is, and what keys do, the most useful first."""
+    recording = player.recording
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
-    now_s, end_s = recording.elapsed_s(now_ns), recording.elapsed_s(recording.end_ns)
-    wide = len(f"{end_s:.1f}")
-    footer = Footer(
+    now_s = recording.elapsed_s(player.now)
+    end_s = recording.elapsed_s(recording.end_ns)
+    end = f"{end_s:.1f}"
+    hints = [f"space {SPACE.get(player.state, '')}", "? keys", "q quit"]
+    if place.index + 1 < place.count:
+        hints.append("n next trial")
+    hints += [f"{glyphs.left_right} {glyphs.plus_minus}1 s", ". step", "e event", "+/- rate"]
+    return Footer(
         left=f"{sign} {player.rate:g}{glyphs.times}",
         fraction=now_s / end_s if end_s > 0 else 1.0,
-        right=f"{now_s:{wide}.1f} / {end_s:.1f} s",
-        hints=(
-            f"space {SPACE.get(player.state, '')}",
-            "? keys",
-            "q quit",
-            *(["n next trial"] if place[0] < place[1] else []),
-            f"{glyphs.left_right} {glyphs.plus_minus}1 s",
-            ". step",
-            "e event",
-            "+/- rate",
-        ),
+        right=f"{now_s:{len(end)}.1f} / {end} s",
+        hints=tuple(hints),
     )
-    number, count = place
-    which = f" ({number} of {count})" if count > 1 else ""
-    heading = f"{setup.name}, trial {log.start.trial}{which}"
-    notes = ("damaged log", *log.damage.lost) if log.damage else ()
-    colors = robot_colors(setup.names, setup.colors)
-    return Dashboard(recording.at(now_ns), colors, heading, footer, notes)
 
 
 class Help:
@@ -104,13 +139,16 @@ class Help:
         }
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        height, wide = options.height or console.height, max(map(len, self._keys))
-        lines = [Text("Keys of the player", "bold"), Text()]
-        lines = lines if height > len(self._keys) + 2 else []
-        for key, does in self._keys.items():
-            lines.append(Text.assemble((f" {key:<{wide}}", "bold"), f"  {does}"))
-        lines = [*lines, *[Text()] * height][:height]
         width = options.max_width
+        height = options.height or console.height
+        key_width = max(len(key) for key in self._keys)
+        title = [Text("Keys of the player", "bold"), Text()]
+        lines = title if height > len(self._keys) + len(title) else []
+        for key, action in self._keys.items():
+            lines.append(Text.assemble((f" {key:<{key_width}}", "bold"), f"  {action}"))
+        while len(lines) < height:
+            lines.append(Text())
+        lines = lines[:height]
         yield from printed([fitted(console, line, width) for line in lines], width)
 
 
@@ -128,30 +166,42 @@ def print_lines(
     `loop`, at the trial's speed.
     """
     start_ns, until_ns = span
-    pace = rate or (1.0 if loop else None)
+    speed = rate or 1.0
+    waits = loop or rate is not None
     lines = _lines(recording, start_ns, until_ns)
     while True:
-        began = wall.now()
-        for time_ns, line in lines:
-            if pace is not None:
-                wall.sleep_until(began + math.ceil((time_ns - start_ns) / pace))
-            print(line, flush=pace is not None)
+        began_ns = wall.now()
+        for line in lines:
+            if waits:
+                wall.sleep_until(began_ns + math.ceil((line.time_ns - start_ns) / speed))
+            print(line.text, flush=waits)
         if not loop or not lines:
             return
-        wall.sleep_until(began + math.ceil((until_ns - start_ns) / (pace or 1.0)))
+        wall.sleep_until(began_ns + math.ceil((until_ns - start_ns) / speed))
 
 
-def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
-    """Return the times [ns] and texts of the lines to print, in order of time; at the same time a
-    step comes before events, and the result comes last.
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A line to print, and the time [ns] of what it tells."""
+
+    time_ns: int
+    text: str
+
+
+def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[_Line]:
+    """Return the lines to print, in order of time; at the same time a step comes before events, and
+    the result comes last.
     """
-    steps = [(int(ns), step_line(recording, i)) for i, ns in enumerate(recording.step_ns)]
-    lines = map(event_line, recording.events)
-    events = list(zip(map(int, recording.event_ns), lines, strict=True))
-    found = sorted([*steps, *events], key=lambda item: item[0])
+    lines = [
+        _Line(int(step_ns), step_line(recording, index))
+        for index, step_ns in enumerate(recording.step_ns)
+    ]
+    for event_ns, event in zip(recording.event_ns, recording.events, strict=True):
+        lines.append(_Line(int(event_ns), event_line(event)))
+    lines.sort(key=lambda line: line.time_ns)
     if recording.log.result is not None:
-        found.append((recording.end_ns, result_line(recording)))
-    return [(ns, line) for ns, line in found if start_ns <= ns <= until_ns]
+        lines.append(_Line(recording.end_ns, result_line(recording)))
+    return [line for line in lines if start_ns <= line.time_ns <= until_ns]
 
 
 def result_line(recording: Recording) -> str:
@@ -172,19 +222,23 @@ def event_line(event: Event) -> str:
 
 def step_line(recording: Recording, index: int) -> str:
     """Return one control step as a line of text."""
+    setup = recording.log.start.setup
     step = recording.log.steps[index]
-    unit = recording.log.start.setup.unit
-    plan, direction, state = step.plan, step.plan.doing, ""
-    if (u := step.command.direction) is not None:
-        direction = f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
+    plan = step.plan
+    direction = plan.doing
+    state = ""
+    if step.command.direction is not None:
+        degrees = math.degrees(math.remainder(step.command.direction, math.tau))
+        direction = f"{degrees:+.1f} deg"
         state = "" if plan.state is State.DRIVING else f"  {plan.state}"
-    if plan.estimate and (who := plan.estimate.standing(recording.log.start.setup.names)):
-        state += f"  {', '.join(who)}: standing"
+    standing = plan.estimate.standing(setup.names) if plan.estimate else []
+    if standing:
+        state += f"  {', '.join(standing)}: standing"
     time_s = recording.elapsed_s(int(recording.step_ns[index]))
     cost = "      -" if plan.pauses else f"{plan.cost:7.1f}"  # robots that stand follow no plan
     return (
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
-        f"J {cost} {unit}  total error {recording.totals[index]:7.1f} {unit} measured  "
+        f"J {cost} {setup.unit}  total error {recording.totals[index]:7.1f} {setup.unit} measured  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
         f"{plan.search.ended}{state}"
     )

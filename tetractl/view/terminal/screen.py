@@ -1,0 +1,52 @@
+"""The terminal's alternate screen, on which a dashboard of a running trial or of a log is shown."""
+
+from typing import Self
+
+from rich.console import Console, RenderableType
+from rich.live import Live
+
+
+class Screen:
+    """Shows one picture at a time, and gives the terminal back when it is closed; a context
+    manager, and open within it.
+
+    What is printed to the console's own stream meanwhile appears above the picture; what goes to
+    the other stream goes there.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._live = Live(
+            console=console,
+            screen=True,
+            auto_refresh=False,
+            redirect_stdout=not console.stderr,
+            redirect_stderr=console.stderr,
+        )
+        self._shown = False
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether pictures are shown."""
+        return self._live.is_started
+
+    def open(self) -> None:
+        """Take the whole terminal, and show the last picture again if there is one."""
+        self._live.start()
+        if self._shown:
+            self._live.refresh()
+
+    def close(self) -> None:
+        """Give the terminal back, as it was before."""
+        self._live.stop()
+
+    def show(self, picture: RenderableType) -> None:
+        """Show a picture in place of the last one."""
+        self._shown = True
+        self._live.update(picture, refresh=True)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, demand, whole_number
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result
@@ -47,6 +47,7 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
 
     Raises SpecError with one line per problem.
     """
+    demand(path, str | Path, "load_spec reads a file, parse_spec a dict")
     return load.load_spec(Path(path), sets)
 
 
@@ -54,7 +55,7 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
     """Check a spec given as YAML text or as a mapping; `sets` and errors are as in `load_spec`."""
     if isinstance(text, Mapping):
         return load.parse_contents(text, "spec", sets)
-    _demand(text, str, "the contents of a spec are a text or a dict")
+    demand(text, str, "the contents of a spec are a text or a dict")
     return load.parse_spec(text, "spec", sets)
 
 
@@ -79,21 +80,15 @@ def _spec(spec: Spec) -> LoadedSpec:
         return spec
     if isinstance(spec, Mapping):
         return parse_spec(spec)
-    _demand(spec, str | Path, "a spec is a file, a dict or what load_spec returns")
+    demand(spec, str | Path, "a spec is a file, a dict or what load_spec returns")
     return load_spec(spec)
 
 
 def _trial(trial: Trial) -> TrialLog:
     if isinstance(trial, TrialLog):
         return trial
-    _demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
+    demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
     return read_log(trial)
-
-
-def _demand(value: object, kind: Any, words: str) -> None:
-    """Raise UsageError, with what is expected in words, if a value is not of a kind."""
-    if not isinstance(value, kind):
-        raise UsageError(f"{words}, but this is a {type(value).__name__}")
 
 
 def run_trial(
@@ -115,6 +110,9 @@ def run_trial(
     from tetractl.run.folder_lock import make_folder
 
     spec = _spec(spec)
+    trial = whole_number(trial, "a trial")
+    if folder is not None:
+        demand(folder, str | Path, "a folder is a path")
     _check(spec, logging.getLogger("tetractl").info)
     with TemporaryDirectory() as temporary, _interruptible() as interrupt:
         place = Path(temporary if folder is None else folder)
@@ -161,7 +159,7 @@ def write_weights(path: str | Path, modules: Iterable[Any]) -> None:
     """
     from tetractl.experiment import policy_weights
 
-    _demand(path, str | Path, "weights are written to a file")
+    demand(path, str | Path, "weights are written to a file")
     policy_weights.write_weights(Path(path), modules)
 
 
@@ -188,6 +186,7 @@ def run_batch(
     from tetractl.view.terminal.progress import ScriptProgress
 
     spec = _spec(spec)
+    demand(folder, str | Path, "a folder is a path")
     store = Store.of_batch(Path(folder), spec.experiment)
     _check(spec, _announcer(progress))
     after = f"read_batch({str(folder)!r}) reads the trials that ended; resume=True runs the others"
@@ -224,7 +223,12 @@ def run_study(
     from tetractl.study.load_study import load_study
     from tetractl.view.terminal.progress import ScriptProgress
 
-    loaded = load_study(study if isinstance(study, Mapping) else Path(study))
+    if folder is not None:
+        demand(folder, str | Path, "a folder is a path")
+    if not isinstance(study, Mapping):
+        demand(study, str | Path, "a study is a file or a dict")
+        study = Path(study)
+    loaded = load_study(study)
     store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))
     after = (
         f"read_batch({str(store.folder)!r}) reads the trials that ended; "
@@ -252,7 +256,7 @@ def read_log(path: str | Path) -> TrialLog:
     """
     from tetractl.log.read.reader import read_trial
 
-    _demand(path, str | Path, "read_log reads the file of a log")
+    demand(path, str | Path, "read_log reads the file of a log")
     return read_trial(Path(path))
 
 
@@ -268,7 +272,7 @@ def read_batch(*paths: str | Path) -> "Batch":
     if not paths:
         raise UsageError("no log is given")
     for path in paths:
-        _demand(path, str | Path, "read_batch reads logs, folders and patterns")
+        demand(path, str | Path, "read_batch reads logs, folders and patterns")
     return open_batch(paths)
 
 
@@ -354,7 +358,7 @@ def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
         return batch
     if isinstance(batch, str | Path):
         return read_batch(batch)
-    _demand(batch, Iterable, "a batch is a folder, paths of logs or what read_batch returns")
+    demand(batch, Iterable, "a batch is a folder, paths of logs or what read_batch returns")
     return read_batch(*batch)
 
 
@@ -424,7 +428,7 @@ def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
         return [read_log(trial.log) for trial in data.trials]
     if isinstance(data, TrialLog | str | Path):
         return [_trial(data)]
-    _demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
+    demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
     trials = [_trial(one) for one in data]
     if not trials:
         raise UsageError("no trial to draw is given")
@@ -437,7 +441,7 @@ def verify(path: str | Path) -> "Verification":
     """
     from tetractl.replay import verify
 
-    _demand(path, str | Path, "verify reads the file of a log")
+    demand(path, str | Path, "verify reads the file of a log")
     return verify.verify(Path(path))
 
 

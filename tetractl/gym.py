@@ -101,7 +101,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         """
         super().reset(seed=seed)
         trial_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
-        trial = int((options or {}).get("trial", 0))
+        trial = (options or {}).get("trial", 0)
         self._trial = OpenTrial(self._spec, trial, trial_seed)
         self._ways = [self._trial.observation.poses.xy]
         self._error = self._start_error

@@ -238,6 +238,30 @@ def test_another_object_is_refused_in_one_line():
         tetractl.run_trial(contents)
 
 
+NOT_TAKEN = {
+    "a spec's file": (lambda: tetractl.load_spec(yaml.safe_load(SPEC)), "parse_spec a dict"),
+    "a study": (lambda: tetractl.run_study(3), "a study is a file or a dict"),
+    "a study's folder": (lambda: tetractl.run_study({}, 3), "a folder is a path"),
+    "a batch's folder": (lambda: tetractl.run_batch(SPEC_DICT, None), "a folder is a path"),
+    "a trial's folder": (lambda: tetractl.run_trial(SPEC_DICT, folder=3), "a folder is a path"),
+    "a trial's number": (lambda: tetractl.run_trial(SPEC_DICT, "5"), "a trial is a whole number"),
+    "a negative trial": (lambda: tetractl.run_trial(SPEC_DICT, -1), "a trial is a whole number"),
+    "a stepped trial": (lambda: tetractl.open_trial(SPEC_DICT, 1.5), "a trial is a whole number"),
+    "a seed": (lambda: tetractl.open_trial(SPEC_DICT, 0, -1), "a seed is a whole number from 0"),
+    "weights": (lambda: tetractl.write_weights(3, []), "weights are written to a file"),
+}
+SPEC_DICT = yaml.safe_load(SPEC)
+
+
+@pytest.mark.parametrize("name", NOT_TAKEN)
+def test_an_argument_of_another_type_is_refused_in_one_line(name):
+    """Regression: TypeErrors and ValueErrors of what the argument was passed on to."""
+    call, words = NOT_TAKEN[name]
+    with pytest.raises(UsageError, match=words) as error:
+        call()
+    assert "\n" not in error.value.message
+
+
 def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
     folder = tmp_path / "logs"
     with pytest.raises(KeyboardInterrupt) as caught:

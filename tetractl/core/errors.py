@@ -4,9 +4,11 @@ Every message is one line (plus an optional hint); the command line prints it wi
 traceback. Anything that is not a `TetractlError` is a bug in tetractl.
 """
 
+import operator
 import re
 import unicodedata
 from enum import IntEnum
+from typing import Any
 
 
 class Exit(IntEnum):
@@ -45,6 +47,25 @@ class UsageError(TetractlError):
     """A bad argument, file name or option."""
 
     exit = Exit.USAGE
+
+
+def demand(value: object, kind: Any, words: str) -> None:
+    """Raise UsageError, with what is expected in words, if a value is not of a kind."""
+    if not isinstance(value, kind):
+        raise UsageError(f"{words}, but this is a {type(value).__name__}")
+
+
+def whole_number(value: object, what: str) -> int:
+    """Return a whole number from 0, such as a trial's; UsageError with `what` it is otherwise."""
+    try:
+        number = operator.index(value)  # pyright: ignore[reportArgumentType] - the error says so
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise UsageError(
+            f"{what} is a whole number from 0, but this is {printable(str(value), 40)}"
+        )
+    return number
 
 
 class SpecError(UsageError):

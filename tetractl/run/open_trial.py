@@ -13,7 +13,7 @@ import numpy as np
 
 from tetractl.control.sequence import SequenceController, SequenceSection
 from tetractl.core.commands import Command, Note, PlantInfo, Sample
-from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.errors import TetractlError, UsageError, demand, whole_number
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import LabSupervision
@@ -120,15 +120,15 @@ class OpenTrial:
         section: ControllerSection = experiment.controller
         assert isinstance(section, SequenceSection), "a spec by `stepped_spec`"
         self._spec = spec
-        self._trial = trial
-        self._seed = seed
+        self._trial = whole_number(trial, "a trial")
+        self._seed = whole_number(seed, "a seed")
         self._directions: list[float] = []
         self._truth = TruthWatch(experiment.setup)
-        key, plant_seed = task.trial_seeds(seed, trial)
+        key, plant_seed = task.trial_seeds(self._seed, self._trial)
         self._controller = SequenceController(section, experiment.setup, key)
         clock = experiment.plant.clock()
         self._course = Trial(
-            start=replace(start_of(spec, trial, SIMULATED, EPOCH_NS), seed=seed),
+            start=replace(start_of(spec, self._trial, SIMULATED, EPOCH_NS), seed=self._seed),
             plant=experiment.plant.build(experiment.setup, clock, plant_seed, LabSupervision()),
             controller=self._controller,
             first_plan=section.first_plan,
@@ -180,9 +180,12 @@ class OpenTrial:
         that is not finite and for a trial that has ended; neither counts as sent.
         """
         self._demand_open()
-        direction = float(direction)
+        try:
+            direction = float(direction)
+        except (TypeError, ValueError):
+            direction = math.nan
         if not math.isfinite(direction):
-            raise UsageError(f"a direction is a finite number of radians, but this is {direction}")
+            raise UsageError("a direction is a finite number of radians")
         self._directions.append(direction)
         self._advance(TimedDecision(self._plan(direction), THINKING_NS))
         return self.observation
@@ -215,6 +218,7 @@ class OpenTrial:
         """
         if self._result is None:
             raise UsageError("the trial has not ended", "step it until it has a result, or stop it")
+        demand(folder, str | Path, "a folder is a path")
         path = task.log_path(Path(folder), self._trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")

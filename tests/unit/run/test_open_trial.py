@@ -109,10 +109,11 @@ def test_its_first_observation_is_at_the_starts():
         trial.observation.poses.x[0] = 0.0
 
 
-def test_a_wrong_direction_is_not_sent():
+@pytest.mark.parametrize("direction", [math.nan, "east", None, [1.0, 2.0]], ids=repr)
+def test_a_wrong_direction_is_not_sent(direction):
     trial = tetractl.open_trial(SPEC)
     with pytest.raises(UsageError, match="finite number of radians"):
-        trial.step(math.nan)
+        trial.step(direction)
     assert trial.directions == ()
 
 
@@ -128,6 +129,8 @@ def test_an_ended_trial_is_neither_stepped_nor_stopped(tmp_path):
         trial.step(0.0)
     with pytest.raises(UsageError, match="the trial has ended"):
         trial.stop()
+    with pytest.raises(UsageError, match="a folder is a path, but this is a int"):
+        trial.save(3)
     trial.save(tmp_path)
     with pytest.raises(UsageError, match="exists already"):
         trial.save(tmp_path)

@@ -5,13 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from tetractl.core.commands import Steer, Stop
-from tetractl_emulator.rehearsal.truth import RUN, Truth
+from tetractl.core.commands import Command, Steer, Stop
+from tetractl.core.poses import Floats
+from tetractl_emulator.rehearsal.truth import RUN, Truth, time_s
 from tetractl_emulator.rehearsal.violation import Violation
 
 NOTED_S = 0.002  # from a transmission to its record: the poll of the wire
 MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
 FRAMES = 4  # frames in a row that may be missing though robots are shown
+SHOWN_S = 0.025  # in three frames of 120 Hz a robot that is shown has been seen
 STREAM = ("clock_jump", "clock_rate", "counter_back", "outdated", "bad_datagrams", "reordered")
 FAULTY = ("other_version", "edit_mode", "twin_id", *MUTE)  # frames that are shown, and not taken
 
@@ -26,53 +28,65 @@ def logged(truth: Truth) -> Iterator[Violation]:
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
         yield Violation("log", 0.0, "a frame comes twice, or late")
     if not truth.met(*STREAM, *FAULTY):
-        yield from _whole(truth, [row for row in truth.rows if row is not None])
+        yield from _whole(truth, [row for row in truth.exposure_of_frame if row is not None])
 
 
 def _commands(truth: Truth) -> Iterator[Violation]:
+    """Each command in the log was sent as it says, and each that was sent is in the log."""
     assert truth.trial is not None
-    sent = truth.commanded
-    said = np.array([one.sent_ns for one in truth.trial.commands]) / 1e9
-    flags = [bool(e["flags"] & RUN) for e in truth.of("command")]
-    drives = [truth.drives(e) for e in truth.of("command")]
-    for at, one in zip(said.tolist(), truth.trial.commands, strict=True):
-        noted = np.flatnonzero((sent >= at) & (sent <= at + NOTED_S)).tolist()
-        if not noted:
-            yield Violation("log", at, "has a command that was not sent")
+    logged_s = np.array([command.sent_ns for command in truth.trial.commands]) / 1e9
+    for command in truth.trial.commands:
+        finding = _false_command(truth, command, logged_s)
+        if finding:
+            yield Violation("log", command.sent_ns / 1e9, finding)
             return
-        if one.action == Stop() and all(flags[k] for k in noted):
-            yield Violation("log", at, "says stop, and robots were driven")
-            return
-        if (said == at).sum() > len(noted):
-            yield Violation("log", at, "has a command twice")
-            return
-        steers = isinstance(one.action, Steer)
-        if steers and not _reached(one.delivered, [drives[k] for k in noted]):
-            yield Violation("log", at, "says that a robot was driven that was not")
-            return
-    driven = [at for at, robots in zip(sent.tolist(), drives, strict=True) if any(robots)]
+    driven_s = [time_s(command) for command in truth.commands if any(truth.drives(command))]
     stop_s = truth.trial.commands[-1].sent_ns / 1e9
-    if driven and driven[-1] > stop_s + NOTED_S:
+    if driven_s and driven_s[-1] > stop_s + NOTED_S:
         yield Violation("log", stop_s, "its last stop came before robots were last driven")
         return
-    ends_s = max([*driven, *said])  # a driver hears a last stop as its port is closed
-    for at in sent[(sent > truth.first("run")) & (sent <= ends_s)].tolist():
-        if not ((said <= at) & (said >= at - NOTED_S)).any():
-            yield Violation("log", at, "lacks a command")
+    # a driver hears a last stop as its port is closed
+    ends_s = max([*driven_s, *logged_s])
+    sent_s = truth.commanded_s
+    for at_s in sent_s[(sent_s > truth.first_s("run")) & (sent_s <= ends_s)].tolist():
+        if not ((logged_s <= at_s) & (logged_s >= at_s - NOTED_S)).any():
+            yield Violation("log", at_s, "lacks a command")
             return
 
 
-def _reached(delivered: Sequence[bool], drove: Sequence[Sequence[bool]]) -> bool:
-    """Return whether each robot to which a command was delivered was driven; each may have its own
-    message.
+def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
+    """Return what a logged command says otherwise than it was; "" if it is true.
+
+    It may have been sent as several messages, one for each robot.
     """
-    return all(not got or any(d) for got, *d in zip(delivered, *drove, strict=False))
+    at_s = command.sent_ns / 1e9
+    is_noted = (truth.commanded_s >= at_s) & (truth.commanded_s <= at_s + NOTED_S)
+    messages = [truth.commands[k] for k in np.flatnonzero(is_noted)]
+    if not messages:
+        return "has a command that was not sent"
+    if command.action == Stop() and all(message["flags"] & RUN for message in messages):
+        return "says stop, and robots were driven"
+    if (logged_s == at_s).sum() > len(messages):
+        return "has a command twice"
+    drives = [truth.drives(message) for message in messages]
+    if isinstance(command.action, Steer) and not _reached(command.delivered, drives):
+        return "says that a robot was driven that was not"
+    return ""
+
+
+def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> bool:
+    """Return whether each robot to which a command was delivered is driven by a message."""
+    driven = [any(messages) for messages in zip(*drives, strict=False)]
+    return all(drove for got, drove in zip(delivered, driven, strict=False) if got)
 
 
 def _whole(truth: Truth, rows: list[int]) -> Iterator[Violation]:
     """Frames are missing only where the camera showed none."""
-    for row, after in pairwise(rows):
-        shown = truth.unseen[row + 1 : after].min(axis=1) if after > row + FRAMES else np.zeros(0)
-        if (shown < 0.025).sum() >= FRAMES:
-            yield Violation("log", float(truth.times[row]), f"lacks {after - row - 1} frames")
+    for row, next_row in pairwise(rows):
+        if next_row <= row + FRAMES:
+            continue
+        unseen_s = truth.unseen_s[row + 1 : next_row].min(axis=1)
+        if (unseen_s < SHOWN_S).sum() >= FRAMES:
+            lacking = next_row - row - 1
+            yield Violation("log", float(truth.times_s[row]), f"lacks {lacking} frames")
             return

@@ -10,7 +10,7 @@ import numpy as np
 
 from tetractl.core.table.table import plural
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
-from tetractl_emulator.rehearsal.truth import Truth
+from tetractl_emulator.rehearsal.truth import Truth, time_s
 from tetractl_emulator.rehearsal.violation import Violation
 
 DayRow = Mapping[str, Any]
@@ -30,13 +30,13 @@ class Met:
     times_s: list[float] = field(default_factory=list)
 
 
-def row_of(day: int, truth: Truth, found: Sequence[Violation], observed_s: float) -> DayRow:
+def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: float) -> DayRow:
     """Return what is kept of a day: what was met, how it ended, and the broken invariants; and the
     processor time, of which the observer took a part [s].
     """
     result = truth.trial.result if truth.trial is not None else None
     ended = "killed" if truth.day.exit < 0 else "refused"
-    if truth.first("run") < np.inf and truth.day.exit >= 0:
+    if truth.first_s("run") < np.inf and truth.day.exit >= 0:
         ended = str(result.outcome) if result is not None else "aborted"
     return {
         "day": day,
@@ -44,15 +44,15 @@ def row_of(day: int, truth: Truth, found: Sequence[Violation], observed_s: float
         "seconds": round(truth.day.seconds + observed_s, 3),
         "ended": ended,
         "reason": truth.reason,
-        "met": [[f["kind"], _noticed_s(truth, began)] for began, _, f in truth.faults],
-        "violations": [[v.name, round(v.at_s, 3), v.found, v.predicted] for v in found],
+        "met": [[fault.kind, _noticed_s(truth, fault.span.began_s)] for fault in truth.faults],
+        "violations": [[v.name, round(v.at_s, 3), v.finding, v.predicted] for v in violations],
     }
 
 
 def _noticed_s(truth: Truth, began_s: float) -> float | None:
     """Return the time from a fault to the guard's abort or hold [s]; None if there was neither."""
-    for event in truth.of("guard"):
-        at_s = event["t_ns"] / 1e9
+    for event in truth.events("guard"):
+        at_s = time_s(event)
         if at_s >= began_s and event["state"] in ("hold", "abort"):
             return round(at_s - began_s, 4)
     return None
@@ -83,10 +83,10 @@ def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
     for kind in kinds:
-        one = met.get(kind.name, Met())
-        took = one.times_s
-        shown = [f"{np.quantile(took, q):.3f}" if took else "" for q in (0.5, 0.99, 1.0)]
-        cells = [kind.name, one.days, one.alone, len(took), *shown]
+        fault = met.get(kind.name, Met())
+        took = fault.times_s
+        quantiles = [f"{np.quantile(took, q):.3f}" if took else "" for q in (0.5, 0.99, 1.0)]
+        cells = [kind.name, fault.days, fault.alone, len(took), *quantiles]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 
@@ -94,7 +94,7 @@ def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
 def reasons(rows: Sequence[DayRow]) -> str:
     """Return for what reasons days were refused or aborted, the most frequent ones first."""
     why = Counter(re.sub(r"\d+(\.\d+)?", "…", row["reason"]) for row in rows if row["reason"])
-    return "\n".join(f"{n} {plural('day', n)}: {one}" for one, n in why.most_common(10))
+    return "\n".join(f"{n} {plural('day', n)}: {reason}" for reason, n in why.most_common(10))
 
 
 def summary(rows: Sequence[DayRow]) -> str:
@@ -109,5 +109,5 @@ def summary(rows: Sequence[DayRow]) -> str:
         classes.append(f"{len(small)} shrunk, in the median to {np.median(small):g} faults")
     mean_s = sum(row["seconds"] for row in rows) / count
     a_night = f": {NIGHT_S / mean_s:.0f} days in 8 hours on one core" if mean_s else ""
-    said = [shares, *classes, f"{mean_s:.2f} s of processor time a day{a_night}"]
-    return "; ".join(filter(None, said))
+    parts = [shares, *classes, f"{mean_s:.2f} s of processor time a day{a_night}"]
+    return "; ".join(filter(None, parts))

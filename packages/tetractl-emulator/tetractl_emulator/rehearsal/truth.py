@@ -1,11 +1,24 @@
-"""What truly happened on a day, as arrays: the poses, the commands, and what was accepted.
+"""What truly happened on a day of a rehearsal, and what our program took for true, as arrays.
+
+An emulation records events as JSON lines, each with its kind (`event`) and its time (`t_ns`):
+
+| event | recorded | holds |
+|---|---|---|
+| `truth` | at an exposure of the camera | poses and wheels, for how long each is unseen |
+| `command` | as it leaves the wire | flags, what it drives, for how long each is unseen |
+| `guard` | when the guard changes its state | the state: `wait`, `run`, `hold`, `abort` ... |
+| `fault` | when a fault begins and ends | its row in the day's plan |
+
+`Truth` makes arrays of these and of the trial's log. T counts exposures, N robots, C commands, F
+frames of the log, K corners of a shape. Times are seconds since the emulation began, lengths mm,
+headings rad. An exposure is named by its row in arrays of T.
 
 The observer of a rehearsal shares no code with the guard: distances are computed here.
 """
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,146 +39,298 @@ from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
 from tetractl_emulator.rehearsal.schedule import FRAME_S
 
-RUN, EMERGENCY = 1, 2  # flags of a command
+Event = Mapping[str, Any]
+"""A recorded event, as of the table above."""
+
+RUN = 1
+"""Flag of a command: robots may be driven."""
+EMERGENCY = 2
+"""Flag of a command: robots stop until they are switched off."""
+RUNNING = 1
+"""Bit of a robot's status: it obeys a command that drives it."""
+LATCHED = 2
+"""Bit of a robot's status: it has taken an emergency stop."""
+SILENT = 4
+"""Bit of a robot's status: it has heard no command for the time of its watchdog."""
+
+DRIVING_STATES = ("run", "hold")
+"""States of the guard in which it lets robots be driven."""
 LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
-MOVES_MM_S, MOVES_RAD_S = 10.0, 0.1  # motion that pictures of a second show plainly
-NEAR_S = 0.02  # largest difference of the times of a picture
+"""Faults that make frames late by their field `by`."""
+MOVES_MM_S = 10.0
+"""Least speed that pictures of a second show plainly [mm/s]."""
+MOVES_RAD_S = 0.1
+"""Least rate of turning that pictures of a second show plainly [rad/s]."""
+NEAR_S = 0.02
+"""Greatest difference between the times of a picture and of the exposure that it shows [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A time from `began_s` to `ended_s`; infinite if it did not end."""
+
+    began_s: float
+    ended_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class VisibleFault:
+    """A fault and the time in which it could be seen; `fields` are those that were drawn."""
+
+    span: Span
+    fields: Event
+
+    @property
+    def name(self) -> str:
+        """Its name in a script, such as `ghost`."""
+        return str(self.fields["fault"])
+
+    @property
+    def kind(self) -> str:
+        """The row of the table of faults from which it was drawn, such as `pose creeps`."""
+        return str(self.fields["kind"])
+
+    @property
+    def is_kill(self) -> bool:
+        """Whether it kills our process."""
+        return self.fields.get("signal") == "KILL"
+
+
+def time_s(event: Event) -> float:
+    """Return the time of an event [s]."""
+    return float(event["t_ns"] / SECOND)
 
 
 def nearest_exposures(
-    stamps_s: Floats, exposures_s: Floats, suspended: Sequence[tuple[float, float]]
+    stamps_s: Floats, exposures_s: Floats, suspended: Sequence[Span]
 ) -> list[int | None]:
-    """Return for the time of each picture (F,) [s] the number of the exposure (T,) [s] next to it;
-    None if none is near.
+    """Return the exposure next to the time of each picture (F,) [s]; None if none is near.
 
-    A picture that comes while our program is `suspended` (from, to) [s] waits, and gets its time
-    from when it was taken at last: which exposure it shows is not known.
+    A picture that comes while our program is suspended waits, and gets its time from when it was
+    taken at last: which exposure it shows is not known.
     """
     apart_s = np.abs(exposures_s[:, None] - stamps_s)
-    known = apart_s.min(axis=0) < NEAR_S
-    for began_s, ended_s in suspended:
-        known &= (stamps_s < began_s) | (stamps_s > ended_s)
+    is_certain = apart_s.min(axis=0) < NEAR_S
+    for span in suspended:
+        is_certain &= (stamps_s < span.began_s) | (stamps_s > span.ended_s)
     nearest = apart_s.argmin(axis=0).tolist()
-    return [row if sure else None for row, sure in zip(nearest, known.tolist(), strict=True)]
+    certain = is_certain.tolist()
+    return [row if sure else None for row, sure in zip(nearest, certain, strict=True)]
 
 
 @dataclass
 class Truth:
-    """The truth of a day in a lab of N robots; times are seconds since the emulation began."""
+    """The truth of a day in a lab of N robots; all is computed when it is first asked for.
+
+    `watchdog_s` is the time after which a robot that hears no command stops by itself [s].
+    """
 
     day: Day
     setup: Setup
     limits: LabLimits
     watchdog_s: float
 
-    def of(self, event: str, **facts: Any) -> list[dict[str, Any]]:
-        """Return the recorded events of a kind."""
-        kind = self._kinds.get(event, [])
-        return [e for e in kind if facts.items() <= e.items()] if facts else kind
+    # What was recorded
 
     @cached_property
-    def _kinds(self) -> dict[str, list[dict[str, Any]]]:
-        kinds = dict[str, list[dict[str, Any]]]()
-        for one in self.day.events:
-            kinds.setdefault(one["event"], []).append(one)
-        return kinds
+    def _events_by_kind(self) -> dict[str, list[Event]]:
+        by_kind = dict[str, list[Event]]()
+        for event in self.day.events:
+            by_kind.setdefault(event["event"], []).append(event)
+        return by_kind
 
-    def first(self, event: str, **facts: Any) -> float:
+    def events(self, kind: str, **facts: Any) -> list[Event]:
+        """Return the events of a kind that have these facts."""
+        of_kind = self._events_by_kind.get(kind, [])
+        return [event for event in of_kind if facts.items() <= event.items()]
+
+    def first_s(self, kind: str, **facts: Any) -> float:
         """Return the time of the first such event; infinite if there is none."""
-        return min((e["t_ns"] / SECOND for e in self.of(event, **facts)), default=np.inf)
+        return min(map(time_s, self.events(kind, **facts)), default=np.inf)
+
+    # Exposures
 
     @cached_property
-    def times(self) -> Floats:
+    def exposures(self) -> list[Event]:
+        """The events of the exposures (T,)."""
+        return self.events("truth")
+
+    @cached_property
+    def times_s(self) -> Floats:
         """Times of the exposures (T,)."""
-        return np.array([e["t_ns"] for e in self.of("truth")]) / SECOND
+        return np.array([exposure["t_ns"] for exposure in self.exposures]) / SECOND
 
     @cached_property
     def poses(self) -> Floats:
         """True poses at the exposures (T, N, 3) [mm, rad]."""
+        poses = np.array([exposure["poses"] for exposure in self.exposures])
+        return poses.reshape(-1, len(self.setup.names), 3)
+
+    @cached_property
+    def wheel_speed_mm_s(self) -> Floats:
+        """Greatest speed of a robot's wheels at the exposures (T, N); 0 if it is not known."""
         count = len(self.setup.names)
-        return np.array([e["poses"] for e in self.of("truth")]).reshape(-1, count, 3)
+        at_rest = [[0.0, 0.0]] * count
+        wheels = np.array([exposure.get("wheels", at_rest) for exposure in self.exposures])
+        return np.abs(wheels).reshape(-1, count, 2).max(axis=2)
 
     @cached_property
-    def driving(self) -> Floats:
-        """Greatest speed of a robot's wheels at the exposures (T, N) [mm/s]; 0 if not known."""
-        still = [[0.0, 0.0]] * len(self.setup.names)
-        wheels = [e.get("wheels", still) for e in self.of("truth")]
-        return np.abs(np.array(wheels)).reshape(-1, len(still), 2).max(axis=2)
-
-    @cached_property
-    def commanded(self) -> Floats:
-        """Times of the commands [s]."""
-        return np.array([command["t_ns"] for command in self.of("command")]) / SECOND
-
-    def drives(self, command: dict[str, Any]) -> list[bool]:
-        """Return which robots a command drives: `drives` or, of robots with `wheels`, if not 0."""
-        running = bool(command["flags"] & RUN)
-        own = [running and any(wheels) for wheels in command.get("wheels", ())]
-        return command.get("drives", own)
-
-    @cached_property
-    def unseen(self) -> Floats:
-        """Time since each robot was last shown (T, N) [s]; 0 if not known, as in a dish that has
+    def unseen_s(self) -> Floats:
+        """Time since each robot was last shown (T, N); 0 if it is not known, as in a dish that has
         other cells than those that are steered.
         """
         count = len(self.setup.names)
         unknown = [0.0] * count
-        rows = [event["unseen_ms"] for event in self.of("truth")]
-        shown = [row if len(row) == count else unknown for row in rows]
-        return np.array(shown).reshape(-1, count) / 1000
+        rows = [exposure["unseen_ms"] for exposure in self.exposures]
+        rows_of_robots = [row if len(row) == count else unknown for row in rows]
+        return np.array(rows_of_robots).reshape(-1, count) / 1000
 
-    @cached_property
-    def acting(self) -> Floats:
-        """For how long each command (C,) acts [s]: until the next, or until a watchdog stops robots
-        that hear none.
+    def has_status(self, bit: int) -> Bools:
+        """Return whether the firmware of robots has a status at the exposures (T, N): `RUNNING`,
+        `LATCHED` or `SILENT`; False if it is not known.
         """
-        after = np.append(self.commanded[1:], self.alive_s) - self.commanded
-        return np.clip(after, 0.0, self.watchdog_s)
+        count = len(self.setup.names)
+        unknown = [0] * count
+        status = np.array([row.get("status", unknown) for row in self.exposures], dtype=int)
+        return (status.reshape(-1, count) & bit) > 0
+
+    @property
+    def alive_s(self) -> float:
+        """Time at which our process ended; the emulation goes on alone for a moment."""
+        if not len(self.times_s):
+            return 0.0
+        return float(self.times_s[-1]) - AFTER_NS / SECOND
+
+    # Commands
 
     @cached_property
-    def undirected(self) -> Floats:
-        """How long before each command (C,) the log has the controller's last direction [s]; 0
-        before the first, without a log, and after the last in a log that was broken off.
+    def commands(self) -> list[Event]:
+        """The events of the commands (C,)."""
+        return self.events("command")
+
+    @cached_property
+    def commanded_s(self) -> Floats:
+        """Times of the commands (C,)."""
+        return np.array([command["t_ns"] for command in self.commands]) / SECOND
+
+    def drives(self, command: Event) -> list[bool]:
+        """Return which robots a command drives: as it says, or those whose wheels it turns."""
+        if "drives" in command:
+            return command["drives"]
+        may_run = bool(command["flags"] & RUN)
+        return [may_run and any(wheels) for wheels in command.get("wheels", ())]
+
+    @cached_property
+    def acting_s(self) -> Floats:
+        """How long each command acts (C,): until the next, or until a watchdog stops robots that
+        hear none.
+        """
+        next_s = np.append(self.commanded_s[1:], self.alive_s)
+        return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
+
+    @cached_property
+    def undirected_s(self) -> Floats:
+        """How long before each command (C,) the log has the controller's last direction; 0 before
+        the first, without a log, and after the last in a log that was broken off.
         """
         if self.trial is None or not self.trial.steps:
-            return np.zeros(len(self.commanded))
-        sent_s = np.array([step.command.sent_ns for step in self.trial.steps]) / SECOND
-        last = np.searchsorted(sent_s, self.commanded, "right") - 1
-        known = last >= 0
+            return np.zeros(len(self.commanded_s))
+        directed_s = np.array([step.command.sent_ns for step in self.trial.steps]) / SECOND
+        last_step = np.searchsorted(directed_s, self.commanded_s, "right") - 1
+        is_known = last_step >= 0
         if self.trial.result is None:
-            known &= last < len(sent_s) - 1
-        return np.where(known, self.commanded - sent_s[last], 0.0)
+            is_known &= last_step < len(directed_s) - 1
+        return np.where(is_known, self.commanded_s - directed_s[last_step], 0.0)
 
-    def status(self, flag: int) -> Bools:
-        """Return a flag of the robots' firmware at the exposures (T, N): 1 running, 2 emergency
-        stopped, 4 silent; False if not known."""
-        none = [0] * len(self.setup.names)
-        rows = [e.get("status", none) for e in self.of("truth")]
-        return (np.array(rows, dtype=int).reshape(-1, len(none)) & flag) > 0
+    # States of the guard
 
     @cached_property
-    def driven(self) -> list[tuple[float, float]]:
-        """The times in which the guard let robots be driven: begin and end of each [s]."""
-        found = list[tuple[float, float]]()
-        events = [(e["t_ns"] / SECOND, e["state"] in ("run", "hold")) for e in self.of("guard")]
-        since = np.inf
-        for at, drives in [*events, (self.alive_s, False)]:
-            if drives:
-                since = min(since, at)
-            elif since < at:
-                found.append((since, at))
-                since = np.inf
-        return found
+    def driven_spans(self) -> list[Span]:
+        """The times in which the guard let robots be driven."""
+        spans = list[Span]()
+        began_s: float | None = None
+        for event in self.events("guard"):
+            may_drive = event["state"] in DRIVING_STATES
+            if may_drive and began_s is None:
+                began_s = time_s(event)
+            elif not may_drive and began_s is not None:
+                spans.append(Span(began_s, time_s(event)))
+                began_s = None
+        if began_s is not None and began_s < self.alive_s:
+            spans.append(Span(began_s, self.alive_s))
+        return [span for span in spans if span.began_s < span.ended_s]
+
+    @cached_property
+    def began_s(self) -> float:
+        """Time from which the guard lets the controller steer; infinite if it never does."""
+        return self.first_s("guard", state="run")
+
+    @cached_property
+    def abort_s(self) -> float:
+        """Time of the guard's abort; infinite without one."""
+        return self.first_s("guard", state="abort")
+
+    @cached_property
+    def ended_s(self) -> float:
+        """Time from which our side drives no more: the abort, or when the guard left its run for
+        good.
+        """
+        left_run_s = np.inf
+        is_driving = False
+        for event in self.events("guard"):
+            was_driving = is_driving
+            is_driving = event["state"] in DRIVING_STATES
+            if is_driving:
+                left_run_s = np.inf
+            elif was_driving:
+                left_run_s = time_s(event)
+        return min(self.abort_s, left_run_s)
+
+    # Faults
+
+    @cached_property
+    def faults(self) -> list[VisibleFault]:
+        """The faults that became visible, in the order in which they did."""
+        drawn = self.day.plan.sorted
+        ended_s = {event["row"]: time_s(event) for event in self.events("fault", phase="end")}
+        visible = list[VisibleFault]()
+        for event in self.events("fault", phase="start"):
+            row = event["row"]
+            span = Span(time_s(event), ended_s.get(row, np.inf))
+            visible.append(VisibleFault(span, dict(drawn[row])))
+        return visible
+
+    def faults_of(self, *names: str) -> list[VisibleFault]:
+        """Return the visible faults of these names of scripts."""
+        return [fault for fault in self.faults if fault.name in names]
+
+    def met(self, *names: str) -> bool:
+        """Return whether one of these faults became visible, by the names of scripts."""
+        return bool(self.faults_of(*names))
 
     @cached_property
     def killed(self) -> bool:
-        """Whether the process was killed."""
-        return any(fault.get("signal") == "KILL" for _, _, fault in self.faults)
+        """Whether our process was killed."""
+        return any(fault.is_kill for fault in self.faults)
+
+    @cached_property
+    def shown_moving(self) -> list[VisibleFault]:
+        """The faults by which a camera plainly shows motion of robots that may rest."""
+        moving = list[VisibleFault]()
+        for fault in self.faults:
+            is_creeping = fault.name == "ghost" or fault.fields.get("creeps", False)
+            if not is_creeping:
+                continue
+            speed_mm_s = math.hypot(*fault.fields.get("by", (0.0, 0.0))) / FRAME_S
+            rate_rad_s = abs(fault.fields.get("turn", 0.0)) / FRAME_S
+            if speed_mm_s > MOVES_MM_S or rate_rad_s > MOVES_RAD_S:
+                moving.append(fault)
+        return moving
 
     @cached_property
     def numbered(self) -> bool:
         """Whether frames have numbers."""
-        return any(e["frame"] for e in self.of("truth"))
+        return any(exposure["frame"] for exposure in self.exposures)
 
     @cached_property
     def dated(self) -> bool:
@@ -175,64 +340,16 @@ class Truth:
     @cached_property
     def late_s(self) -> float:
         """By how much frames without a time of their own, which count as new, were older than they
-        seemed: late ones, and those that waited in the wire [s].
+        seemed: late ones, and those that waited in the wire.
         """
         if self.dated:
             return 0.0
-        late = [f["by"] for _, _, f in self.faults if f["fault"] in LATE_FRAMES]
-        slept = [f["for"] for _, _, f in self.faults if f["fault"] == "stopped"]
-        busy = [f["seconds"] for _, _, f in self.faults if f["fault"] == "busy"]
-        return sum(late) + sum(slept) + sum(busy)
+        late_s = sum(fault.fields["by"] for fault in self.faults_of(*LATE_FRAMES))
+        suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
+        busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))
+        return late_s + suspended_s + busy_s
 
-    @property
-    def alive_s(self) -> float:
-        """Time at which our side ended; the emulation goes on alone for a moment."""
-        return float(self.times[-1]) - AFTER_NS / SECOND if len(self.times) else 0.0
-
-    @cached_property
-    def began_s(self) -> float:
-        """Time from which the guard lets the controller steer; infinite if it never does."""
-        return self.first("guard", state="run")
-
-    @cached_property
-    def abort_s(self) -> float:
-        """Time of the guard's abort; infinite without one."""
-        return self.first("guard", state="abort")
-
-    @cached_property
-    def ended_s(self) -> float:
-        """Time from which our side drives no more: the abort, or when the guard left its run for
-        good.
-        """
-        states = [(e["t_ns"] / SECOND, e["state"]) for e in self.of("guard")]
-        driven = [i for i, (_, state) in enumerate(states) if state in ("run", "hold")]
-        after = states[driven[-1] + 1 :] if driven else []
-        return min(self.abort_s, after[0][0] if after else np.inf)
-
-    @cached_property
-    def faults(self) -> list[tuple[float, float, dict[str, Any]]]:
-        """The faults that became visible: begin and end [s], and the fault as drawn."""
-        ends = {e["row"]: e["t_ns"] / SECOND for e in self.of("fault", phase="end")}
-        return [
-            (e["t_ns"] / SECOND, ends.get(e["row"], np.inf), dict(self.day.plan.sorted[e["row"]]))
-            for e in self.of("fault", phase="start")
-        ]
-
-    def met(self, *kinds: str) -> bool:
-        """Return whether one of these faults became visible, by the names of scripts."""
-        return any(fault["fault"] in kinds for _, _, fault in self.faults)
-
-    @cached_property
-    def shown_moving(self) -> list[tuple[float, float, str]]:
-        """When a camera plainly showed motion of robots that may rest: begin, end [s], fault."""
-        shown = list[tuple[float, float, str]]()
-        for began_s, ended_s, fault in self.faults:
-            slides = fault["fault"] == "ghost" or fault.get("creeps", False)
-            speed_mm_s = math.hypot(*fault.get("by", (0.0, 0.0))) / FRAME_S if slides else 0.0
-            rate = abs(fault.get("turn", 0.0)) / FRAME_S if slides else 0.0
-            if speed_mm_s > MOVES_MM_S or rate > MOVES_RAD_S:
-                shown.append((began_s, ended_s, str(fault["kind"])))
-        return shown
+    # The log
 
     @cached_property
     def log(self) -> TrialLog | str:
@@ -258,101 +375,132 @@ class Truth:
     @property
     def reason(self) -> str:
         """Why the trial was aborted, or the run refused; "" if it was neither."""
-        if isinstance(self.log, TrialLog) and self.log.result is not None:
-            result = self.log.result
+        if self.trial is not None and self.trial.result is not None:
+            result = self.trial.result
             return result.reason if result.outcome == "aborted" else ""
-        said = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
-        return said[1] if said else ""
+        error = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
+        return error[1] if error else ""
+
+    # The log against the truth
 
     @cached_property
-    def rows(self) -> list[int | None]:
-        """The exposure of each frame in the log: by its number or, as pictures have none, by its
-        time on the host's clock; None if there is no such exposure.
+    def exposure_of_frame(self) -> list[int | None]:
+        """The exposure of each frame in the log (F,): by its number or, as pictures have none, by
+        its time on the host's clock; None if there is no such exposure.
         """
-        assert isinstance(self.log, TrialLog), "a log was read"
+        assert self.trial is not None, "a log was read"
         if self.numbered:
-            numbers, at = dict[int, list[int]](), self.times * SECOND
-            for i, e in enumerate(self.of("truth")):
-                numbers.setdefault(int(e["frame"]), []).append(i)
-            shots = zip(self.log.frames.tolist(), self.log.mocap_ns.tolist(), strict=True)
-            # a counter that goes back repeats numbers
-            found = ((numbers.get(number, ()), ns) for number, ns in shots)
-            return [min(own, key=lambda i: abs(at[i] - ns), default=None) for own, ns in found]
-        host = self.times.copy()
-        for began, _, fault in self.faults:
-            if fault["fault"] == "host_clock":
-                host += fault["by"] * (self.times >= began)
-        suspended = [(at, end) for at, end, fault in self.faults if fault["fault"] == "stopped"]
-        return nearest_exposures(self.log.mocap_ns / SECOND, host, suspended)
+            return self._exposures_by_number(self.trial)
+        host_s = self.times_s.copy()
+        for fault in self.faults_of("host_clock"):
+            is_set = self.times_s >= fault.span.began_s
+            host_s[is_set] += fault.fields["by"]
+        suspended = [fault.span for fault in self.faults_of("stopped")]
+        return nearest_exposures(self.trial.mocap_ns / SECOND, host_s, suspended)
+
+    def _exposures_by_number(self, trial: TrialLog) -> list[int | None]:
+        rows_of_number = dict[int, list[int]]()
+        for row, exposure in enumerate(self.exposures):
+            rows_of_number.setdefault(int(exposure["frame"]), []).append(row)
+        times_ns = self.times_s * SECOND
+        row_of_frame = list[int | None]()
+        for number, frame_ns in zip(trial.frames.tolist(), trial.mocap_ns.tolist(), strict=True):
+            # a counter that goes back repeats numbers: the nearest in time is meant
+            rows = np.array(rows_of_number.get(number, ()), int)
+            if len(rows):
+                row_of_frame.append(int(rows[np.abs(times_ns[rows] - frame_ns).argmin()]))
+            else:
+                row_of_frame.append(None)
+        return row_of_frame
 
     @property
-    def final(self) -> int:
+    def final_exposure(self) -> int:
         """The exposure of the last frame in the log, after which people may move robots."""
-        known = [row for row in self.rows if row is not None]
-        return known[-1] if known else -1
+        certain = [row for row in self.exposure_of_frame if row is not None]
+        return certain[-1] if certain else -1
 
     @cached_property
     def accepted(self) -> Floats:
         """Poses that our side accepted (T, N, 3) [mm, rad], each held until the next; NaN where
         there is none, and after the end of a log that was broken off.
         """
-        found = np.full((len(self.times), len(self.setup.names), 3), np.nan)
-        if isinstance(self.log, TrialLog) and len(self.log.frames):
-            mm = self.setup.metres * 1000
-            for row, poses in zip(self.rows, self.log.mocap, strict=True):
-                if row is not None:
-                    found[row] = poses * (mm, mm, 1.0)
-            logged = np.flatnonzero(~np.isnan(found).all(axis=(1, 2)))
-            last = len(found) if self.log.result is not None else int(logged.max(initial=0))
-            for row in range(1, last):
-                found[row] = np.where(np.isnan(found[row]), found[row - 1], found[row])
-        return found
+        poses = np.full((len(self.times_s), len(self.setup.names), 3), np.nan)
+        if self.trial is None or not len(self.trial.frames):
+            return poses
+        unit_mm = self.setup.metres * 1000
+        for row, logged in zip(self.exposure_of_frame, self.trial.mocap, strict=True):
+            if row is not None:
+                poses[row] = logged * (unit_mm, unit_mm, 1.0)
+        end = len(poses)
+        if self.trial.result is None:
+            logged_rows = np.flatnonzero(~np.isnan(poses).all(axis=(1, 2)))
+            end = int(logged_rows.max(initial=0))
+        for row in range(1, end):
+            poses[row] = np.where(np.isnan(poses[row]), poses[row - 1], poses[row])
+        return poses
 
     @cached_property
     def fresh(self) -> Bools:
         """Whether the log has a pose of a robot that was exposed then (T, N)."""
-        found = np.zeros((len(self.times), len(self.setup.names)), bool)
-        if isinstance(self.log, TrialLog):
-            own = self.log.exposed_ns == self.log.mocap_ns[:, None]
-            for row, valid in zip(self.rows, self.log.valid & own, strict=True):
-                if row is not None:
-                    found[row] = valid
-        return found
+        fresh = np.zeros((len(self.times_s), len(self.setup.names)), bool)
+        if self.trial is None:
+            return fresh
+        is_of_frame = self.trial.exposed_ns == self.trial.mocap_ns[:, None]
+        is_fresh = self.trial.valid & is_of_frame
+        for row, robots in zip(self.exposure_of_frame, is_fresh, strict=True):
+            if row is not None:
+                fresh[row] = robots
+        return fresh
 
     @cached_property
     def repeated(self) -> Bools:
         """Whether a pose accepted equals the one before to the last bit (T, N)."""
-        found = np.zeros(self.fresh.shape, bool)
-        found[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
-        return found & self.fresh
+        equal = np.zeros(self.fresh.shape, bool)
+        equal[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
+        return equal & self.fresh
 
     @cached_property
-    def error(self) -> Floats:
-        """Distance between a pose accepted and the true one (T, N) [mm]; 0 before the first."""
+    def error_mm(self) -> Floats:
+        """Distance between a pose accepted and the true one (T, N); 0 before the first."""
         off = self.accepted - self.poses
         return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
 
     @cached_property
-    def depth(self) -> Floats:
-        """How far a robot is beyond the rim or inside an obstacle (T, N) [mm]; 0 if it is not.
+    def outside_mm(self) -> Floats:
+        """How far a robot is beyond the rim or inside an obstacle (T, N); 0 if it is not.
 
         The rim is for centres, as in the spec; obstacles are grown by the body's radius.
         """
-        mm, arena = self.setup.metres * 1000, self.setup.arena
-        x, y = self.poses[..., 0] / mm, self.poses[..., 1] / mm
-        over = [arena.left - x, x - arena.right, arena.bottom - y, y - arena.top]
-        over += [self.setup.body_radius - apart(shape, x, y) for shape in self.setup.obstacles]
-        return np.maximum(np.max(over, axis=0), 0.0) * mm
+        unit_mm = self.setup.metres * 1000
+        arena = self.setup.arena
+        x = self.poses[..., 0] / unit_mm
+        y = self.poses[..., 1] / unit_mm
+        beyond_rim = [arena.left - x, x - arena.right, arena.bottom - y, y - arena.top]
+        inside = [
+            self.setup.body_radius - distances_to_shape(obstacle, x, y)
+            for obstacle in self.setup.obstacles
+        ]
+        return np.maximum(np.max(beyond_rim + inside, axis=0), 0.0) * unit_mm
 
 
-def apart(shape: Shape, x: Floats, y: Floats) -> Floats:
-    """Return the distance of points to a shape, negative inside; a circle has one corner."""
-    at, corners = x + 1j * y, shape.corners[:, 0] + 1j * shape.corners[:, 1]
+def distances_to_shape(shape: Shape, x: Floats, y: Floats) -> Floats:
+    """Return the distance of points (...) to a shape, negative inside.
+
+    A shape is the polygon of its corners (K,), grown by its radius; a circle has one corner. The
+    plane is complex: a point is nearest to an edge from a to b at a + s (b - a), with s = Re((p -
+    a) / (b - a)) clipped to [0, 1], and inside if the angles under which it sees the edges sum up
+    to a full turn.
+    """
+    points = x + 1j * y
+    corners = shape.corners[:, 0] + 1j * shape.corners[:, 1]
     if len(corners) == 1:
-        return np.abs(at - corners[0]) - shape.radius
-    nearest, turned = np.full(at.shape, np.inf), np.zeros(at.shape)
-    for one, two in zip(corners, np.roll(corners, -1), strict=True):
-        part = np.clip(((at - one) / (two - one)).real, 0.0, 1.0)
-        nearest = np.minimum(nearest, np.abs(at - one - part * (two - one)))
-        turned += np.angle((two - at) / (one - at))
-    return np.where(np.abs(turned) > np.pi, -nearest, nearest) - shape.radius
+        return np.abs(points - corners[0]) - shape.radius
+    distance = np.full(points.shape, np.inf)
+    turned = np.zeros(points.shape)
+    for begin, end in zip(corners, np.roll(corners, -1), strict=True):
+        along = np.clip(((points - begin) / (end - begin)).real, 0.0, 1.0)
+        to_edge = np.abs(points - begin - along * (end - begin))
+        distance = np.minimum(distance, to_edge)
+        turned += np.angle((end - points) / (begin - points))
+    is_inside = np.abs(turned) > np.pi
+    return np.where(is_inside, -distance, distance) - shape.radius

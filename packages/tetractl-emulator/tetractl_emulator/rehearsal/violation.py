@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A broken sentence: its name, when [s], and what was found. `predicted` names the class of
-    faults that no camera can show; "" for none.
+    """A broken sentence: its name, when [s], and what was found then. `predicted` names the class
+    of faults that no camera can show; "" for none.
     """
 
     name: str
     at_s: float
-    found: str
+    finding: str
     predicted: str = ""

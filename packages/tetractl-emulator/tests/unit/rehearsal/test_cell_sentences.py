@@ -106,7 +106,7 @@ def test_a_frame_whose_number_comes_twice_is_that_of_its_time():
     fields = dict.fromkeys(TrialLog.__dataclass_fields__)
     times = np.array([1_500_000_000, 1_600_000_000, 1_700_000_000])
     vars(truth)["log"] = TrialLog(**fields | {"frames": np.array([7, 8, 7]), "mocap_ns": times})
-    assert truth.rows == [1, 2, 3]  # the first exposure of all has no number
+    assert truth.exposure_of_frame == [1, 2, 3]  # the first exposure of all has no number
 
 
 def logged(seconds, seen, meets=False):

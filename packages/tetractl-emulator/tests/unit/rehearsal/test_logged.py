@@ -11,11 +11,11 @@ from tetractl.core.commands import Steer, Stop, Turn
 
 def truth(commands=(), sent=()):
     """A day: what was logged and sent, with flags and the robots driven."""
-    events = [{"t_ns": at, "flags": flags, "driven": driven} for at, flags, driven in sent]
+    messages = [{"t_ns": at_ns, "flags": flags, "drives": drives} for at_ns, flags, drives in sent]
     log = SimpleNamespace(
         commands=[
-            SimpleNamespace(sent_ns=at, action=action, delivered=delivered)
-            for at, action, delivered in commands
+            SimpleNamespace(sent_ns=at_ns, action=action, delivered=delivered)
+            for at_ns, action, delivered in commands
         ],
         result="some",
         damage=None,
@@ -24,20 +24,22 @@ def truth(commands=(), sent=()):
     return SimpleNamespace(
         trial=log,
         met=lambda *names: False,
-        of=lambda event: events,
-        commanded=np.array([event["t_ns"] for event in events]) / 1e9,
-        drives=lambda event: event["driven"],
-        first=lambda event: 0.0,
-        rows=(),
+        commands=messages,
+        commanded_s=np.array([message["t_ns"] for message in messages]) / 1e9,
+        drives=lambda message: message["drives"],
+        first_s=lambda kind: 0.0,
+        exposure_of_frame=(),
         faults=(),
     )
 
 
-def said(**day):
-    return [one.found for one in logged(truth(**day))]
+def findings(**day):
+    return [violation.finding for violation in logged(truth(**day))]
 
 
-AHEAD, STAND = (9, 1, [True, True]), (9, 1, [True, False])
+# times [ns], flags and robots driven of a command to drive both robots, or one
+AHEAD = (9, 1, [True, True])
+STAND = (9, 1, [True, False])
 
 
 @pytest.mark.parametrize(
@@ -53,4 +55,4 @@ AHEAD, STAND = (9, 1, [True, True]), (9, 1, [True, False])
     ],
 )
 def test_the_log_has_each_command_as_it_was_sent(commands, sent, text):
-    assert said(commands=commands, sent=sent) == ([text] if text else [])
+    assert findings(commands=commands, sent=sent) == ([text] if text else [])

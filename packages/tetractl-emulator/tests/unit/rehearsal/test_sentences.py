@@ -256,7 +256,7 @@ def test_a_picture_that_comes_late_shows_how_a_robot_stood_before(late_s, wrong)
     truth = with_log([[x, y, heading + 1.2], *STARTS[1:]], fault=late)
     before = truth_at(2.1, 180.0, [[x, y, heading + 1.2], *STARTS[1:]])
     truth.day.events.insert(2, before)
-    for exposure in truth.of("truth"):
+    for exposure in truth.exposures:
         exposure["frame"] = 0  # pictures have no numbers
     assert names_of(3, truth) == ({"untrue"} if wrong else set())
 

@@ -8,7 +8,7 @@ from tetractl.core.table.table import NONE, digits, lengths
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.describe import BatchStatistics, ScaledError
 from tetractl.results.mean_difference import MeanDifference
-from tetractl.results.open_batch import directions_given
+from tetractl.results.open_batch import GIVEN_DIRECTIONS, directions_given
 from tetractl.results.statistic_text import brief_text, full_text
 
 PUBLISHED = "difference from published"
@@ -65,7 +65,7 @@ def _plant(group: BatchStatistics) -> Iterator[BatchRow]:
     """Yield what the trials were run on, and by what."""
     yield _usual("plant", str(group.origin))
     if directions_given(group.experiment):
-        yield _unusual("given directions", "no controller decided; not ranked with controllers")
+        yield _unusual(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
     if group.origin is Origin.DISTURBED:
         # the title of several batches says so
         yield BatchRow("disturbances", "assumed in the spec, not measured", True, "")

@@ -254,6 +254,10 @@ def differences(ours: Experiment, theirs: Experiment) -> list[str]:
     return list(_differences(our_fields, their_fields))
 
 
+GIVEN_DIRECTIONS = "given directions"
+"""What tables and figures call a batch in which no controller decided."""
+
+
 def directions_given(experiment: Experiment) -> bool:
     """Return whether no controller decided: the spec gives the directions. Its errors may come from
     hindsight, so they are no controller's."""

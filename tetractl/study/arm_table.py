@@ -14,7 +14,7 @@ from tetractl.core.table.table import Column, Table
 from tetractl.core.table.table_files import table_files
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
-from tetractl.results.open_batch import Batch, counts
+from tetractl.results.open_batch import GIVEN_DIRECTIONS, Batch, counts, directions_given
 from tetractl.results.tables import error_table, processors_note
 from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
@@ -111,6 +111,12 @@ def field_values(
     return sorted(made, key=lambda group: group.value) if numeric(made) else made
 
 
+def given_note(arms: Sequence[Arm]) -> str:
+    """Return which of several arms were given their directions, "" for none."""
+    given = [arm.name for arm in arms if directions_given(arm.spec.experiment)]
+    return f"{GIVEN_DIRECTIONS}: {', '.join(given)}" if given else ""
+
+
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     """Return the table of arms: total error, aborted trials, and plant."""
     arms, plants = loaded.arms[:LISTED], origins(loaded)[:LISTED]
@@ -119,6 +125,7 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     aborted = Counter(arm.name for arm, trial in found if not trial.outcome.complete)
     errors = error_table(f"{loaded.study.name}: total error [{loaded.unit}]", named, loaded.unit)
     notes = [processors_note(trial.processor for _, trial in found)]
+    notes.append(given_note(arms))
     if Origin.DISTURBED in plants:
         notes.append("disturbances are assumed in the spec, not measured")
     if len(loaded.arms) > LISTED:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from tetractl.results.estimate import ArmErrors
 from tetractl.run.store import Store
-from tetractl.study.arm_table import LISTED, field_values, group_of, origins
+from tetractl.study.arm_table import LISTED, field_values, given_note, group_of, origins
 from tetractl.study.load_study import LoadedStudy
 from tetractl.view import style
 from tetractl.view.figures.sweep import errors_by
@@ -51,7 +51,8 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
     if not every:
         return None
     figure = errors_by(curves, "" if by_arm else field, loaded.unit, len(loaded.paths) == 1)
-    style.headline(figure, _headline(loaded, every))
+    title = [_headline(loaded, every), given_note(shown)]
+    style.headline(figure, "; ".join(filter(None, title)))
     return figure
 
 

@@ -118,6 +118,18 @@ def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     assert found[1::2] == [errors(ran, arm) for arm in ran.loaded.arms]
 
 
+def test_arms_without_a_controller_are_called_given_directions(tmp_path):
+    study = (
+        "name: q\nbase: spec.yaml\ntrials: {count: 1}\n"
+        "controllers:\n  ours: {}\n"
+        "  found: {controller: {type: sequence, directions: [0.1, 0.1]}}\n"
+    )
+    ran = run(tmp_path, study)
+    assert "given directions: found" in arms_table(ran.loaded, ran.store).note
+    (headline,) = (text.get_text() for text in error_figure(ran.loaded, ran.store, "arms").texts)
+    assert headline.endswith("; given directions: found")
+
+
 def test_arms_have_level_names_if_there_is_room(ran):
     few = replace(ran.loaded, arms=ran.loaded.arms[:3])
     for loaded, first, turned in (

@@ -25,7 +25,7 @@ from tetractl.results.estimate import (
     distributions,
     published_distribution,
 )
-from tetractl.results.open_batch import counts
+from tetractl.results.open_batch import GIVEN_DIRECTIONS, counts, directions_given
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder, name_categories
 
@@ -35,11 +35,13 @@ SHADED = 4  # most batches whose bands are shaded: more would hide one another
 
 @dataclass(frozen=True, slots=True)
 class BatchErrors:
-    """The total errors (n,) of a batch's counted trials, with the path of each trial."""
+    """The total errors (n,) of a batch's counted trials, with the path of each trial; and whether
+    no controller decided in them."""
 
     name: str
     totals: Floats
     paths: Sequence[str]
+    given: bool
 
 
 def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
@@ -52,7 +54,8 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
             if log.result is not None and math.isfinite(log.result.total_error)
         ]
         totals = np.array([error for error, _ in known])
-        batches.append(BatchErrors(name, totals, [path for _, path in known]))
+        paths = [path for _, path in known]
+        batches.append(BatchErrors(name, totals, paths, directions_given(found[0].experiment)))
     return _drawn(batches, logs[0].experiment, {})
 
 
@@ -66,7 +69,8 @@ def batch_figure(
     batches = list[BatchErrors]()
     for group in groups:
         paths = [trial.log for trial in group.batch.trials if counts(trial)]
-        batches.append(BatchErrors(group.name, group.totals, paths))
+        given = directions_given(group.experiment)
+        batches.append(BatchErrors(group.name, group.totals, paths, given))
     figure = _drawn(batches, groups[0].experiment, links or {})
     shown = [group for group in groups if group.counted]
     plants = sorted({group.origin.value for group in shown})
@@ -127,7 +131,10 @@ def _dots(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) 
             dots.set_urls(addresses)
         _mean(axes, place + 1.4 * _ASIDE, distributions(batch.totals[None])[0], color)
         name = batch.name if len(batches) > 1 else "this batch"
-        labels.append(f"{name}\nn = {count}")
+        lines = [name, f"n = {count}"]
+        if batch.given:
+            lines.append(GIVEN_DIRECTIONS)
+        labels.append("\n".join(lines))
     return labels
 
 

@@ -46,6 +46,13 @@ def test_every_counted_trial_is_a_dot_at_its_error():
     assert labels == ["ours\nn = 20", "theirs\nn = 7", "published\nn = 20"]
 
 
+def test_a_batch_without_a_controller_is_called_given_directions():
+    given = experiment(controller={"type": "sequence", "directions": [0.1]})
+    left = batch_figure([group(batch(ERRORS[:7].tolist(), given), name="a")]).axes[0]
+    labels = [tick.get_text() for tick in left.get_xticklabels()]
+    assert labels == ["this batch\nn = 7\ngiven directions"]
+
+
 def test_a_dot_links_to_its_trial(tmp_path):
     found = group(batch(ERRORS[:3].tolist()))
     links = {trial.log: f"#trial-{i}" for i, trial in enumerate(found.batch.trials, 1)}

@@ -379,14 +379,20 @@ def compare(
     *batches: "BatchStatistics | Batch | str | Path | Sequence[str | Path]",
 ) -> "BatchComparison":
     """Compare the total errors of every two batches; differences are the first batch minus the
-    second.
+    second. Batches given as folders have the folders' names, others those of `summarise`.
     """
     from tetractl.results.contrast import contrast
     from tetractl.results.describe import BatchStatistics
 
-    return contrast(
-        [one if isinstance(one, BatchStatistics) else summarise(one) for one in batches]
-    )
+    compared = list[BatchStatistics]()
+    for batch in batches:
+        if isinstance(batch, BatchStatistics):
+            compared.append(batch)
+        elif isinstance(batch, str | Path):
+            compared.append(summarise(batch, Path(batch).name))
+        else:
+            compared.append(summarise(batch))
+    return contrast(compared)
 
 
 def plot(

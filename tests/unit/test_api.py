@@ -262,6 +262,13 @@ def test_an_argument_of_another_type_is_refused_in_one_line(name):
     assert "\n" not in error.value.message
 
 
+def test_folders_that_are_compared_have_their_own_names(tmp_path):
+    for name in ("early", "late"):
+        tetractl.run_trial(SPEC_DICT, folder=tmp_path / name)
+    found = tetractl.compare(tmp_path / "early", tmp_path / "late")
+    assert [group.name for group in found.groups] == ["early", "late"]
+
+
 def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
     folder = tmp_path / "logs"
     with pytest.raises(KeyboardInterrupt) as caught:

@@ -1,13 +1,17 @@
 """Triggers and undoes the faults of a script, and records when each became visible.
 
 A fault becomes visible with the first frame exposed during the fault, with the first frame sent
-during it, or at once; see `Visible`. A table next to each device lists its faults; `fault` makes
-each row.
+during it, or at once; see `Visible`. A table next to each device lists its faults; `fault_kind`
+makes each row.
+
+What begins a fault is called as `begin(fault, device)` and returns the function that ends it. Such
+functions are made by `settings`, of attributes to be set, and by `switching`, of a switch.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 from weakref import WeakKeyDictionary
 
@@ -18,7 +22,10 @@ from tetractl.experiment.base import Model, Name, NonNegative, Positive
 from tetractl_emulator.loop import Timeline
 
 Undo = Callable[[], None]
-Begin = Callable[[Any, Any], Undo]  # arguments: device and fault
+"""Ends a fault."""
+Begin = Callable[[Any, Any], Undo]
+"""Begins a fault on a device: `begin(fault, device)`."""
+NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
@@ -33,7 +40,7 @@ class Visible(Enum):
 
 
 class Fault(Model):
-    """A scripted fault; the function `fault` makes a subclass with further fields for each kind."""
+    """A scripted fault; `fault_kind` makes a subclass with further fields for each kind."""
 
     visible: ClassVar[Visible]
     # starts the fault on a device and returns the function that ends it
@@ -51,8 +58,8 @@ class Fault(Model):
 
     def names(self) -> Iterator[str]:
         """Yield the names of robots in the fault's fields."""
-        own = dict(self)
-        yield from (own[key] for key in ("robot", "other") if own.get(key) is not None)
+        fields = dict(self)
+        yield from (fields[key] for key in ("robot", "other") if fields.get(key) is not None)
 
 
 @dataclass(eq=False, slots=True)
@@ -68,20 +75,21 @@ def setting(target: object, **values: object) -> Undo:
     """Set attributes of `target`, an object that is compared by identity; return the function that
     restores the attributes' values. What another fault has set since remains until that one ends.
     """
-    own = _Set({name: getattr(target, name) for name in values})
-    _SET.setdefault(target, []).append(own)
+    this = _Set({name: getattr(target, name) for name in values})
+    _SET.setdefault(target, []).append(this)
     for name, value in values.items():
         setattr(target, name, value)
 
     def undo() -> None:
         running = _SET[target]
-        later = running[running.index(own) + 1 :]
-        running.remove(own)
-        for name, value in own.before.items():
-            if since := next((one for one in later if name in one.before), None):
-                since.before[name] = value
-            else:
+        later = running[running.index(this) + 1 :]
+        running.remove(this)
+        for name, value in this.before.items():
+            set_again = next((fault for fault in later if name in fault.before), None)
+            if set_again is None:
                 setattr(target, name, value)
+            else:
+                set_again.before[name] = value
 
     return undo
 
@@ -90,61 +98,73 @@ def together(undos: Sequence[Undo]) -> Undo:
     """Return the function that ends several faults at once."""
 
     def undo() -> None:
-        for each in undos:
-            each()
+        for end in undos:
+            end()
 
     return undo
 
 
 def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
-    """Return a function that starts a fault: it sets attributes of `target(device, fault)` to
+    """Return a function that begins a fault: it sets attributes of `target(fault, device)` to
     `values`. A value may be a function of the fault.
     """
 
     def begin(fault: Fault, device: Any) -> Undo:
-        now = {name: v(fault) if callable(v) else v for name, v in values.items()}
-        return setting(target(device, fault), **now)
+        return setting(target(fault, device), **values_of(fault, values))
 
     return begin
 
 
+def values_of(fault: Fault, values: Mapping[str, object]) -> dict[str, object]:
+    """Return the values that a fault sets: as they are, or as functions of the fault give them."""
+    return {name: v(fault) if callable(v) else v for name, v in values.items()}
+
+
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return a function that starts a fault: it gets a switch, `act(device, fault)`, and calls it
+    """Return a function that begins a fault: it gets a switch, `act(fault, device)`, and calls it
     with `on`. The fault ends when the switch is called with `not on`.
     """
 
     def begin(fault: Fault, device: Any) -> Undo:
-        switch = act(device, fault)
+        switch = act(fault, device)
         switch(on)
         return lambda: switch(not on)
 
     return begin
 
 
-def fault(
-    name: str, about: str, begin: Begin, visible: Visible = Visible.AT_ONCE, /, **keys: Any
+def fault_kind(
+    name: str,
+    about: str,
+    begin: Begin,
+    visible: Visible = Visible.AT_ONCE,
+    fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
     """Return a kind of fault: a row of a device's table.
 
-    `keys` are the fields that the kind has in a script in addition to those of `Fault`: each a
-    type, or a pair of type and default.
+    `fields` are those that the kind has in a script in addition to those of `Fault`: each a type,
+    or a pair of type and default.
     """
-    fields: dict[str, Any] = {"fault": (Literal[name], ...)}
-    for key, kind in keys.items():
-        fields[key] = kind if isinstance(kind, tuple) else (kind, ...)
-    made = create_model(name, __base__=Fault, __doc__=about, **fields)
-    made.visible, made.begin = visible, begin
-    return made
+    columns: dict[str, Any] = {"fault": (Literal[name], ...)}
+    for key, field_type in fields.items():
+        columns[key] = field_type if isinstance(field_type, tuple) else (field_type, ...)
+    kind = create_model(name, __base__=Fault, __doc__=about, **columns)
+    kind.visible = visible
+    kind.begin = begin
+    return kind
 
 
-UNPLUG = fault(
-    "unplug", "The actuator's port is unplugged.", switching(lambda d, f: d.plugged, False)
+UNPLUG = fault_kind(
+    "unplug", "The actuator's port is unplugged.", switching(lambda f, d: d.plugged, False)
 )
-STUCK_PORT = fault(
-    "stuck_port", "The actuator's port takes no bytes.", switching(lambda d, f: d.port.stall)
+STUCK_PORT = fault_kind(
+    "stuck_port", "The actuator's port takes no bytes.", switching(lambda f, d: d.port.stall)
 )
-MARK = fault(
-    "mark", "Not a fault: only reports a named time.", lambda f, d: lambda: None, name=Name
+MARK = fault_kind(
+    "mark",
+    "Not a fault: only reports a named time.",
+    lambda f, d: lambda: None,
+    fields={"name": Name},
 )
 
 

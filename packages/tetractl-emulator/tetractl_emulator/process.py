@@ -20,7 +20,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.base import Positive
 from tetractl.lab.serial_port import Ports, SerialPort, holder
-from tetractl_emulator.faults import Begin, Undo, fault, switching
+from tetractl_emulator.faults import Begin, Undo, fault_kind, switching
 
 AFTER_NS = SECOND
 """Time for which an emulated lab goes on after the process has ended [ns]: robots come to rest."""
@@ -166,31 +166,30 @@ def _busy(fault: Any, process: Process) -> Undo:
 
 
 PROCESS_FAULTS = (
-    fault(
+    fault_kind(
         "signal",
         "The process that drives the robots gets this signal.",
         _once(lambda f, p: p.signal(f.signal)),
-        signal=SIGNALS,
+        fields={"signal": SIGNALS},
     ),
-    fault("stopped", "That process is suspended, or sleeps.", switching(lambda p, f: p.stop)),
-    fault("disk_full", "The disk for the log is full.", _once(lambda f, p: p.fill_disk())),
-    fault(
+    fault_kind("stopped", "That process is suspended, or sleeps.", switching(lambda f, p: p.stop)),
+    fault_kind("disk_full", "The disk for the log is full.", _once(lambda f, p: p.fill_disk())),
+    fault_kind(
         "host_clock",
         "The computer's monotonic clock jumps by this time [s]; only in virtual time.",
         _once(lambda f, p: p.set_clock(round(f.by * SECOND))),
-        by=Positive,
+        fields={"by": Positive},
     ),
-    fault(
+    fault_kind(
         "busy",
         "Each plan, or one of `every` plans, takes this time [s]; only in virtual time.",
         _busy,
-        seconds=Positive,
-        every=(Annotated[int, Field(ge=1)], 1),
+        fields={"seconds": Positive, "every": (Annotated[int, Field(ge=1)], 1)},
     ),
-    fault(
+    fault_kind(
         "emergency",
         "The operator presses the emergency stop; only in virtual time.",
         _once(lambda f, p: p.press_stop()),
     ),
-    fault("second_run", "A second run opens the port.", _once(lambda f, p: p.run_again())),
+    fault_kind("second_run", "A second run opens the port.", _once(lambda f, p: p.run_again())),
 )

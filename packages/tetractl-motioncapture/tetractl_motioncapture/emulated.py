@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from tetractl_emulator.faults import Fault, Undo, fault
+from tetractl_emulator.faults import Fault, Undo, fault_kind
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
 from tetractl_emulator.rehearsal.participants import Rehearsal
@@ -30,7 +30,7 @@ class EmulatedMotionCapture(PoseStream):
 
     faults: ClassVar[Sequence[type[Fault]]] = (
         *PoseStream.faults,
-        fault("process_ends", "The library's process ends.", _end),
+        fault_kind("process_ends", "The library's process ends.", _end),
     )
 
     @classmethod

@@ -15,7 +15,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
-from tetractl_emulator.faults import Fault, Share, fault, settings
+from tetractl_emulator.faults import Fault, Share, fault_kind, settings
 from tetractl_emulator.firmware import RobotCore
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
@@ -62,24 +62,22 @@ class M3piSettings(Model):
     """The robots whose true properties differ from the spec."""
 
 
-def _robot_of(device: Any, fault: Any) -> EmulatedRobot:
+def _robot_of(fault: Any, device: Any) -> EmulatedRobot:
     return device.robot(fault.robot)
 
 
 FAULTS = (
-    fault(
+    fault_kind(
         "veer",
         "A robot's motors get these counts in place of every count other than 0.",
         settings(_robot_of, veer=attrgetter("counts")),
-        robot=Name,
-        counts=tuple[Count, Count],
+        fields={"robot": Name, "counts": tuple[Count, Count]},
     ),
-    fault(
+    fault_kind(
         "wrong_id",
         "A robot's firmware was built with this broadcast number.",
         settings(_robot_of, index=attrgetter("id"), core=lambda f: RobotCore(f.id)),
-        robot=Name,
-        id=Annotated[int, Field(ge=0, le=31)],
+        fields={"robot": Name, "id": Annotated[int, Field(ge=0, le=31)]},
     ),
     *WHEELED_FAULTS,
 )

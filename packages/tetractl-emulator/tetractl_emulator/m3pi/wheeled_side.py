@@ -24,11 +24,12 @@ from tetractl_emulator.faults import (
     Begin,
     Share,
     Undo,
-    fault,
+    fault_kind,
     setting,
     settings,
     switching,
     together,
+    values_of,
 )
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
@@ -248,127 +249,119 @@ def gains_of_day(setup: Setup, robots: Sequence[Geared]) -> Rehearsal:
     return Rehearsal(world=world)
 
 
-def _robot_of(device: Any, fault: Any) -> EmulatedRobot:
+def _robot_of(fault: Any, device: Any) -> EmulatedRobot:
     return device.robot(fault.robot)
 
 
 def _radios(**values: Any) -> Begin:
-    """Return a function that starts a fault: it sets attributes of all radios."""
+    """Return a function that begins a fault: it sets attributes of all radios."""
 
     def begin(fault: Any, device: Any) -> Undo:
-        now = {name: v(fault) if callable(v) else v for name, v in values.items()}
-        return together([setting(radio, **now) for radio in device.radios])
+        present = values_of(fault, values)
+        return together([setting(radio, **present) for radio in device.radios])
 
     return begin
 
 
 def _weak(fault: Any) -> tuple[float, float]:
-    left, right = (fault.wheel in (side, "both") for side in ("left", "right"))
-    return fault.share if left else 1.0, fault.share if right else 1.0
+    left = fault.share if fault.wheel in ("left", "both") else 1.0
+    right = fault.share if fault.wheel in ("right", "both") else 1.0
+    return left, right
 
 
 STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
 WHEELED_FAULTS = (
-    fault(
+    fault_kind(
         "wheel_stuck",
         "One or both wheels no longer turn.",
         settings(_robot_of, stuck=lambda f: STUCK[f.wheel]),
-        robot=Name,
-        wheel=Wheel,
+        fields={"robot": Name, "wheel": Wheel},
     ),
     UNPLUG,
     STUCK_PORT,
-    fault(
+    fault_kind(
         "loss",
         "Robots do not receive this fraction of the transmissions.",
         _radios(loss=attrgetter("share")),
-        share=Share,
+        fields={"share": Share},
     ),
-    fault(
+    fault_kind(
         "deaf",
         "A robot does not receive this fraction of the transmissions.",
         settings(_robot_of, deaf=attrgetter("share")),
-        robot=Name,
-        share=Share,
+        fields={"robot": Name, "share": Share},
     ),
-    fault(
+    fault_kind(
         "swapped_numbers",
         "Two robots have exchanged numbers: each obeys what is sent to the other.",
         lambda f, d: d.swap_numbers(d.robot(f.robot), d.robot(f.other)),
-        robot=Name,
-        other=Name,
+        fields={"robot": Name, "other": Name},
     ),
-    fault(
+    fault_kind(
         "late_radio",
         "Transmissions arrive late [s].",
         _radios(late_ns=lambda f: round(f.by * SECOND)),
-        by=Positive,
+        fields={"by": Positive},
     ),
-    fault(
+    fault_kind(
         "stopped_elsewhere",
         "Robots hear `tetractl lab stop` by another radio: ten emergency stops.",
         lambda f, d: d.stop_elsewhere(),
     ),
-    fault(
+    fault_kind(
         "overtaken_packets",
         "Transmissions are late by a random time up to this one [s], so that some overtake others.",
         _radios(jitter_ns=lambda f: round(f.by * SECOND)),
-        by=Positive,
+        fields={"by": Positive},
     ),
-    fault(
+    fault_kind(
         "doubled_packets",
         "Robots receive each transmission twice.",
         _radios(doubled=True),
     ),
-    fault(
+    fault_kind(
         "radio_resets",
         "The radio's module restarts: it takes and gives no bytes until it is up again.",
-        switching(lambda d, f: d.restart),
+        switching(lambda f, d: d.restart),
     ),
-    fault(
+    fault_kind(
         "baud",
         "The radio's module has another baud rate.",
         _radios(speed=attrgetter("baud")),
-        baud=Literal[9600, 19200, 38400, 115200],
+        fields={"baud": Literal[9600, 19200, 38400, 115200]},
     ),
-    fault(
+    fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the wire to the radio is changed, both ways.",
         _radios(noise=attrgetter("share")),
-        share=Share,
+        fields={"share": Share},
     ),
-    fault(
+    fault_kind(
         "weak_wheel",
         "A wheel turns at this share of its speed.",
         settings(_robot_of, weak=_weak),
-        robot=Name,
-        wheel=Wheel,
-        share=Share,
+        fields={"robot": Name, "wheel": Wheel, "share": Share},
     ),
-    fault(
+    fault_kind(
         "pushed",
         "Somebody moves a robot on the floor: by this distance [mm] and angle [rad], within 0.2 s, "
         "or at once if it is put elsewhere.",
         lambda f, d: d.push(f),
-        robot=Name,
-        by=Point,
-        turn=(Finite, 0.0),
-        at_once=(bool, False),
+        fields={"robot": Name, "by": Point, "turn": (Finite, 0.0), "at_once": (bool, False)},
     ),
-    fault(
+    fault_kind(
         "off",
         "A robot is switched off.",
-        switching(lambda d, f: _robot_of(d, f).switch, False),
-        robot=Name,
+        switching(lambda f, d: _robot_of(f, d).switch, False),
+        fields={"robot": Name},
     ),
-    fault(
+    fault_kind(
         "low_battery",
         "A robot's battery has this voltage [mV].",
         settings(
-            lambda d, f: _robot_of(d, f).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
+            lambda f, d: _robot_of(f, d).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
-        robot=Name,
-        millivolts=Annotated[int, Field(ge=0, le=9000)],
+        fields={"robot": Name, "millivolts": Annotated[int, Field(ge=0, le=9000)]},
     ),
 )
 """The faults of a `WheeledSide`."""

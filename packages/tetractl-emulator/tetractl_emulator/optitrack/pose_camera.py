@@ -13,6 +13,8 @@ from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, is_somew
 from tetractl_emulator.sides import Stage
 
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
+DELAYED_SHARE = 1 / 250  # of the frames are delayed further
+DELAYED_PERIODS = 0.45  # greatest delay of those [frame periods]
 
 
 class BodyFrame(Protocol):
@@ -37,15 +39,20 @@ class PoseCamera(ABC):
     def __init__(
         self, stage: Stage, tracked: list[TrackedBody], rate: float, latency_s: float, view: View
     ) -> None:
-        self.tracked, self.view, self.trouble = tracked, view, Trouble()
+        self.tracked = tracked
+        self.view = view
+        self.trouble = Trouble()
         self.swapped: set[int] = set()  # the indices of two bodies that exchange their ids
         self.shown_ns = [0] * len(tracked)
         self.timeline = stage.timeline
-        self._stage, self._rate, self._latency_s = stage, rate, latency_s
+        self._stage = stage
+        self._rate = rate
+        self._latency_s = latency_s
         self._random = random.Random(stage.options.seed)
         self._left_ns = 0  # exposure of the last frame sent [ns]
         self._last: Any = None
-        self._start_ns = self._exposures = 0
+        self._start_ns = 0
+        self._exposures = 0
 
     @abstractmethod
     def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> BodyFrame:
@@ -80,28 +87,37 @@ class PoseCamera(ABC):
 
     def _take(self) -> None:
         """Expose one frame, and schedule its sending after the latency."""
-        exposed = now = self.timeline.now_ns
+        now = self.timeline.now_ns
+        exposed = now
         number = self._exposures - self.trouble.counter
         self._stage.exposed(self._exposures, number if self.numbered else 0)
-        jitter = self._random
-        delay = self._latency_s + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
-        if jitter.random() < 1 / 250:
-            delay += jitter.uniform(0, 0.45 / self._rate)
-        delay += self.trouble.late_s
-        if self.trouble.jitter_s:
-            delay += jitter.uniform(0, self.trouble.jitter_s)
+        delay = self._delay_s()
         self.view.creep()
         if self.trouble.outdated:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
         frame = self._shot(number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
-        for _ in range(1 + self.trouble.doubled):
+        times = 2 if self.trouble.doubled else 1
+        for _ in range(times):
             self.timeline.at(leaves, partial(self._leave, self._exposures, now, frame))
         self._plan()
 
+    def _delay_s(self) -> float:
+        """Draw the time from an exposure to the sending of its frame [s]."""
+        jitter = self._random
+        normal_s = jitter.gauss(0, JITTER_S)
+        delay_s = self._latency_s + min(max(normal_s, -4 * JITTER_S), 4 * JITTER_S)
+        if jitter.random() < DELAYED_SHARE:
+            delay_s += jitter.uniform(0, DELAYED_PERIODS / self._rate)
+        delay_s += self.trouble.late_s
+        if self.trouble.jitter_s:
+            delay_s += jitter.uniform(0, self.trouble.jitter_s)
+        return delay_s
+
     def _leave(self, exposure: int, exposed_ns: int, frame: BodyFrame) -> None:
-        slow = exposed_ns != self._left_ns < exposed_ns < self._left_ns + SECOND / self.trouble.hz
+        """Send a frame unless the server's trouble forbids it, and remember whom it showed."""
+        slow = self._left_ns < exposed_ns < self._left_ns + SECOND / self.trouble.hz
         if self.trouble.frozen and self._last is not None:
             frame = self._last
         self._last = frame
@@ -114,18 +130,20 @@ class PoseCamera(ABC):
 
     def _show(self, exposed_ns: int, frame: BodyFrame) -> None:
         """Remember when each robot was last shown as tracked."""
-        seen = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
+        shown = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
         for i, body in enumerate(self.tracked):
-            if body.id in seen:
+            if body.id in shown:
                 self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)
 
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
-        bodies = [each.expose(self.view) for each in self.tracked]
+        bodies = [body.expose(self.view) for body in self.tracked]
         if len(self.swapped) == 2:
             i, j = self.swapped
-            one, other = bodies[i], bodies[j]
-            bodies[i], bodies[j] = replace(other, id=one.id), replace(one, id=other.id)
+            first = bodies[i]
+            second = bodies[j]
+            bodies[i] = replace(second, id=first.id)
+            bodies[j] = replace(first, id=second.id)
         streamed = {body.id for body in self.tracked if body.streamed}
         return tuple(body for body in bodies if body.id in streamed)
 

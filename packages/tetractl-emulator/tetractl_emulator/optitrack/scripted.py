@@ -1,4 +1,9 @@
-"""What a script may change of the emulated cameras of type `optitrack`: settings and faults."""
+"""What a script may change of the emulated cameras of type `optitrack`: settings and faults.
+
+`OptitrackSettings` holds for a whole run. `FAULTS`, at the end, is the table of faults: what each
+sets while it lasts is the server's `Trouble` or `ServerClock`, one robot's `TrackedBody`, or the
+`View` of all. Lengths are in mm, angles in rad, times in s; displacements are complex, x + iy.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,10 +17,30 @@ from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.natnet import Version
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, setting, settings, together
-from tetractl_emulator.optitrack.tracked_body import Change, TrackedBody, halved, nowhere, rolled
+from tetractl_emulator.faults import (
+    NO_FIELDS,
+    Fault,
+    Share,
+    Undo,
+    Visible,
+    fault_kind,
+    setting,
+    settings,
+    together,
+)
+from tetractl_emulator.optitrack.tracked_body import (
+    Change,
+    Creep,
+    TrackedBody,
+    halved,
+    nowhere,
+    rolled,
+)
 
 CLOCK_HZ = 10_000_000
+"""Ticks of the server's clock in a second."""
+CLOCK_START = 0x1234_5678_9ABC
+"""The server's clock when the host's is 0 [ticks]: arbitrary, so that nobody relies on it."""
 
 
 class TrueBody(Model):
@@ -66,26 +91,34 @@ class OptitrackSettings(Model):
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Trouble:
-    """The present faults: the server is silent (no answers, no frames), sends no frames, repeats
-    the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
-    the fraction `damaged` of its frames, packs frames in another `version`, or sends `outdated`
-    frames whose exposure times are `outdated_s` [s] too early. It sends frames `late_s` late, up to
-    `jitter_s` later still at random, each once more if `doubled`, at most `hz` of them a second.
-    """
+    """What is wrong with the server now; faults set the fields, and restore them when they end."""
 
     silent: bool = False
+    """Whether it gives no answers and sends no frames."""
     no_frames: bool = False
+    """Whether it sends no frames, but gives answers."""
     frozen: bool = False
+    """Whether it sends the same frame again and again."""
     counter: int = 0
+    """By how much the frame counter has been set back."""
     edit_mode: bool = False
+    """Whether Motive is in edit mode."""
     damaged: float = 0.0
+    """Fraction of the frames that are damaged."""
     version: Version | None = None
+    """Protocol version of the frames, if it is another than the server reports."""
     outdated: int = 0
+    """Number of frames to come whose exposure times are too early."""
     outdated_s: float = 0.0
+    """By how much the exposure times of those frames are too early [s]."""
     late_s: float = 0.0
+    """Time by which frames are sent late [s]."""
     jitter_s: float = 0.0
+    """Greatest random time by which frames are sent later still [s]."""
     doubled: bool = False
+    """Whether each frame is sent twice."""
     hz: float = math.inf
+    """Most frames that are sent in a second."""
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -100,47 +133,75 @@ class ServerClock:
 
     def ticks(self, when_ns: int) -> int:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
-        gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
-        start = 0x1234_5678_9ABC  # of the server's clock, which is arbitrary [ticks]
-        return start + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
+        gained_ns = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
+        return CLOCK_START + (when_ns + self.ahead_ns + gained_ns) * CLOCK_HZ // SECOND
 
 
-def _body(device: Any, fault: Any) -> TrackedBody:
+# Kinds of faults, by what they act on: `sets` are attributes and their values, or functions of the
+# fault that give them; `fields` are what a script has to say of the fault.
+
+SENT = Visible.SENT
+EXPOSED = Visible.EXPOSED
+
+
+def _server_fault(
+    name: str,
+    about: str,
+    visible: Visible,
+    sets: Mapping[str, object],
+    fields: Mapping[str, Any] = NO_FIELDS,
+) -> type[Fault]:
+    """Return a kind of fault of the server, which sets attributes of its `Trouble`."""
+    begin = settings(lambda fault, device: device.trouble, **sets)
+    return fault_kind(name, about, begin, visible, fields)
+
+
+def _body_fault(
+    name: str, about: str, sets: Mapping[str, object], fields: Mapping[str, Any] = NO_FIELDS
+) -> type[Fault]:
+    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
+    return fault_kind(name, about, settings(_body, **sets), EXPOSED, {"robot": Name, **fields})
+
+
+def _pose_fault(
+    name: str,
+    about: str,
+    change_of: Callable[[Any], Change],
+    fields: Mapping[str, Any] = NO_FIELDS,
+) -> type[Fault]:
+    """Return a kind of fault that changes each reported pose of one robot's rigid body, by the
+    function `change_of(fault)`.
+    """
+
+    def begin(fault: Any, device: Any) -> Undo:
+        changes = _body(fault, device).changes
+        change = change_of(fault)
+        changes.append(change)
+        return lambda: changes.remove(change)
+
+    return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields})
+
+
+def _body(fault: Any, device: Any) -> TrackedBody:
     return device.tracked_body(fault.robot)
 
 
-def _trouble(
-    name: str, about: str, visible: Visible, fields: Mapping[str, Any] = {}, **values: object
-) -> type[Fault]:
-    """Return a kind of fault of the server, which sets attributes of its `Trouble`."""
-    return fault(name, about, settings(lambda d, f: d.trouble, **values), visible, **fields)
+def _displacement(fault: Any) -> complex:
+    return complex(*fault.by)
 
 
-def _of_body(
-    name: str, about: str, fields: Mapping[str, Any] = {}, **values: object
-) -> type[Fault]:
-    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
-    return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
+def _repeat_poses(fault: Any, device: Any) -> Undo:
+    bodies = device.tracked if fault.robot is None else [_body(fault, device)]
+    return together([setting(body, repeats=True) for body in bodies])
 
 
-def _changed(name: str, about: str, change: Callable[[Any], Change], **fields: Any) -> type[Fault]:
-    """Return a kind of fault of one robot's rigid body, also changed by `change(fault)`."""
-
-    def begin(fault: Any, device: Any) -> Undo:
-        changes, own = _body(device, fault).changes, change(fault)
-        changes.append(own)
-        return lambda: changes.remove(own)
-
-    return fault(name, about, begin, EXPOSED, robot=Name, **fields)
-
-
-def _repeat(fault: Any, device: Any) -> Undo:
-    chosen = [b for b in device.tracked if fault.robot in (None, b.robot.name)]
-    return together([setting(body, repeats=True) for body in chosen])
-
-
-def _swap(fault: Any, device: Any) -> Undo:
+def _swap_bodies(fault: Any, device: Any) -> Undo:
     return setting(device, swapped={device.place_of(fault.robot), device.place_of(fault.other)})
+
+
+def _twin_ids(fault: Any, device: Any) -> Undo:
+    other = device.tracked_body(fault.other)
+    return setting(_body(fault, device), id=other.id)
 
 
 def _set_clock(fault: Any, device: Any) -> Undo:
@@ -152,144 +213,178 @@ def _run_clock(fault: Any, device: Any) -> Undo:
     return setting(device.clock, rate=fault.rate, since_ns=device.timeline.now_ns)
 
 
-def _picture(fault: Any, device: Any) -> Undo:
-    way, view = complex(*fault.by), device.view
+def _change_picture(fault: Any, device: Any) -> Undo:
+    """Change the picture at once, or let it creep from now on, in place of how it crept before."""
+    view = device.view
     if fault.creeps:
-        return setting(view, creeps=(way, fault.scale, fault.turn))
-    shift, grown, turned = view.shift + way, view.grown * fault.scale, view.turned + fault.turn
-    return setting(view, shift=shift, grown=grown, turned=turned)
+        return setting(view, creeps=Creep(_displacement(fault), fault.scale, fault.turn))
+    return setting(
+        view,
+        shift=view.shift + _displacement(fault),
+        grown=view.grown * fault.scale,
+        turned=view.turned + fault.turn,
+    )
 
 
-def _twin(fault: Any, device: Any) -> Undo:
-    return setting(_body(device, fault), id=device.tracked_body(fault.other).id)
-
-
-SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
 Axes = Literal["floor", "robot"]
+
 FAULTS = (
-    _trouble("no_server", "The server sends nothing.", SENT, silent=True),
-    _trouble("no_frames", "No frames are sent.", SENT, no_frames=True),
-    _trouble("freeze", "The same frame is sent repeatedly.", SENT, frozen=True),
-    _trouble(
+    # of the server
+    _server_fault("no_server", "The server sends nothing.", SENT, {"silent": True}),
+    _server_fault("no_frames", "No frames are sent.", SENT, {"no_frames": True}),
+    _server_fault("freeze", "The same frame is sent repeatedly.", SENT, {"frozen": True}),
+    _server_fault(
         "counter_back",
         "The frame number goes back by this number.",
         EXPOSED,
-        {"frames": Frames},
-        counter=attrgetter("frames"),
+        sets={"counter": attrgetter("frames")},
+        fields={"frames": Frames},
     ),
-    _trouble("edit_mode", "Motive is in edit mode.", EXPOSED, edit_mode=True),
-    _trouble(
+    _server_fault("edit_mode", "Motive is in edit mode.", EXPOSED, {"edit_mode": True}),
+    _server_fault(
         "bad_datagrams",
         "A fraction of the frames is damaged.",
         SENT,
-        {"share": Share},
-        damaged=attrgetter("share"),
+        sets={"damaged": attrgetter("share")},
+        fields={"share": Share},
     ),
-    _trouble(
+    _server_fault(
         "other_version",
         "Frames have another protocol version than the server reports.",
         SENT,
-        {"version": VersionText},
-        version=lambda f: Version.of(f.version),
+        sets={"version": lambda fault: Version.of(fault.version)},
+        fields={"version": VersionText},
     ),
-    _trouble(
+    _server_fault(
         "outdated",
         "This number of frames has exposure times that are too early by this time [s].",
         EXPOSED,
-        {"by": Positive, "frames": (Frames, 1)},
-        outdated=attrgetter("frames"),
-        outdated_s=attrgetter("by"),
+        sets={"outdated": attrgetter("frames"), "outdated_s": attrgetter("by")},
+        fields={"by": Positive, "frames": (Frames, 1)},
     ),
-    _trouble(
-        "late_frames", "Frames are late [s].", SENT, {"by": Positive}, late_s=attrgetter("by")
+    _server_fault(
+        "late_frames",
+        "Frames are late [s].",
+        SENT,
+        sets={"late_s": attrgetter("by")},
+        fields={"by": Positive},
     ),
-    _trouble(
+    _server_fault(
         "reordered",
         "Frames are late by a random time up to this one [s], so that some overtake others.",
         SENT,
-        {"by": Positive},
-        jitter_s=attrgetter("by"),
+        sets={"jitter_s": attrgetter("by")},
+        fields={"by": Positive},
     ),
-    _trouble("doubled_frames", "Each frame is sent twice.", SENT, doubled=True),
-    _trouble(
+    _server_fault("doubled_frames", "Each frame is sent twice.", SENT, {"doubled": True}),
+    _server_fault(
         "slow_frames",
         "At most this number of frames is sent each second.",
         SENT,
-        {"rate": Positive},
-        hz=attrgetter("rate"),
+        sets={"hz": attrgetter("rate")},
+        fields={"rate": Positive},
     ),
-    fault(
+    # of the whole picture
+    fault_kind(
         "picture",
         "The whole picture is displaced [mm], grown by a factor and turned [rad], by so much in "
         "each frame if it creeps.",
-        _picture,
+        _change_picture,
         EXPOSED,
-        by=(Point, (0.0, 0.0)),
-        scale=(Positive, 1.0),
-        turn=(Finite, 0.0),
-        creeps=(bool, False),
+        fields={
+            "by": (Point, (0.0, 0.0)),
+            "scale": (Positive, 1.0),
+            "turn": (Finite, 0.0),
+            "creeps": (bool, False),
+        },
     ),
-    _of_body("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
-    _of_body(
+    # of one body
+    _body_fault(
+        "untracked", "A body is not tracked; its last pose is repeated.", {"tracked": False}
+    ),
+    _body_fault(
         "half_tracked",
         "A body is not tracked in this fraction of the frames.",
-        {"share": Share},
-        missing=attrgetter("share"),
+        sets={"missing": attrgetter("share")},
+        fields={"share": Share},
     ),
-    _of_body(
+    _body_fault(
         "jump",
         "A body's pose jumps by this distance [mm].",
-        {"by": Point},
-        shift=lambda f: complex(*f.by),
+        sets={"shift": _displacement},
+        fields={"by": Point},
     ),
-    _of_body(
+    _body_fault(
         "ghost",
         "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
         "frame, along the spec's axes or along and left of the robot's heading.",
-        {"by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
-        step=lambda f: complex(*f.by),
-        own=lambda f: f.axes == "robot",
-        turn=attrgetter("turn"),
-        shift=0j,
-        turned=0.0,
+        sets={
+            "step": _displacement,
+            "own": lambda fault: fault.axes == "robot",
+            "turn": attrgetter("turn"),
+            "shift": 0j,
+            "turned": 0.0,
+        },
+        fields={"by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
     ),
-    _of_body(
+    _body_fault(
         "slip",
         "A robot's marker plate slips by this distance along and left of its heading [mm], and "
         "turns by an angle [rad].",
-        {"by": Point, "turn": (Finite, 0.0)},
-        plate=lambda f: complex(*f.by),
-        plate_turned=attrgetter("turn"),
+        sets={"plate": _displacement, "plate_turned": attrgetter("turn")},
+        fields={"by": Point, "turn": (Finite, 0.0)},
     ),
-    _of_body(
+    _body_fault(
         "lifted",
         "A body is seen at this height above the floor [mm].",
-        {"height": Finite},
-        height=attrgetter("height"),
+        sets={"height": attrgetter("height")},
+        fields={"height": Finite},
     ),
-    _changed(
+    _pose_fault(
         "tipped",
         "A body is seen rolled about its own x axis by this angle [rad].",
-        lambda f: rolled(f.angle),
-        angle=Finite,
+        lambda fault: rolled(fault.angle),
+        fields={"angle": Finite},
     ),
-    _changed("nan", "A body's position is not a number.", lambda f: nowhere),
-    _changed("bad_quaternion", "A body's quaternion does not have norm 1.", lambda f: halved),
-    fault(
+    _pose_fault("nan", "A body's position is not a number.", lambda fault: nowhere),
+    _pose_fault(
+        "bad_quaternion", "A body's quaternion does not have norm 1.", lambda fault: halved
+    ),
+    # of several bodies
+    fault_kind(
         "repeat",
         "The pose of a body, or of all bodies, is repeated in new frames.",
-        _repeat,
+        _repeat_poses,
         EXPOSED,
-        robot=(Name | None, None),
+        fields={"robot": (Name | None, None)},
     ),
-    fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
-    fault("twin_id", "A body has the id of another body.", _twin, EXPOSED, robot=Name, other=Name),
-    fault("clock_jump", "The server's clock is set forward by a time [s].", _set_clock, by=Finite),
-    fault(
+    fault_kind(
+        "swap",
+        "Two bodies swap identities.",
+        _swap_bodies,
+        EXPOSED,
+        fields={"robot": Name, "other": Name},
+    ),
+    fault_kind(
+        "twin_id",
+        "A body has the id of another body.",
+        _twin_ids,
+        EXPOSED,
+        fields={"robot": Name, "other": Name},
+    ),
+    # of the server's clock
+    fault_kind(
+        "clock_jump",
+        "The server's clock is set forward by a time [s].",
+        _set_clock,
+        fields={"by": Finite},
+    ),
+    fault_kind(
         "clock_rate",
         "The server's clock advances by this time [s] each second.",
         _run_clock,
-        rate=Positive,
+        fields={"rate": Positive},
     ),
 )
+"""The faults of these cameras, as a script names them."""

@@ -12,6 +12,18 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl_emulator.sides import Body
 
 Change = Callable[[RigidBody], RigidBody]
+"""Changes a body as it is reported."""
+
+
+@dataclass(frozen=True, slots=True)
+class Creep:
+    """By how much a picture changes from one exposure to the next: it is displaced by `shift` [mm],
+    grown by a factor and turned by an angle [rad].
+    """
+
+    shift: complex = 0j
+    factor: float = 1.0
+    angle: float = 0.0
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -20,8 +32,7 @@ class View:
     `origin` [mm] and `rotation` [rad].
 
     Faults set the other fields: the picture is turned about the origin by `turned` [rad], `grown`
-    by a factor and displaced by `shift` [mm]; each changes by `creeps` at an exposure: a distance
-    [mm], a factor and an angle [rad].
+    by a factor and displaced by `shift` [mm]; each changes by `creeps` at an exposure.
     """
 
     up: UpAxis = UpAxis.Y
@@ -30,24 +41,28 @@ class View:
     shift: complex = 0j
     grown: float = 1.0
     turned: float = 0.0
-    creeps: tuple[complex, float, float] = (0j, 1.0, 0.0)
+    creeps: Creep = Creep()
 
     def creep(self) -> None:
         """Let the picture change as it does from one exposure to the next."""
-        way, factor, angle = self.creeps
-        self.shift, self.grown = self.shift + way, self.grown * factor
-        self.turned += angle
+        self.shift += self.creeps.shift
+        self.grown *= self.creeps.factor
+        self.turned += self.creeps.angle
 
     def body(self, number: int, x: float, y: float, heading: float, height: float) -> RigidBody:
         """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
-        at = (complex(x, y) - complex(*self.origin)) * cmath.rect(self.grown, self.turned)
-        at = (at + self.shift) * cmath.rect(1e-3, -self.rotation)
+        from_origin = complex(x, y) - complex(*self.origin)
+        in_picture = from_origin * cmath.rect(self.grown, self.turned) + self.shift
+        floor_m = in_picture * cmath.rect(1e-3, -self.rotation)
+        height_m = height / 1000
         half = cmath.rect(1.0, (heading + self.turned - self.rotation) / 2)
         if self.up is UpAxis.Z:
-            position, quaternion = (at.real, at.imag, height / 1000), (0.0, 0.0, half.imag)
+            position = (floor_m.real, floor_m.imag, height_m)
+            quaternion = (0.0, 0.0, half.imag, half.real)
         else:
-            position, quaternion = (at.real, height / 1000, -at.imag), (0.0, half.imag, 0.0)
-        return RigidBody(number, position, (*quaternion, half.real), True)
+            position = (floor_m.real, height_m, -floor_m.imag)
+            quaternion = (0.0, half.imag, 0.0, half.real)
+        return RigidBody(number, position, quaternion, True)
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -82,28 +97,31 @@ class TrackedBody:
     plate: complex = 0j
     plate_turned: float = 0.0
     changes: list[Change] = field(default_factory=list)
-    seen: RigidBody | None = None  # the body at its last tracked pose
+    last_tracked: RigidBody | None = None  # the body at its last tracked pose
 
     def expose(self, view: View) -> RigidBody:
         """Return the body as the cameras report it now; an untracked body keeps its last pose."""
         tracked = self.tracked and not (self.missing and self.random.random() < self.missing)
-        if self.seen is None or (tracked and not self.repeats):
+        if self.last_tracked is None or (tracked and not self.repeats):
             self._look(view)
-        assert self.seen is not None, "it was exposed"
+        assert self.last_tracked is not None, "it was exposed"
         if not tracked:
-            return replace(self.seen, tracking_valid=False)
-        return reduce(lambda body, change: change(body), self.changes, self.seen)
+            return replace(self.last_tracked, tracking_valid=False)
+        return reduce(lambda body, change: change(body), self.changes, self.last_tracked)
 
     def _look(self, view: View) -> None:
-        robot, draw, heading = self.robot, self.random.gauss, self.robot.heading
-        self.shift += self.step * (cmath.rect(1.0, heading) if self.own else 1.0)
+        robot = self.robot
+        robot_axes = cmath.rect(1.0, robot.heading)
+        self.shift += self.step * (robot_axes if self.own else 1.0)
         self.turned += self.turn
-        way, angle = self.noise
-        off = self.shift + self.plate * cmath.rect(1.0, heading)
-        x, y = robot.x + off.real + draw(0, way), robot.y + off.imag + draw(0, way)
+        off = self.shift + self.plate * robot_axes
         turned = self.turned + self.plate_turned - self.offset
-        heading = heading + turned + draw(0, angle)
-        self.seen = view.body(self.id, x, y, heading, self.height)
+        noise_mm, noise_rad = self.noise
+        draw = self.random.gauss
+        x = robot.x + off.real + draw(0, noise_mm)
+        y = robot.y + off.imag + draw(0, noise_mm)
+        heading = robot.heading + turned + draw(0, noise_rad)
+        self.last_tracked = view.body(self.id, x, y, heading, self.height)
 
 
 def nowhere(body: RigidBody) -> RigidBody:
@@ -125,7 +143,8 @@ def is_somewhere(body: RigidBody) -> bool:
 
 def rolled(angle: float) -> Change:
     """Return a function that turns a body about its own x axis by `angle` [rad]."""
-    sin, cos = math.sin(angle / 2), math.cos(angle / 2)
+    sin = math.sin(angle / 2)
+    cos = math.cos(angle / 2)
 
     def roll(body: RigidBody) -> RigidBody:
         x, y, z, w = body.quaternion

@@ -28,7 +28,7 @@ from tetractl_emulator.faults import (
     Fault,
     Share,
     Undo,
-    fault,
+    fault_kind,
     setting,
     settings,
     switching,
@@ -149,7 +149,7 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-def _driver_of(device: Any, fault: Any) -> CurrentDriver:
+def _driver_of(fault: Any, device: Any) -> CurrentDriver:
     return device.driver
 
 
@@ -189,7 +189,7 @@ def _dives(fault: Any, device: Any) -> Undo:
     return lambda: None
 
 
-def _rests(device: Any, fault: Any) -> Callable[[bool], None]:
+def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
     row = _row(fault, device)
     return lambda resting: device.dish.cells.rest(row, resting)
 
@@ -197,54 +197,59 @@ def _rests(device: Any, fault: Any) -> Callable[[bool], None]:
 FAULTS = (
     UNPLUG,
     STUCK_PORT,
-    fault("off", "The driver is switched off.", switching(lambda d, f: d.driver.switch, False)),
-    fault(
+    fault_kind(
+        "off", "The driver is switched off.", switching(lambda f, d: d.driver.switch, False)
+    ),
+    fault_kind(
         "low_supply",
         "The driver's supply has this voltage [mV].",
         settings(_driver_of, supply_mv=attrgetter("millivolts")),
-        millivolts=Annotated[int, Field(ge=0, le=60_000)],
+        fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
     ),
-    fault(
+    fault_kind(
         "hot",
         "The coils have this temperature [degrees Celsius].",
         settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
-        celsius=Annotated[float, Field(ge=0, le=200)],
+        fields={"celsius": Annotated[float, Field(ge=0, le=200)]},
     ),
-    fault("divides", "A cell divides into two.", _divides, cell=Name),
-    fault("rests", "A cell stops swimming.", switching(_rests), cell=Name),
-    fault(
+    fault_kind("divides", "A cell divides into two.", _divides, fields={"cell": Name}),
+    fault_kind("rests", "A cell stops swimming.", switching(_rests), fields={"cell": Name}),
+    fault_kind(
         "dives",
         "A cell leaves the focal plane by this height [um], and returns within seconds.",
         _dives,
-        cell=Name,
-        by_um=(Finite, 300.0),
+        fields={"cell": Name, "by_um": (Finite, 300.0)},
     ),
-    fault(
+    fault_kind(
         "late_driver",
         "What the driver receives arrives late [s].",
         settings(_driver_of, late_ns=lambda f: round(f.by * SECOND)),
-        by=Positive,
+        fields={"by": Positive},
     ),
-    fault(
+    fault_kind(
         "doubled_commands",
         "The driver receives each command twice.",
         settings(_driver_of, doubled=True),
     ),
-    fault(
+    fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the driver's wire is changed, both ways.",
         settings(_driver_of, noise=attrgetter("share")),
-        share=Share,
+        fields={"share": Share},
     ),
-    fault(
+    fault_kind(
         "weak_coils",
         "A coil pair makes this share of its field: less than 0, the other way.",
         _coils(_weak),
-        axis=Literal["x", "y"],
-        share=Annotated[float, Field(ge=-1, le=1)],
+        fields={"axis": Literal["x", "y"], "share": Annotated[float, Field(ge=-1, le=1)]},
     ),
-    fault("turned_coils", "The coils are turned by this angle [rad].", _coils(_turned), by=Finite),
-    fault("mute", "The driver receives but does not reply.", settings(_driver_of, mute=True)),
+    fault_kind(
+        "turned_coils",
+        "The coils are turned by this angle [rad].",
+        _coils(_turned),
+        fields={"by": Finite},
+    ),
+    fault_kind("mute", "The driver receives but does not reply.", settings(_driver_of, mute=True)),
 )
 
 

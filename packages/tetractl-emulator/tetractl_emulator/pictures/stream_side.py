@@ -18,7 +18,7 @@ from tetractl.core.poses import Floats, Grey
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import LabSection
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault, settings
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault_kind, settings
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, part
@@ -109,29 +109,33 @@ def _late(fault: Any, device: Any) -> Undo:
 
 
 STREAM_FAULTS = (
-    fault("no_frames", "No pictures are exposed.", _freeze, Visible.SENT),
-    fault(
+    fault_kind("no_frames", "No pictures are exposed.", _freeze, Visible.SENT),
+    fault_kind(
         "repeat",
         "The same picture is sent repeatedly, at the camera's rate.",
         _repeat,
         Visible.SENT,
     ),
-    fault(
+    fault_kind(
         "half_rate",
         "Only every second picture, or every n-th, is sent.",
-        settings(lambda d, f: d.camera, every=attrgetter("every")),
+        settings(lambda f, d: d.camera, every=attrgetter("every")),
         Visible.SENT,
-        every=(Annotated[int, Field(ge=2, le=1000)], 2),
+        fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
     ),
-    fault("late_pictures", "Pictures come later by this time [s].", _late, by=Positive),
-    fault(
+    fault_kind(
+        "late_pictures", "Pictures come later by this time [s].", _late, fields={"by": Positive}
+    ),
+    fault_kind(
         "bad_pictures",
         "A fraction of the pictures is cut short, with or without an end marker, has a header that "
         "states 32767 x 32767 pixels, is lost or is sent twice.",
         _spoil,
         Visible.SENT,
-        share=Share,
-        how=(Literal["cut", "cut_ended", "oversized", "lost", "doubled"], "cut"),
+        fields={
+            "share": Share,
+            "how": (Literal["cut", "cut_ended", "oversized", "lost", "doubled"], "cut"),
+        },
     ),
 )
 

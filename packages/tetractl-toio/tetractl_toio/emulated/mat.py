@@ -6,7 +6,7 @@ from random import Random
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
-from tetractl_emulator.faults import Fault, Undo, Visible, fault, setting, settings, together
+from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind, setting, settings, together
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
@@ -40,8 +40,8 @@ class Eye:
     last: Reading | None = None
 
 
-def _eye(device: Any, own: Any) -> Eye:
-    return device.eyes[device.names.index(own.robot)]
+def _eye(fault: Any, device: Any) -> Eye:
+    return device.eyes[device.names.index(fault.robot)]
 
 
 def _freeze(_: Any, device: Any) -> Undo:
@@ -50,22 +50,21 @@ def _freeze(_: Any, device: Any) -> Undo:
 
 SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
 FAULTS = (
-    fault("no_frames", "No cube reports.", settings(lambda d, f: d, silent=True), SENT),
-    fault("freeze", "All cubes report the same again and again.", _freeze, SENT),
-    fault(
+    fault_kind("no_frames", "No cube reports.", settings(lambda f, d: d, silent=True), SENT),
+    fault_kind("freeze", "All cubes report the same again and again.", _freeze, SENT),
+    fault_kind(
         "untracked",
         "A cube does not see the mat.",
         settings(_eye, hidden=True),
         EXPOSED,
-        robot=Name,
+        fields={"robot": Name},
     ),
-    fault(
+    fault_kind(
         "jump",
         "A cube reads another place, away by this distance [mm].",
         settings(_eye, shift=attrgetter("by")),
         EXPOSED,
-        robot=Name,
-        by=Point,
+        fields={"robot": Name, "by": Point},
     ),
 )
 

@@ -12,8 +12,7 @@ from support.lab_processes import emulated, turn_until
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES, SCRIPTS
 from support.virtual_lab import virtual_lab
-from tetractl_emulator.faults import Injector, Visible, setting
-from tetractl_emulator.faults import fault as kind_of
+from tetractl_emulator.faults import Injector, Visible, fault_kind, setting
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.scripted import FAULTS
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
@@ -204,7 +203,7 @@ def test_a_fault_is_over_after_its_time(tmp_path):
 
 def test_a_fault_is_told_with_the_first_frame_that_was_exposed_during_it():
     told, timeline = [], Timeline(lambda until_ns: None)
-    hidden = kind_of("hidden", "A fault.", lambda *_: lambda: None, Visible.EXPOSED)
+    hidden = fault_kind("hidden", "A fault.", lambda *_: lambda: None, Visible.EXPOSED)
     faults = (hidden(fault="hidden", since="start"),)
     injector = Injector(timeline, faults, lambda _: None, lambda phase, _: told.append(phase))
     injector.happened("start")

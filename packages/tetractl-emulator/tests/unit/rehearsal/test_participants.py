@@ -5,7 +5,7 @@ import pytest
 from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES
-from tetractl_emulator.faults import UNPLUG, fault
+from tetractl_emulator.faults import UNPLUG, fault_kind
 from tetractl_emulator.rehearsal.day import plan_of_day
 from tetractl_emulator.rehearsal.participants import Rehearsal, rehearsal_of
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
@@ -92,7 +92,7 @@ def test_a_side_of_its_own_has_rows_of_its_own_in_place_of_the_tables(monkeypatc
     plug = FaultRow("cable cut", "unplug", "cable", weight=2.0)
 
     class Own(EmulatedTwist):
-        faults = (UNPLUG, fault("flood", "Water.", lambda fault, device: lambda: None))
+        faults = (UNPLUG, fault_kind("flood", "Water.", lambda fault, device: lambda: None))
 
         @classmethod
         def rehearsal(cls, lab, setup):

@@ -21,7 +21,7 @@ from tetractl.core.poses import Floats, Grey, Poses
 from tetractl.core.setup import MM
 from tetractl.experiment.base import Model, Name, NonNegative
 from tetractl.experiment.lab_section import entry
-from tetractl_emulator.faults import Fault, Undo, Visible, fault
+from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind
 from tetractl_emulator.pictures.stream_side import (
     SPARE_PX,
     STREAM_FAULTS,
@@ -274,7 +274,13 @@ class EmulatedAprilTag(StreamedCamera):
     Settings: ClassVar[type[Model]] = AprilTagSettings
     faults: ClassVar[Sequence[type[Fault]]] = (
         *STREAM_FAULTS,
-        fault("untracked", "A robot's tag is covered.", _cover, Visible.EXPOSED, robot=Name),
+        fault_kind(
+            "untracked",
+            "A robot's tag is covered.",
+            _cover,
+            Visible.EXPOSED,
+            fields={"robot": Name},
+        ),
     )
 
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:

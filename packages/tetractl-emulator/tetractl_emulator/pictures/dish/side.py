@@ -16,7 +16,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import Bodies, bodies
-from tetractl_emulator.faults import Fault, Undo, Visible, fault
+from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind
 from tetractl_emulator.pictures.dish.live_dish import CellBody
 from tetractl_emulator.pictures.dish.picture import (
     SUB_EXPOSURES,
@@ -90,7 +90,7 @@ class EmulatedMicroscope(StreamedCamera):
     Settings: ClassVar[type[Model]] = MicroscopeSettings
     faults: ClassVar[Sequence[type[Fault]]] = (
         *STREAM_FAULTS,
-        fault(
+        fault_kind(
             "light",
             "The light is multiplied by a factor, and flickers by a fraction of itself at 100 Hz.",
             _changes(
@@ -99,31 +99,39 @@ class EmulatedMicroscope(StreamedCamera):
                 flicker=lambda f, look: f.flicker,
             ),
             Visible.EXPOSED,
-            share=(Annotated[float, Field(ge=0, le=10)], 1.0),
-            flicker=(Annotated[float, Field(ge=0, le=1)], 0.0),
+            fields={
+                "share": (Annotated[float, Field(ge=0, le=10)], 1.0),
+                "flicker": (Annotated[float, Field(ge=0, le=1)], 0.0),
+            },
         ),
-        fault(
+        fault_kind(
             "focus",
             "The focus is off by this height [um].",
             _changes(focus_um=lambda f, look: f.by_um),
             Visible.EXPOSED,
-            by_um=Finite,
+            fields={"by_um": Finite},
         ),
-        fault(
+        fault_kind(
             "knocked",
             "The stage was moved by this displacement [um].",
             _changes(corner_um=_knocked),
             Visible.EXPOSED,
-            by_um=tuple[Finite, Finite],
+            fields={"by_um": tuple[Finite, Finite]},
         ),
-        fault(
+        fault_kind(
             "bubble",
             "A bubble of this diameter [um] is in the middle of the picture.",
             _changes(specks=_bubble),
             Visible.EXPOSED,
-            size_um=(Positive, 200.0),
+            fields={"size_um": (Positive, 200.0)},
         ),
-        fault("untracked", "A cell is not in the pictures.", _hide, Visible.EXPOSED, cell=Name),
+        fault_kind(
+            "untracked",
+            "A cell is not in the pictures.",
+            _hide,
+            Visible.EXPOSED,
+            fields={"cell": Name},
+        ),
     )
 
     def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:

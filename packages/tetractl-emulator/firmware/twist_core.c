@@ -1,21 +1,50 @@
+/* The way of a byte: twist_push collects a line, read_line checks its CRC, read_command its words,
+ * and obey does what it says. The way out: twist_wheels and twist_take_reply. The format of lines is
+ * in twist_core.h. */
 #include "twist_core.h"
 
 #include <string.h>
 
-#define KNOWN_FLAGS 7
-#define AHEAD_MAX 127u
+#define KNOWN_FLAGS 7     /* all flags together */
+#define SEQUENCE_MAX 255
+#define AHEAD_MAX 127u    /* a sequence that is further ahead is one of the past: it is a byte */
+#define NUMBER_DIGITS 6u  /* most digits of a number in a command */
+#define REPLY_DIGITS 5u   /* digits of 65535, the greatest number in a reply */
 #define CRC_DIGITS 4u
+#define CRC_POLYNOMIAL 0x1021u
 
+/* The words of a line that are still to be read. */
+typedef struct {
+    const char *next;
+    const char *end;
+} words;
+
+/* A command, as far as it concerns this robot. */
+typedef struct {
+    uint8_t sequence;
+    bool run;
+    bool emergency_stop;
+    bool poll;
+    bool names_me;
+    int32_t left;  /* mm/s, if it names this robot */
+    int32_t right; /* mm/s */
+} command;
+
+/* CRC-16/CCITT-FALSE, bit by bit. */
 static uint16_t crc16(const char *text, size_t length)
 {
-    uint16_t crc = 0xFFFFu;
+    uint32_t crc = 0xFFFFu;
     for (size_t i = 0; i < length; i++) {
-        crc = (uint16_t)(crc ^ (uint16_t)((uint16_t)(uint8_t)text[i] << 8));
+        crc ^= (uint32_t)(uint8_t)text[i] << 8;
         for (int bit = 0; bit < 8; bit++) {
-            crc = (uint16_t)((crc & 0x8000u) ? ((uint32_t)crc << 1) ^ 0x1021u : (uint32_t)crc << 1);
+            const bool carries = (crc & 0x8000u) != 0;
+            crc = (crc << 1) & 0xFFFFu;
+            if (carries) {
+                crc ^= CRC_POLYNOMIAL;
+            }
         }
     }
-    return crc;
+    return (uint16_t)crc;
 }
 
 static char hex_digit(unsigned value)
@@ -23,11 +52,20 @@ static char hex_digit(unsigned value)
     return (char)(value < 10u ? '0' + value : 'A' + (value - 10u));
 }
 
+/* Write a CRC in hexadecimal, the highest digit first. */
 static void put_crc(uint16_t crc, char digits[CRC_DIGITS])
 {
     for (size_t i = 0; i < CRC_DIGITS; i++) {
-        digits[i] = hex_digit((unsigned)(crc >> (12u - 4u * i)) & 0xFu);
+        const size_t shift = 4u * (CRC_DIGITS - 1u - i);
+        digits[i] = hex_digit((unsigned)(crc >> shift) & 0xFu);
     }
+}
+
+/* Whether a time has come, also after the clock has wrapped round: times less than half of its
+ * range apart are compared. */
+static bool is_due(uint32_t now_ms, uint32_t due_ms)
+{
+    return (uint32_t)(now_ms - due_ms) < 0x80000000u;
 }
 
 static void stop(twist_core *core)
@@ -37,7 +75,8 @@ static void stop(twist_core *core)
     core->running = false;
 }
 
-/* Once silent it stays so until a new command comes, also when the clock wraps round. */
+/* The watchdog. A robot that is silent stays so until a new command comes, also when the clock wraps
+ * round. */
 static void watch(twist_core *core, uint32_t now_ms)
 {
     if ((uint32_t)(now_ms - core->heard_ms) >= TWIST_WATCHDOG_MS) {
@@ -48,117 +87,158 @@ static void watch(twist_core *core, uint32_t now_ms)
     }
 }
 
-/* Read " number" at `*at`, a decimal number from -greatest to greatest; false if there is none. */
-static bool number(const twist_core *core, size_t *at, size_t end, int32_t greatest, int32_t *value)
+/* Read a space and a decimal number from `least` to `greatest`; false if there is none. */
+static bool read_number(words *line, int32_t least, int32_t greatest, int32_t *number)
 {
     bool negative = false;
     size_t digits = 0;
+    int32_t size = 0;
 
-    if (*at >= end || core->line[*at] != ' ') {
+    if (line->next == line->end || *line->next != ' ') {
         return false;
     }
-    ++*at;
-    if (*at < end && core->line[*at] == '-') {
+    line->next++;
+    if (line->next != line->end && *line->next == '-') {
         negative = true;
-        ++*at;
+        line->next++;
     }
-    for (*value = 0; *at < end && core->line[*at] >= '0' && core->line[*at] <= '9'; ++*at) {
-        *value = 10 * *value + (core->line[*at] - '0');
-        if (++digits > 6) {
+    while (line->next != line->end && *line->next >= '0' && *line->next <= '9') {
+        size = 10 * size + (*line->next - '0');
+        line->next++;
+        digits++;
+        if (digits > NUMBER_DIGITS) {
             return false;
         }
     }
-    if (digits == 0 || *value > greatest) {
-        return false;
-    }
-    *value = negative ? -*value : *value;
-    return true;
+    *number = negative ? -size : size;
+    return digits > 0 && *number >= least && *number <= greatest;
 }
 
-/* The nearest whole number of w radius / 1000. */
-static int32_t rim(int32_t w, uint16_t radius_mm)
+/* The speed of a wheel [mm/s] by which a robot turns at w [mrad/s], to the nearest whole number. */
+static int32_t rim_speed(int32_t w, uint16_t radius_mm)
 {
-    const int64_t twice = (int64_t)(w < 0 ? -w : w) * radius_mm;
-    const int32_t size = (int32_t)((twice + 500) / 1000);
-    return w < 0 ? -size : size;
+    const int64_t size_um_s = (int64_t)(w < 0 ? -w : w) * radius_mm;
+    const int32_t size_mm_s = (int32_t)((size_um_s + 500) / 1000);
+    return w < 0 ? -size_mm_s : size_mm_s;
 }
 
-static twist_event obey(twist_core *core, uint32_t now_ms, uint8_t sequence, int32_t flags,
-                        bool is_named, int32_t left, int32_t right)
+/* Do what a command says. One that is not new, or comes from another order, may only stop a robot:
+ * it drives none, feeds no watchdog, and is answered only if it stops. */
+static twist_event obey(twist_core *core, uint32_t now_ms, const command *order)
 {
-    const uint8_t ahead = (uint8_t)(sequence - core->sequence);
+    const uint8_t ahead = (uint8_t)(order->sequence - core->sequence);
     const bool is_new = core->silent || (ahead >= 1u && ahead <= AHEAD_MAX);
 
     core->received++;
-    if (flags & TWIST_FLAG_EMERGENCY_STOP) {
+    if (order->emergency_stop) {
         core->emergency_stopped = true;
     }
-    if (!(flags & TWIST_FLAG_RUN) || core->emergency_stopped) {
+    if (!order->run || core->emergency_stopped) {
+        stop(core);
+    } else if (is_new && !order->names_me) {
         stop(core);
     } else if (is_new) {
-        core->left = is_named ? left : 0;
-        core->right = is_named ? right : 0;
-        core->running = is_named;
+        core->left = order->left;
+        core->right = order->right;
+        core->running = true;
     }
     if (is_new) {
-        core->sequence = sequence;
+        core->sequence = order->sequence;
         core->heard_ms = now_ms;
         core->silent = false;
     }
-    if ((flags & TWIST_FLAG_POLL) && (is_new || !(flags & TWIST_FLAG_RUN))) {
+    if (order->poll && (is_new || !order->run)) {
         core->reply_pending = true;
-        core->echo = sequence;
+        core->echo = order->sequence;
         core->due_ms = now_ms + (uint32_t)core->index * TWIST_REPLY_SLOT_MS;
     }
     return is_new ? TWIST_ACCEPTED : TWIST_STALE;
 }
 
-static twist_event read_command(twist_core *core, size_t end, uint32_t now_ms)
+/* Read `{index v w}` or `{index left right}` to the end of a line; false if a number is wrong. The
+ * first entry of this robot counts. */
+static bool read_entries(const twist_core *core, words *line, bool of_wheels, command *order)
 {
-    const bool wheels = core->line[0] == 'W';
-    const int32_t second = wheels ? TWIST_SPEED_MAX : TWIST_TURN_MAX;
-    int32_t sequence, flags, index, one, two, left = 0, right = 0;
-    bool is_named = false;
-    size_t at = 1;
+    const int32_t second_max = of_wheels ? TWIST_SPEED_MAX : TWIST_TURN_MAX;
+    int32_t index;
+    int32_t first;
+    int32_t second;
 
-    if (!number(core, &at, end, 255, &sequence) || sequence < 0 ||
-        !number(core, &at, end, KNOWN_FLAGS, &flags) || flags < 0) {
-        return TWIST_REJECTED;
-    }
-    while (at < end) {
-        if (!number(core, &at, end, (int32_t)TWIST_ROBOTS_MAX - 1, &index) || index < 0 ||
-            !number(core, &at, end, TWIST_SPEED_MAX, &one) ||
-            !number(core, &at, end, second, &two)) {
-            return TWIST_REJECTED;
+    while (line->next != line->end) {
+        if (!read_number(line, 0, (int32_t)TWIST_ROBOTS_MAX - 1, &index) ||
+            !read_number(line, -TWIST_SPEED_MAX, TWIST_SPEED_MAX, &first) ||
+            !read_number(line, -second_max, second_max, &second)) {
+            return false;
         }
-        if (index == core->index && !is_named) {
-            is_named = true;
-            left = wheels ? one : one - rim(two, core->radius_mm);
-            right = wheels ? two : one + rim(two, core->radius_mm);
+        if (index != core->index || order->names_me) {
+            continue;
+        }
+        order->names_me = true;
+        if (of_wheels) {
+            order->left = first;
+            order->right = second;
+        } else {
+            order->left = first - rim_speed(second, core->radius_mm);
+            order->right = first + rim_speed(second, core->radius_mm);
         }
     }
-    return obey(core, now_ms, (uint8_t)sequence, flags, is_named, left, right);
+    return true;
 }
 
-static twist_event read_line(twist_core *core, uint32_t now_ms)
+/* Read and obey a command of which the CRC is right. */
+static twist_event read_command(twist_core *core, size_t size, uint32_t now_ms)
+{
+    words line = {core->line + 1, core->line + size};
+    command order = {0};
+    int32_t sequence;
+    int32_t flags;
+
+    if (!read_number(&line, 0, SEQUENCE_MAX, &sequence) ||
+        !read_number(&line, 0, KNOWN_FLAGS, &flags) ||
+        !read_entries(core, &line, core->line[0] == 'W', &order)) {
+        return TWIST_REJECTED;
+    }
+    order.sequence = (uint8_t)sequence;
+    order.run = (flags & TWIST_FLAG_RUN) != 0;
+    order.emergency_stop = (flags & TWIST_FLAG_EMERGENCY_STOP) != 0;
+    order.poll = (flags & TWIST_FLAG_POLL) != 0;
+    return obey(core, now_ms, &order);
+}
+
+/* The size of a line without its CRC; 0 if it has none, or a wrong one. */
+static size_t checked_size(const char *line, size_t size)
 {
     char digits[CRC_DIGITS];
-    size_t end = core->length;
-    twist_event event = TWIST_REJECTED;
+    size_t checked;
 
-    if (end > 0 && core->line[end - 1] == '\r') {
-        end--;
+    if (size <= CRC_DIGITS + 1u) {
+        return 0;
     }
-    if (end == 0 && !core->overlong) {
+    checked = size - CRC_DIGITS - 1u;
+    put_crc(crc16(line, checked), digits);
+    if (line[checked] != '*' || memcmp(digits, line + checked + 1u, CRC_DIGITS) != 0) {
+        return 0;
+    }
+    return checked;
+}
+
+/* Take the whole line that has been received. */
+static twist_event read_line(twist_core *core, uint32_t now_ms)
+{
+    twist_event event = TWIST_REJECTED;
+    size_t size = core->length;
+    size_t checked;
+
+    if (size > 0 && core->line[size - 1] == '\r') {
+        size--;
+    }
+    if (size == 0 && !core->overlong) {
         return TWIST_NOTHING;
     }
-    if (!core->overlong && end > CRC_DIGITS + 1u && core->line[end - CRC_DIGITS - 1u] == '*') {
-        end -= CRC_DIGITS + 1u;
-        put_crc(crc16(core->line, end), digits);
-        if (memcmp(digits, core->line + end + 1u, CRC_DIGITS) == 0) {
-            event = core->line[0] == 'T' || core->line[0] == 'W' ? read_command(core, end, now_ms)
-                                                                 : TWIST_FOREIGN;
-        }
+    checked = core->overlong ? 0 : checked_size(core->line, size);
+    if (checked > 0) {
+        const bool is_command = core->line[0] == 'T' || core->line[0] == 'W';
+        event = is_command ? read_command(core, checked, now_ms) : TWIST_FOREIGN;
     }
     if (event == TWIST_REJECTED) {
         core->rejected++;
@@ -213,41 +293,52 @@ void twist_set_battery(twist_core *core, uint16_t battery_mv)
     core->battery_mv = battery_mv;
 }
 
-static size_t put_number(char *at, unsigned value)
+/* Write a space and a number of at most REPLY_DIGITS digits; return the size. */
+static size_t put_number(char *text, uint16_t number)
 {
-    char reversed[5];
-    size_t size = 0, count = 0;
+    char reversed[REPLY_DIGITS];
+    size_t digits = 0;
+    size_t size = 0;
+
     do {
-        reversed[count++] = (char)('0' + value % 10u);
-        value /= 10u;
-    } while (value > 0);
-    at[size++] = ' ';
-    while (count > 0) {
-        at[size++] = reversed[--count];
+        reversed[digits] = (char)('0' + number % 10u);
+        digits++;
+        number = (uint16_t)(number / 10u);
+    } while (number > 0);
+    text[size] = ' ';
+    size++;
+    while (digits > 0) {
+        digits--;
+        text[size] = reversed[digits];
+        size++;
     }
     return size;
 }
 
 size_t twist_take_reply(twist_core *core, uint32_t now_ms, char reply[TWIST_REPLY_MAX])
 {
-    const unsigned numbers[] = {core->index,      core->echo,     twist_status(core, now_ms),
-                                core->battery_mv, core->received, core->rejected};
-    size_t size = 0;
+    size_t size = 1;
+    uint16_t crc;
+    uint8_t status;
 
-    if (!core->reply_pending || (uint32_t)(now_ms - core->due_ms) >= 0x80000000u) {
+    status = twist_status(core, now_ms);
+    if (!core->reply_pending || !is_due(now_ms, core->due_ms)) {
         return 0;
     }
     core->reply_pending = false;
-    reply[size++] = 'S';
-    for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
-        size += put_number(reply + size, numbers[i]);
-    }
-    const uint16_t crc = crc16(reply, size);
-    reply[size++] = '*';
-    put_crc(crc, reply + size);
-    size += CRC_DIGITS;
-    reply[size++] = '\n';
-    return size;
+    reply[0] = 'S';
+    size += put_number(reply + size, core->index);
+    size += put_number(reply + size, core->echo);
+    size += put_number(reply + size, status);
+    size += put_number(reply + size, core->battery_mv);
+    size += put_number(reply + size, core->received);
+    size += put_number(reply + size, core->rejected);
+    crc = crc16(reply, size);
+    reply[size] = '*';
+    put_crc(crc, reply + size + 1u);
+    size += 1u + CRC_DIGITS;
+    reply[size] = '\n';
+    return size + 1u;
 }
 
 size_t twist_size(void)

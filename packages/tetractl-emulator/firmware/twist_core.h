@@ -46,13 +46,35 @@ typedef enum {
 
 /* Private: use the functions. */
 typedef struct {
-    uint32_t heard_ms, due_ms;
-    int32_t left, right;
-    uint16_t battery_mv, received, rejected, radius_mm;
-    uint8_t index, sequence, echo;
-    bool running, silent, emergency_stopped, reply_pending, overlong;
-    size_t length;
+    /* what robot this is */
+    uint8_t index;
+    uint16_t radius_mm;
+    uint16_t battery_mv;
+
+    /* the line that is being received */
     char line[TWIST_LINE_MAX];
+    size_t length;
+    bool overlong; /* it has had more characters than there is room for */
+
+    /* what it does */
+    int32_t left;  /* mm/s */
+    int32_t right; /* mm/s */
+    bool running;
+    bool emergency_stopped; /* until power is switched off */
+
+    /* the last new command */
+    uint8_t sequence;
+    uint32_t heard_ms;
+    bool silent; /* none has come for TWIST_WATCHDOG_MS */
+
+    /* the reply that is to come */
+    bool reply_pending;
+    uint8_t echo; /* sequence of the poll */
+    uint32_t due_ms;
+
+    /* good lines and bad ones since power-up; both wrap round */
+    uint16_t received;
+    uint16_t rejected;
 } twist_core;
 
 /* Power-up: stopped, silent, not latched. `index` is the robot's number in commands, `radius_mm`

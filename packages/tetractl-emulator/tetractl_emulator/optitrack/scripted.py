@@ -40,7 +40,7 @@ from tetractl_emulator.optitrack.tracked_body import (
 CLOCK_HZ = 10_000_000
 """Ticks of the server's clock in a second."""
 CLOCK_START = 0x1234_5678_9ABC
-"""The server's clock when the host's is 0 [ticks]: arbitrary, so that nobody relies on it."""
+"""The server's clock when the host's is 0 [ticks]: an arbitrary value."""
 
 
 class TrueBody(Model):

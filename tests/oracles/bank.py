@@ -45,9 +45,9 @@ def estimate(filters: FilterBank) -> Estimate:
     deviations, which grow by what the test of the innovations finds."""
     (score, tau, tau_std), bank, prior = share(filters), filters.bank, filters.prior
     best = np.argmax(score, axis=0), np.arange(score.shape[1])
-    each = (*best, np.argmax(bank.weight[best], axis=1))
+    each = (*best, np.argmax(bank.ln_weight[best], axis=1))
     z, cov = bank.state[each], bank.cov[each]
-    weights = np.exp(bank.weight[best] - bank.weight[best].max(axis=1, keepdims=True))
+    weights = np.exp(bank.ln_weight[best] - bank.ln_weight[best].max(axis=1, keepdims=True))
     squares = bank.square_sum[best]
     blocks = np.maximum(bank.blocks[best], ASSUMED.least_blocks)[:, None]
     more = np.sqrt(np.maximum(1, squares / blocks)).max(axis=1)

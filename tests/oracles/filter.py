@@ -211,7 +211,7 @@ class RobotFilter:
         total = float(weights.max() + math.log(np.exp(weights - weights.max()).sum()))
         for i in known:
             one = self.slots[i]
-            one.ln_weight = max(one.ln_weight - total, ASSUMED.least_weight)
+            one.ln_weight = max(one.ln_weight - total, ASSUMED.least_ln_weight)
         if 2 * means[best][0] + means[best][1] <= ASSUMED.gate:
             capped = np.minimum(means[best], 4.0) / ASSUMED.mean_capped
             scale = self.scale * (1 + (capped - 1) / ASSUMED.scale_memory)

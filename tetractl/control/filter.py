@@ -74,11 +74,12 @@ from tetractl.control.kernels.filter_state import (
     GRID,
     LISTENED,
     Bank,
+    CommonTimes,
     NextFilters,
     Outlook,
     PoseFrames,
     SentCommands,
-    SharedTimes,
+    SharedScores,
     largest_square_sum,
 )
 from tetractl.control.prior import Prior
@@ -127,10 +128,12 @@ class RunningFilters(NamedTuple):
     """A bank, and what fits only this bank."""
 
     bank: Bank
-    shared: SharedTimes
-    """What its filters say together."""
     step_s: Floats
     """(N,) how far each robot's dead times are apart [s]."""
+    common: CommonTimes
+    """Dead times that its robots may have in common."""
+    shared: SharedScores
+    """What its filters say together, after the last frame."""
 
 
 class CommandRecord:
@@ -189,7 +192,7 @@ class FilterBank:
         self._drive_first = drive_first
         self._noisy = False
         """Whether robots that were not sent anything were measured at different poses."""
-        self._running = self._sharing(first_bank(prior, self.body), self._first_steps())
+        self._running = self._running_filters(first_bank(prior, self.body), self._first_steps())
 
     @property
     def bank(self) -> Bank:
@@ -197,7 +200,7 @@ class FilterBank:
         return self._running.bank
 
     @property
-    def shared(self) -> SharedTimes:
+    def shared(self) -> SharedScores:
         """What the filters say of the robots' dead times, after the last frame."""
         return self._running.shared
 
@@ -211,7 +214,7 @@ class FilterBank:
         robot and slot, (N,) each."""
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
-        slots = self.bank.weight[filters, robots].argmax(axis=1)
+        slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
         return filters, robots, slots
 
     def heard(self) -> Heard:
@@ -219,12 +222,12 @@ class FilterBank:
         robot, up to half of LISTENED: the other half is for robots on which they act sooner."""
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
-        coming = self.bank.coming[filters, robots]
-        end = int(coming.min()) - 1
+        next_commands = self.bank.next_command[filters, robots]
+        end = int(next_commands.min()) - 1
         commands = np.arange(max(0, end - LISTENED // 2), max(0, end))
-        ages = coming - 1 - commands[:, None]  # in commands, 1 for the last one that was replaced
-        kept = self.bank.ln_heard[filters, robots, np.maximum(LISTENED - ages, 0)]
-        ln_factors = np.where(ages <= LISTENED, kept, np.nan)
+        ages = next_commands - 1 - commands[:, None]  # 1 for the command before the one that acts
+        latest = self.bank.ln_heard[filters, robots, np.maximum(LISTENED - ages, 0)]
+        ln_factors = np.where(ages <= LISTENED, latest, np.nan)
         return Heard(self.commands.all.sent_s[commands], ln_factors)
 
     # ---- what becomes known ----
@@ -243,9 +246,10 @@ class FilterBank:
         before these frames.
         """
         misfits = self._misfits()
-        self._follow_frames(self._spaced(newest, earlier))
+        self._follow_frames(self._frames_used(newest, earlier))
         if not self.prior.certain:
-            self._refine()
+            self._running = self._with_shared_scores(self._running)
+            self._running = self._with_likely_filters(self._running)
         if misfits.any() and self._may_reopen(newest):
             self._reopen(newest, misfits[:, HEADING_MISFIT])
 
@@ -258,7 +262,7 @@ class FilterBank:
         replaced[robots] = True
         bank = bank_with_replaced(self.bank, first_bank(self.prior, self.body), replaced)
         step_s = np.where(replaced, self._first_steps(), self.step_s)
-        self._running = self._sharing(bank, step_s)
+        self._running = self._running_filters(bank, step_s)
         self._place(self.last_frame, replaced)
 
     # ---- what is known ----
@@ -316,7 +320,9 @@ class FilterBank:
 
     # ---- frames ----
 
-    def _spaced(self, newest: Observation, earlier: Sequence[Observation]) -> list[Observation]:
+    def _frames_used(
+        self, newest: Observation, earlier: Sequence[Observation]
+    ) -> list[Observation]:
         """Return the frames that are used, in the order of time: those SPACING_S after the one used
         before. The newest one needs no such distance if others come with it: one per control step
         does no harm. A prior without uncertainty uses all."""
@@ -338,26 +344,26 @@ class FilterBank:
         If the poses of one of them are taken as they are, what was before does not matter: the
         robots are placed there, and followed from there on.
         """
-        start = self._start(frames)
-        if start is None:
+        first = self._last_taken_as_is(frames)
+        if first is None:
             assert self.last_frame is not None
             to_follow = [self.last_frame, *frames]
         else:
-            to_follow = frames[start:]
+            to_follow = frames[first:]
             self._place(to_follow[0], self._all_robots())
         if len(to_follow) > 1:
             self._follow(to_follow)
         self.last_frame = to_follow[-1]
 
-    def _start(self, frames: Sequence[Observation]) -> int | None:
+    def _last_taken_as_is(self, frames: Sequence[Observation]) -> int | None:
         """Return the index of the last frame whose poses are taken as they are, None if there is
         none. The first frame of a trial is such a frame."""
         for index in reversed(range(len(frames))):
-            if self._takes_poses(frames[index]):
+            if self._is_taken_as_is(frames[index]):
                 return index
         return 0 if self.last_frame is None else None
 
-    def _takes_poses(self, frame: Observation) -> bool:
+    def _is_taken_as_is(self, frame: Observation) -> bool:
         """Return whether a frame's poses are taken as they are: there is nothing to identify, or
         robots turn on the spot, of which the filters have no model, or robots do not yet drive the
         first square for certain."""
@@ -402,20 +408,24 @@ class FilterBank:
 
     # ---- the bank changes ----
 
-    def _refine(self) -> None:
-        """Compute how likely each filter is by the frames of all robots; end those that are
-        unlikely, and refine each robot's grid around likely dead times."""
-        from tetractl.control.kernels.bank import select, share
+    def _with_shared_scores(self, running: RunningFilters) -> RunningFilters:
+        """Return the filters with how likely each is by the frames of all robots so far."""
+        from tetractl.control.kernels.bank import share
 
-        share(self.bank, self.shared, self.step_s)
-        filters, robots = self.bank.score.shape
-        most = max(filters, GRID.refined * self.body.groups_max)
-        going_on = NextFilters.empty(most, robots)  # filled by `select`
-        step_s = self.step_s.copy()  # halved by it for robots whose grid is refined
+        return running._replace(shared=share(running.bank, running.common, running.step_s))
+
+    def _with_likely_filters(self, running: RunningFilters) -> RunningFilters:
+        """Return the filters without those that are unlikely, and with each robot's grid refined
+        around its likely dead times."""
+        from tetractl.control.kernels.bank import select
+
+        most = max(len(running.bank.score), GRID.refined * self.body.groups_max)
+        going_on = NextFilters.room_for(most, running.step_s)  # filled by `select`
         commanded = self.commands.number > 0
-        changed = select(self.bank, self.shared, step_s, self.body.tried, commanded, going_on)
-        if changed:
-            self._running = self._sharing(going_on.taken_from(self.bank), step_s)
+        differ = select(running.bank, running.shared, self.body.tried, commanded, going_on)
+        if not differ:
+            return running
+        return self._running_filters(going_on.taken_from(running.bank), going_on.step_s)
 
     def _may_reopen(self, newest: Observation) -> bool:
         """Return whether the bank is opened again if the model does not fit: not for cells, whose
@@ -429,7 +439,7 @@ class FilterBank:
         bank = reopened_bank(self.bank, self.likeliest(), heading_misfits, self.prior, self.body)
         self.model = with_saturation(self.model)
         self.reopened_ns = frame.sampled_ns
-        self._running = self._sharing(bank, self._first_steps())
+        self._running = self._running_filters(bank, self._first_steps())
         self._place(frame, self._all_robots())
 
     def _all_robots(self) -> Bools:
@@ -440,15 +450,12 @@ class FilterBank:
         """Return how far the dead times of each robot are apart at first (N,) [s]."""
         return np.full(len(self.prior.a), GRID.step_s)
 
-    def _sharing(self, bank: Bank, step_s: Floats) -> RunningFilters:
+    def _running_filters(self, bank: Bank, step_s: Floats) -> RunningFilters:
         """Return a bank, whose dead times are `step_s` (N,) apart [s], with what its filters say
         together."""
-        from tetractl.control.kernels.bank import share
-
-        shared = SharedTimes.start(bank, step_s, self.prior)
-        if not self.prior.certain:
-            share(bank, shared, step_s)
-        return RunningFilters(bank, shared, step_s)
+        common = CommonTimes.of(bank, step_s, self.prior)
+        running = RunningFilters(bank, step_s, common, SharedScores.of_prior(bank))
+        return running if self.prior.certain else self._with_shared_scores(running)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:

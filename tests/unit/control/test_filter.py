@@ -420,8 +420,8 @@ def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
 
 def let_all_be_stuck(filters):
     """Make the hypothesis that a robot is stuck, the last slot, the only one of each filter."""
-    filters.bank.weight[...] = -np.inf
-    filters.bank.weight[..., -1] = 0.0
+    filters.bank.ln_weight[...] = -np.inf
+    filters.bank.ln_weight[..., -1] = 0.0
 
 
 def frozen(frames):
@@ -529,7 +529,7 @@ def assert_hypotheses_agree(bank, readable):
     """The bank's only filter has the hypotheses of the readable one."""
     states = bank.cov.shape[-1]  # the readable filter has those of cells for wheels, too
     for slot, hypothesis in enumerate(readable.slots):
-        weight = bank.weight[0, 0, slot]
+        weight = bank.ln_weight[0, 0, slot]
         assert (hypothesis is None) == np.isneginf(weight)
         if hypothesis is not None:
             assert weight == pytest.approx(hypothesis.ln_weight, abs=1e-6)
@@ -555,7 +555,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
     rng = np.random.default_rng(5)
     filters = FilterBank(one_robot(lag, watchdog, helix_radius))
     hold = (0.03, 1.2e-3, 6e-5) if lag else (0.0, 0.0, 0.0)
-    model = filters.model._replace(hold=hold)
+    model = filters.model._replace(hold=hold, branch_all=follows == LOG_FOLLOWS)
     bank = one_filter(filters, follows)
     pose = np.array([10.0, 20.0, 3.1])
     no_commands = SentCommands(np.empty(0), np.empty(0))
@@ -641,7 +641,7 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
     for _ in range(3):
         last = filters.last_frame
         filters.add_frames(replace(last, sampled_ns=last.sampled_ns + SECOND // 25))
-        used = filters.bank.weight > -np.inf
+        used = filters.bank.ln_weight > -np.inf
         cov = filters.bank.cov[used]
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
         heading = HEADING

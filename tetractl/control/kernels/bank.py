@@ -33,6 +33,7 @@ from tetractl.control.kernels.filter_state import (
     SIDE,
     SWING,
     TURN_BIAS,
+    SharedScores,
     X,
     Y,
     largest_square_sum,
@@ -47,38 +48,43 @@ _largest_square_sum = inlined(largest_square_sum)
 
 
 @compiled(**ENTRY_FAST)
-def share(bank, shared, step_s):
-    """Compute ln of the probability of each filter, `shared.score`, and the mean and standard
-    deviation of each robot's dead time. The dead times of a robot are `step_s` (N,) apart [s]."""
-    filters, robots = shared.score.shape
-    times = shared.scratch.shape[0]
-    ln_of_others = shared.scratch
+def share(bank, common, step_s):
+    """Return the `SharedScores` of the filters: ln of the probability of each, and the mean and
+    standard deviation of each robot's dead time. Those of its filters are `step_s` (N,) apart [s].
+    """
+    filters, robots = bank.score.shape
+    times = common.ln_prior.size
+    ln_of_others = np.empty((times, robots))  # ln of what the other robots tell of each time
     density = np.empty(filters)
+    shared = SharedScores(
+        score=np.empty((filters, robots)), mean_s=np.empty(robots), std_s=np.empty(robots)
+    )
     for i in range(robots):
         for b in range(filters):
             density[b] = math.exp(bank.score[b, i])
         for t in range(times):
             total = 0.0
             for b in range(filters):
-                total += shared.near[t, b, i] * density[b]
+                total += common.near[t, b, i] * density[b]
             ln_of_others[t, i] = math.log(total + LEAST)
     for t in range(times):
-        ln_of_all = shared.prior[t]
+        ln_of_all = common.ln_prior[t]
         for i in range(robots):
             ln_of_all += ln_of_others[t, i]
         for i in range(robots):
             ln_of_others[t, i] = ln_of_all - ln_of_others[t, i]
     for i in range(robots):
-        _multiply(bank, shared, i, density)
-        _average(bank, shared, i, step_s[i], density)
+        _multiply(bank, common, ln_of_others, i, density, shared)
+        _average(bank, i, step_s[i], density, shared)
+    return shared
 
 
 @compiled(**INLINE_FAST)
-def _multiply(bank, shared, i, density):
-    """Add what the other robots tell of the time to robot i's scores; `density` (B,) is scratch."""
+def _multiply(bank, common, ln_of_others, i, density, shared):
+    """Fill robot i's shared scores: those of its own frames, and what the other robots tell of the
+    time; `density` (B,) is scratch."""
     filters = shared.score.shape[0]
-    times = shared.scratch.shape[0]
-    ln_of_others = shared.scratch
+    times = common.ln_prior.size
     most = -math.inf
     for t in range(times):
         most = max(most, ln_of_others[t, i])
@@ -87,14 +93,14 @@ def _multiply(bank, shared, i, density):
     for t in range(times):
         others = math.exp(ln_of_others[t, i] - most)
         for b in range(filters):
-            density[b] += shared.near[t, b, i] * others
+            density[b] += common.near[t, b, i] * others
     for b in range(filters):
         shared.score[b, i] = bank.score[b, i] + math.log(density[b] + LEAST)
 
 
 @compiled(**INLINE_FAST)
-def _average(bank, shared, i, step_s, density):
-    """Compute mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
+def _average(bank, i, step_s, density, shared):
+    """Fill mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
 
     The dead time lies between those of the grid: its deviation is at least a quarter of their step.
     """
@@ -117,17 +123,16 @@ def _average(bank, shared, i, step_s, density):
 
 
 @compiled(**ENTRY_FAST)
-def select(bank, shared, step_s, tried, commanded, going_on):
-    """Find the filters that go on, after `share`; return whether they are others than those of the
-    bank.
+def select(bank, shared, tried, commanded, going_on):
+    """Fill `going_on` with the filters that go on by their shared scores; return whether they are
+    others than those of the bank.
 
     Of each robot's filters in each group those go on that are not far less likely than the best,
     with those between them and next to the likeliest; of two groups whose state `tried` has become
-    the same, the less likely ends. Once robots were `commanded`, a grid of three dead times is
-    halved, step_s (N,) [s], and one whose best is at its end moves. The rows of `going_on` are
-    filled.
+    the same, the less likely ends. Once robots were `commanded`, the step of a grid of three dead
+    times is halved, and a grid whose best is at its end moves.
     """
-    robots = step_s.size
+    robots = going_on.step_s.size
     chosen = np.empty(going_on.rows.shape[0], np.int64)
     changed = False
     for i in range(robots):
@@ -140,11 +145,11 @@ def select(bank, shared, step_s, tried, commanded, going_on):
         dead_times = _number_of_dead_times(bank, i, chosen[:number])
         if dead_times > GRID.refined or not commanded:
             continue
-        if step_s[i] > GRID.finest_s and dead_times == GRID.refined:
-            step_s[i] /= 2
+        if going_on.step_s[i] > GRID.finest_s and dead_times == GRID.refined:
+            going_on.step_s[i] /= 2
         elif _is_inside(bank, i, chosen[:number], best):
             continue
-        _lay_around(bank, i, chosen[:number], best, step_s[i], going_on)
+        _lay_around(bank, i, chosen[:number], best, going_on)
         changed = True
     return changed
 
@@ -196,7 +201,7 @@ def _choose(bank, shared, i, count, best, tried, chosen):
 @compiled(**INLINE_FAST)
 def _reached(bank, b, i, tried):
     """Return the value that the state `tried` of a filter's likeliest hypothesis has reached."""
-    slot = likeliest(bank.weight[b, i], bank.weight.shape[2])
+    slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
     return bank.state[b, i, slot, tried]
 
 
@@ -239,7 +244,7 @@ def _is_inside(bank, i, chosen, best):
 
 
 @compiled(**INLINE_FAST)
-def _lay_around(bank, i, chosen, best, step_s, going_on):
+def _lay_around(bank, i, chosen, best, going_on):
     """Let three dead times around the best one go on, or two from 0 on, in each group.
 
     Each takes the filter whose dead time is nearest. The groups stay that poses do not distinguish.
@@ -251,7 +256,7 @@ def _lay_around(bank, i, chosen, best, step_s, going_on):
     row = 0
     for group in range(last_group + 1):
         for k in range(-1, 2):
-            time_s = max(best_s + step_s * k, 0.0)
+            time_s = max(best_s + going_on.step_s[i] * k, 0.0)
             nearest, score = _between(bank, i, chosen, group, time_s)
             twice = k == 0 and best_s == 0  # 0 has been laid already
             if nearest >= 0 and not twice:
@@ -304,7 +309,7 @@ def forecast(bank, model, shared, commands, frame_s, sent_s, outlook):
     variance = 0.0
     for i in range(robots):
         b = likeliest(shared.score[:, i], bank.score.shape[0])
-        slot = likeliest(bank.weight[b, i], bank.weight.shape[2])
+        slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
         for k in range(z.size):
             z[k] = bank.state[b, i, slot, k]
         growth = _misfit(bank, b, i, outlook)
@@ -361,16 +366,16 @@ def _describe(bank, model, b, i, slot, z, growth, outlook):
     outlook.side[i] = side
     outlook.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
     outlook.saturation[i] = saturation
-    outlook.stands[i] = _probability_of_stuck(bank.weight[b, i], slot)
+    outlook.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
 
 
 @compiled(**INLINE_FAST)
-def _probability_of_stuck(weight, slot):
-    """Return the probability of the last hypothesis; `slot` has the largest weight."""
+def _probability_of_stuck(ln_weight, slot):
+    """Return the probability of the last hypothesis; `slot` is the likeliest one."""
     total = 0.0
-    for s in range(weight.size):
-        total += math.exp(weight[s] - weight[slot])
-    return math.exp(weight[weight.size - 1] - weight[slot]) / total
+    for s in range(ln_weight.size):
+        total += math.exp(ln_weight[s] - ln_weight[slot])
+    return math.exp(ln_weight[ln_weight.size - 1] - ln_weight[slot]) / total
 
 
 @compiled(**INLINE_FAST)
@@ -381,7 +386,7 @@ def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
     A stuck robot hears no command. One that acts within 1 ns of the end is followed then. Those
     that acted before the beginning are in the state.
     """
-    stuck = slot == bank.weight.shape[2] - 1
+    stuck = slot == bank.ln_weight.shape[2] - 1
     number = commands.sent_s.size
     direction = bank.direction[b, i, slot]
     stops_s = bank.until_s[b, i, slot]

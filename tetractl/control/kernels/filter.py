@@ -4,21 +4,23 @@ Commands reach robots by radio: they act after a dead time, and a robot may miss
 
 A *filter* follows one robot and assumes one dead time tau. As it cannot know what the robot is
 doing, it keeps some *hypotheses*, each in a slot of its arrays (`filter_state.Hypotheses`): a state
-z with its covariance, the direction u that the robot would follow, and a weight
+z with its covariance, the direction u that the robot would follow, and, as `ln_weight`,
 
     w = ln P(hypothesis is true),    -inf for a slot without a hypothesis.
 
 In the last slot, the robot is stuck: it stands whatever it is sent. In all others it drives, or
-stands because it was commanded to. `follow` takes all filters through some frames, and from each
-frame to the next
+stands because it was commanded to. `follow` takes all filters through some frames. From each frame
+to the next it calls
 
-    _predict   moves each hypothesis on to the time of the frame, by the motion's equations. When a
-               command acts on the way, hypotheses *branch*: the robot heard it, and follows its
-               direction from then on, or missed it, with the probability `ASSUMED.lost`
-    _update    compares each hypothesis with the pose in the frame, by Bayes' rule:
-               w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
-    _stick     lets some probability pass from driving to being stuck, and back
-    _forget    adds up, over the frames, the filter's score ln L, which is how well its tau does
+    _predict         moves each hypothesis on to the time of the frame, by the motion's equations.
+                     When a command acts on the way, hypotheses *branch*: the robot heard it, and
+                     follows its direction from then on, or missed it, with the probability
+                     `ASSUMED.lost`
+    _update          compares each hypothesis with the pose in the frame, by Bayes' rule:
+                     w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
+    _exchange_stuck  lets some probability pass from driving to being stuck, and back
+    _forget          lets old frames count less in the filter's score, the sum of ln L over the
+                     frames, which is how well its tau does
 
 Symbols: b is a filter, i a robot, s a slot, and f a frame; u is a direction [rad], NaN to stand. A
 time ends with `_s`: seconds on the clock of frames and commands, whose orders are those of their
@@ -36,7 +38,6 @@ from tetractl.control.kernels.filter_state import (
     ACROSS,
     ALONG,
     ASSUMED,
-    FOLLOWS,
     HEADING,
     HEADINGS,
     MARKER_BIAS,
@@ -62,7 +63,7 @@ HEARD = 0
 MISSED = 1
 """Row of those in which it did not."""
 NO_SLOT = -1
-"""Instead of a slot, if there is none."""
+"""Stands for a slot where there is none."""
 
 
 # ---- the start: from the poses of a frame ----
@@ -88,7 +89,7 @@ def _set_pose(bank, model, b, i, pose):
     """Set the pose of every hypothesis to a measured one (3,). It is as uncertain as two deviations
     of the camera's noise, and has nothing to do with the other states."""
     bank.unfit_s[b, i] = 0.0
-    for s in range(bank.weight.shape[2]):
+    for s in range(bank.ln_weight.shape[2]):
         z = bank.state[b, i, s]
         cov = bank.cov[b, i, s]
         z[X] = pose[X]
@@ -108,10 +109,10 @@ def _follow_last(bank, model, commands, b, i, time_s):
     number = _number_sent_by(commands, time_s - dead_time_s)
     if number == 0:
         return
-    bank.coming[b, i] = number
-    bank.first_odds[b, i] = math.nan
+    bank.next_command[b, i] = number
+    bank.ln_odds_before[b, i] = math.nan
     bank.ln_heard[b, i] = math.nan
-    for s in range(bank.weight.shape[2] - 1):
+    for s in range(bank.ln_weight.shape[2] - 1):
         bank.direction[b, i, s] = commands.directions[number - 1]
         bank.until_s[b, i, s] = commands.sent_s[number - 1] + model.watchdog_s + dead_time_s
 
@@ -159,23 +160,23 @@ def follow(bank, model, commands, frames, noisy, step_s):
                     ln_likelihood = _update(bank, model, b, i, pose, now_s - before_s, scratch)
                     ln_likelihoods[b, i] += ln_likelihood
                     bank.score[b, i] += ln_likelihood
-                _stick(_hypotheses(bank, b, i), model, now_s - before_s, now_s)
+                _exchange_stuck(_hypotheses(bank, b, i), model, now_s - before_s, now_s)
             _forget(bank, i, now_s - before_s)
     return ln_likelihoods
 
 
 @compiled(**INLINE_FAST)
 def _scratch(states):
-    """Return room for predictions and updates, in the order of the fields."""
+    """Return room for predictions and updates of hypotheses with some number of states."""
     return FilterScratch(
-        np.empty((3, states)),
-        np.empty(states),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.zeros(DEPENDS_ON.shape),
-        np.zeros(3),
-        np.zeros(3),
+        products=np.empty((3, states)),
+        p_h=np.empty(states),
+        expected=np.empty(3),
+        off=np.empty(3),
+        variance=np.empty(3),
+        slopes=np.zeros(DEPENDS_ON.shape),
+        innovation=np.zeros(3),
+        likeliest_innovation=np.zeros(3),
     )
 
 
@@ -183,11 +184,11 @@ def _scratch(states):
 def _hypotheses(bank, b, i):
     """Return the hypotheses of one filter of a robot, to be read and changed in place."""
     return Hypotheses(
-        bank.state[b, i],
-        bank.cov[b, i],
-        bank.direction[b, i],
-        bank.until_s[b, i],
-        bank.weight[b, i],
+        state=bank.state[b, i],
+        cov=bank.cov[b, i],
+        direction=bank.direction[b, i],
+        until_s=bank.until_s[b, i],
+        ln_weight=bank.ln_weight[b, i],
     )
 
 
@@ -234,27 +235,37 @@ def _predict(bank, model, commands, b, i, since_s, until_s, step_s, scratch):
     noise_scale = bank.noise_scale[b, i]
     now_s = since_s
     while now_s < until_s:
-        coming = bank.coming[b, i]
+        command = bank.next_command[b, i]
         acts_s = math.inf
-        if coming < commands.sent_s.size:
-            acts_s = commands.sent_s[coming] + bank.dead_time_s[b, i]
+        if command < commands.sent_s.size:
+            acts_s = commands.sent_s[command] + bank.dead_time_s[b, i]
         acts = acts_s <= until_s  # false for NaN, too
         next_s = max(now_s, acts_s) if acts else until_s
-        for s in range(hypotheses.weight.size):
-            if hypotheses.weight[s] > -math.inf:
+        for s in range(hypotheses.ln_weight.size):
+            if hypotheses.ln_weight[s] > -math.inf:
                 _predict_one(hypotheses, s, model, i, noise_scale, now_s, next_s, scratch)
         now_s = next_s
         if acts:
-            u = commands.directions[coming]
-            u_before = commands.directions[coming - 1] if coming > 0 else math.nan
-            _listen(bank.ln_heard[b, i], _ln_odds(hypotheses, u_before) - bank.first_odds[b, i])
-            is_news = _is_news(hypotheses, u)
-            if hypotheses.weight.size == FOLLOWS + 1:
-                _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
-            else:
-                _branch_all(hypotheses, model, i, u, now_s, step_s)
-            bank.first_odds[b, i] = _ln_odds(hypotheses, u) if is_news else math.nan
-            bank.coming[b, i] += 1
+            _act(bank, model, commands, b, i, now_s, step_s)
+
+
+@compiled(**INLINE_FAST)
+def _act(bank, model, commands, b, i, now_s, step_s):
+    """Let the next command act: hypotheses branch, and what frames said of the command before is
+    noted: the odds that the robot heard it, now, over those when it began to act."""
+    hypotheses = _hypotheses(bank, b, i)
+    command = bank.next_command[b, i]
+    u = commands.directions[command]
+    u_before = commands.directions[command - 1] if command > 0 else math.nan
+    ln_factor = _ln_odds(hypotheses, u_before) - bank.ln_odds_before[b, i]
+    _append(bank.ln_heard[b, i], ln_factor)
+    is_news = _is_news(hypotheses, u)
+    if model.branch_all:
+        _branch_all(hypotheses, model, i, u, now_s, step_s)
+    else:
+        _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
+    bank.ln_odds_before[b, i] = _ln_odds(hypotheses, u) if is_news else math.nan
+    bank.next_command[b, i] += 1
 
 
 @compiled(**INLINE_FAST)
@@ -272,21 +283,21 @@ def _predict_one(hypotheses, s, model, i, noise_scale, since_s, until_s, scratch
 
 
 @compiled(**INLINE_FAST)
-def likeliest(weight, count):
-    """Return the index of the largest of the first `count` weights, the first one of equals."""
+def likeliest(ln, count):
+    """Return the index of the largest of the first `count` logarithms, the first one of equals."""
     best = 0
     for s in range(1, count):
-        if weight[s] > weight[best]:
+        if ln[s] > ln[best]:
             best = s
     return best
 
 
 @compiled(**INLINE_FAST)
-def _least_likely(weight, count):
-    """Return the index of the smallest of the first `count` weights, the first one of equals."""
+def _least_likely(ln, count):
+    """Return the index of the smallest of the first `count` logarithms, the first one of equals."""
     least = 0
     for s in range(1, count):
-        if weight[s] < weight[least]:
+        if ln[s] < ln[least]:
             least = s
     return least
 
@@ -295,8 +306,8 @@ def _least_likely(weight, count):
 
 
 @compiled(**INLINE_FAST)
-def _listen(ln_heard, ln_factor):
-    """Add what frames said of whether the robot heard the latest command."""
+def _append(ln_heard, ln_factor):
+    """Append a number to the latest ones (LISTENED,); the first of them is dropped."""
     for k in range(ln_heard.size - 1):
         ln_heard[k] = ln_heard[k + 1]
     ln_heard[ln_heard.size - 1] = ln_factor
@@ -305,22 +316,22 @@ def _listen(ln_heard, ln_factor):
 @compiled(**INLINE_FAST)
 def _is_news(hypotheses, u):
     """Return whether u [rad] is not the direction that the robot most probably follows."""
-    driving = hypotheses.weight.size - 1
-    return hypotheses.direction[likeliest(hypotheses.weight, driving)] != u
+    driving = hypotheses.ln_weight.size - 1
+    return hypotheses.direction[likeliest(hypotheses.ln_weight, driving)] != u
 
 
 @compiled(**INLINE_FAST)
 def _ln_odds(hypotheses, u):
     """Return ln of the odds that the robot follows u [rad] rather than what it was sent before; NaN
     if it can only do one of both, or most probably is stuck."""
-    stuck = hypotheses.weight.size - 1
-    best = hypotheses.weight[likeliest(hypotheses.weight, stuck)]
-    if hypotheses.weight[stuck] > best:
+    stuck = hypotheses.ln_weight.size - 1
+    best = hypotheses.ln_weight[likeliest(hypotheses.ln_weight, stuck)]
+    if hypotheses.ln_weight[stuck] > best:
         return math.nan
     follows = 0.0
     other = 0.0
     for s in range(stuck):
-        probability = math.exp(hypotheses.weight[s] - best)
+        probability = math.exp(hypotheses.ln_weight[s] - best)
         if hypotheses.direction[s] == u:
             follows += probability
         else:
@@ -344,23 +355,23 @@ def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
     already, hearing and missing the command are the same: that one gets w_heard if it had less, is
     commanded again, and the others stay as they are.
     """
-    driving = hypotheses.weight.size - 1
-    best = likeliest(hypotheses.weight, driving)
-    heard_weight = hypotheses.weight[best] + LN_HEARD
+    driving = hypotheses.ln_weight.size - 1
+    best = likeliest(hypotheses.ln_weight, driving)
+    ln_heard_weight = hypotheses.ln_weight[best] + LN_HEARD
     same = _slot_that_follows(hypotheses, u)
     if same != NO_SLOT:
-        if hypotheses.weight[same] < heard_weight:
+        if hypotheses.ln_weight[same] < ln_heard_weight:
             _copy_state(hypotheses, best, hypotheses, same)
-            hypotheses.weight[same] = heard_weight
+            hypotheses.ln_weight[same] = ln_heard_weight
         hypotheses.until_s[same] = now_s + model.watchdog_s
         return
     u_before = _followed(hypotheses, best, now_s)
-    least = _least_likely(hypotheses.weight, driving)
+    least = _least_likely(hypotheses.ln_weight, driving)
     for s in range(driving):
-        hypotheses.weight[s] += LN_MISSED
+        hypotheses.ln_weight[s] += LN_MISSED
     _copy_state(hypotheses, best, hypotheses, least)
     _hear(hypotheses, least, model, i, u_before, u, now_s, step_s)
-    hypotheses.weight[least] = heard_weight
+    hypotheses.ln_weight[least] = ln_heard_weight
 
 
 @compiled(**INLINE_FAST)
@@ -372,27 +383,28 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
     From the likeliest on, each branch takes the next slot. One whose twin has a slot does not: it
     adds its probability to the twin's. When no slot is left, the other branches are dropped.
     """
-    driving = hypotheses.weight.size - 1
+    driving = hypotheses.ln_weight.size - 1
     before = _copied(hypotheses, driving)
-    branches = _branch_weights(before, u)
+    ln_branches = _ln_branches(before, u)
     origin = np.empty(driving, np.int64)  # which hypothesis before is that of each slot taken
     for s in range(driving):
-        hypotheses.weight[s] = -math.inf
+        hypotheses.ln_weight[s] = -math.inf
     taken = 0  # slots, from the first on
-    for _ in range(branches.size):
-        row, s = _likeliest_branch(branches)
-        weight = branches[row, s]
-        branches[row, s] = -math.inf  # it is not the likeliest again
-        if not weight > -math.inf:  # there is no such branch, or its weight is no number
+    for _ in range(ln_branches.size):
+        row, s = _likeliest_branch(ln_branches)
+        ln_weight = ln_branches[row, s]
+        ln_branches[row, s] = -math.inf  # it is not the likeliest again
+        if not ln_weight > -math.inf:  # there is no such branch, or it is no number
             continue
         u_of_branch = u if row == HEARD else before.direction[s]
         twin = _find_twin(before, s, u_of_branch, hypotheses, origin[:taken])
         if twin != NO_SLOT:
             # ln(exp(w_twin) + exp(w))
-            hypotheses.weight[twin] += math.log(1 + math.exp(weight - hypotheses.weight[twin]))
+            gap = ln_weight - hypotheses.ln_weight[twin]
+            hypotheses.ln_weight[twin] += math.log(1 + math.exp(gap))
         elif taken < driving:
             _copy_state(before, s, hypotheses, taken)
-            hypotheses.weight[taken] = weight
+            hypotheses.ln_weight[taken] = ln_weight
             hypotheses.direction[taken] = u_of_branch
             hypotheses.until_s[taken] = before.until_s[s]
             if row == HEARD:
@@ -403,33 +415,34 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
 
 
 @compiled(**INLINE_FAST)
-def _branch_weights(before, u):
-    """Return the weights of both branches of each hypothesis `before`, rows HEARD and MISSED:
+def _ln_branches(before, u):
+    """Return ln of the probability of both branches of each hypothesis `before`, (2, S) with the
+    rows HEARD and MISSED:
 
         w_heard = w + ln(1 - lost),    w_missed = w + ln(lost).
 
-    To one that follows u already, both are the same: it goes on as HEARD, with all its weight.
+    To one that follows u already, both are the same: it goes on as HEARD, with all its probability.
     """
-    number = before.weight.size
-    branches = np.empty((2, number))
+    number = before.ln_weight.size
+    ln_branches = np.empty((2, number))
     for s in range(number):
         if before.direction[s] == u:
-            branches[HEARD, s] = before.weight[s]
-            branches[MISSED, s] = -math.inf
+            ln_branches[HEARD, s] = before.ln_weight[s]
+            ln_branches[MISSED, s] = -math.inf
         else:
-            branches[HEARD, s] = before.weight[s] + LN_HEARD
-            branches[MISSED, s] = before.weight[s] + LN_MISSED
-    return branches
+            ln_branches[HEARD, s] = before.ln_weight[s] + LN_HEARD
+            ln_branches[MISSED, s] = before.ln_weight[s] + LN_MISSED
+    return ln_branches
 
 
 @compiled(**INLINE_FAST)
-def _likeliest_branch(branches):
-    """Return row and column of the largest weight; of equals, HEARD comes first."""
+def _likeliest_branch(ln_branches):
+    """Return row and column of the likeliest branch; of equals, HEARD comes first."""
     best_row = 0
     best_s = 0
-    for row in range(branches.shape[0]):
-        for s in range(branches.shape[1]):
-            if branches[row, s] > branches[best_row, best_s]:
+    for row in range(ln_branches.shape[0]):
+        for s in range(ln_branches.shape[1]):
+            if ln_branches[row, s] > ln_branches[best_row, best_s]:
                 best_row = row
                 best_s = s
     return best_row, best_s
@@ -454,8 +467,8 @@ def _find_twin(before, s, u, hypotheses, origin):
 @compiled(**INLINE_FAST)
 def _slot_that_follows(hypotheses, u):
     """Return the first hypothesis that follows u, the stuck one aside; NO_SLOT if there is none."""
-    for s in range(hypotheses.weight.size - 1):
-        if hypotheses.direction[s] == u and hypotheses.weight[s] > -math.inf:
+    for s in range(hypotheses.ln_weight.size - 1):
+        if hypotheses.direction[s] == u and hypotheses.ln_weight[s] > -math.inf:
             return s
     return NO_SLOT
 
@@ -505,11 +518,11 @@ def _turning_rate(model, i, z, u):
 def _copied(hypotheses, count):
     """Return a copy of the first `count` hypotheses."""
     return Hypotheses(
-        hypotheses.state[:count].copy(),
-        hypotheses.cov[:count].copy(),
-        hypotheses.direction[:count].copy(),
-        hypotheses.until_s[:count].copy(),
-        hypotheses.weight[:count].copy(),
+        state=hypotheses.state[:count].copy(),
+        cov=hypotheses.cov[:count].copy(),
+        direction=hypotheses.direction[:count].copy(),
+        until_s=hypotheses.until_s[:count].copy(),
+        ln_weight=hypotheses.ln_weight[:count].copy(),
     )
 
 
@@ -561,31 +574,32 @@ def _update(bank, model, b, i, pose, seconds, scratch):
 
 @compiled(**INLINE_FAST)
 def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovation):
-    """Update states and weights by a pose; return ln L, and fill the likeliest's `innovation` (3,).
+    """Update states and probabilities by a pose; return ln L, and fill the `innovation` (3,) of the
+    likeliest hypothesis.
 
         w_s <- w_s + ln p(pose | s) - ln L,    ln L = ln sum_s exp(w_s) p(pose | s)
 
-    The probabilities have the sum 1 then. No weight falls below `ASSUMED.least_weight`: what the
+    The probabilities have the sum 1 then. No w falls below `ASSUMED.least_ln_weight`: what the
     robot does may become true again.
     """
-    weight = hypotheses.weight
+    ln_weight = hypotheses.ln_weight
     most = -math.inf
-    for s in range(weight.size):
-        if weight[s] > -math.inf:
+    for s in range(ln_weight.size):
+        if ln_weight[s] > -math.inf:
             z = hypotheses.state[s]
             cov = hypotheses.cov[s]
-            weight[s] += measure(model, i, z, cov, noise_scale, pose, scratch)
-            if weight[s] > most:
-                most = weight[s]
+            ln_weight[s] += measure(model, i, z, cov, noise_scale, pose, scratch)
+            if ln_weight[s] > most:
+                most = ln_weight[s]
                 for j in range(3):
                     innovation[j] = scratch.innovation[j]
     total = 0.0
-    for s in range(weight.size):
-        total += math.exp(weight[s] - most)  # the largest is 1: no sum overflows
+    for s in range(ln_weight.size):
+        total += math.exp(ln_weight[s] - most)  # the largest is 1: no sum overflows
     ln_likelihood = most + math.log(total)
-    for s in range(weight.size):
-        if weight[s] > -math.inf:
-            weight[s] = max(weight[s] - ln_likelihood, ASSUMED.least_weight)
+    for s in range(ln_weight.size):
+        if ln_weight[s] > -math.inf:
+            ln_weight[s] = max(ln_weight[s] - ln_likelihood, ASSUMED.least_ln_weight)
     return ln_likelihood
 
 
@@ -630,12 +644,12 @@ def _add_to_block(bank, b, i, innovation):
 
 
 @compiled(**INLINE_FAST)
-def _stick(hypotheses, model, seconds, now_s):
+def _exchange_stuck(hypotheses, model, seconds, now_s):
     """Let probability pass between the likeliest driving hypothesis and the stuck one, for the
     `seconds` until now.
 
     A robot that drives gets stuck once in `every_s`, and a stuck one comes free after `for_s`, both
-    on average. Of two hypotheses that become one, the likelier keeps its state and weight:
+    on average. Of two hypotheses that become one, the likelier keeps its state and its w:
 
         w_likeliest <- max(w_likeliest, w_stuck + ln(seconds / for_s))
         w_stuck     <- max(w_stuck + ln(1 - seconds / for_s), w_likeliest + ln(seconds / every_s)),
@@ -643,11 +657,11 @@ def _stick(hypotheses, model, seconds, now_s):
     of which only the one exchange or the other is made. A stuck robot may stray meanwhile. If the
     likeliest robot is not to drive, being stuck and standing are the same, and no robot is stuck.
     """
-    weight = hypotheses.weight
-    stuck = weight.size - 1
-    best = likeliest(weight, stuck)
+    ln_weight = hypotheses.ln_weight
+    stuck = ln_weight.size - 1
+    best = likeliest(ln_weight, stuck)
     if math.isnan(hypotheses.direction[best]) or hypotheses.until_s[best] <= now_s:
-        weight[stuck] = -math.inf
+        ln_weight[stuck] = -math.inf
         return
     cov = hypotheses.cov[stuck]
     strays2 = model.sticks.strays * model.sticks.strays
@@ -657,18 +671,18 @@ def _stick(hypotheses, model, seconds, now_s):
     cov[HEADING, HEADING] += turns2 * seconds
     p_free = min(0.5, seconds / model.sticks.for_s)
     p_stick = min(0.5, seconds / model.sticks.every_s)
-    stays_stuck = weight[stuck] + math.log(1 - p_free)
-    comes_free = weight[stuck] + math.log(p_free)
-    gets_stuck = weight[best] + math.log(p_stick)
-    if comes_free > weight[best]:
+    ln_stays_stuck = ln_weight[stuck] + math.log(1 - p_free)
+    ln_comes_free = ln_weight[stuck] + math.log(p_free)
+    ln_gets_stuck = ln_weight[best] + math.log(p_stick)
+    if ln_comes_free > ln_weight[best]:
         _copy_state(hypotheses, stuck, hypotheses, best)
-        weight[best] = comes_free
-        weight[stuck] = stays_stuck
-    elif gets_stuck > stays_stuck:
+        ln_weight[best] = ln_comes_free
+        ln_weight[stuck] = ln_stays_stuck
+    elif ln_gets_stuck > ln_stays_stuck:
         _copy_state(hypotheses, best, hypotheses, stuck)
-        weight[stuck] = gets_stuck
+        ln_weight[stuck] = ln_gets_stuck
     else:
-        weight[stuck] = stays_stuck
+        ln_weight[stuck] = ln_stays_stuck
 
 
 # ---- scores ----

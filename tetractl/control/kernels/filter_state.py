@@ -98,8 +98,8 @@ class Assumed(NamedTuple):
     gate: float = 30.0
     """Squared deviation above which a pose is an outlier: chi-square of 3 numbers exceeds it once
     in 700,000 poses."""
-    least_weight: float = -25.0
-    """Least ln of the weight of a hypothesis that has one."""
+    least_ln_weight: float = -25.0
+    """Least ln of the probability of a hypothesis: its slot is not given up."""
     lost_track_s: float = 0.3
     """Time without a fit after which the camera's pose is used [s]."""
     scale_memory: float = 400.0
@@ -191,6 +191,9 @@ class FilterModel(NamedTuple):
     0 if it is always that of the present heading."""
     coarse: bool = False
     """Whether poses of robots that drive may be equal."""
+    branch_all: bool = False
+    """Whether every hypothesis branches when a command acts, as logs need it; else the likeliest
+    one does, as the controller has time for."""
 
 
 class Bank(NamedTuple):
@@ -204,8 +207,8 @@ class Bank(NamedTuple):
     """(B, N, S) direction u followed [rad], NaN for a robot that stands."""
     until_s: Floats
     """(B, N, S) time at which its watchdog stops a robot that follows a direction [s]."""
-    weight: Floats
-    """(B, N, S) ln of the hypothesis's probability, -inf if there is none."""
+    ln_weight: Floats
+    """(B, N, S) ln of the hypothesis's probability, -inf for a slot without a hypothesis."""
     noise_scale: Floats
     """(B, N, 2) ratio of observed to expected variances of positions, and of headings."""
     unfit_s: Floats
@@ -223,13 +226,13 @@ class Bank(NamedTuple):
     """(B, N) dead time tau [s]."""
     score: Floats
     """(B, N) ln of the likelihood of the filter's frames, up to a constant; -inf for no filter."""
-    coming: NDArray[np.int64]
+    next_command: NDArray[np.int64]
     """(B, N) index of the command that acts next."""
     group: NDArray[np.int64]
     """(B, N) which value of `BodyModel.tried` the filter started from."""
-    first_odds: Floats
-    """(B, N) ln of the odds that the robot heard the latest command that acts, when it began to
-    act; NaN if the robot most probably followed this direction before, so that it was no news."""
+    ln_odds_before: Floats
+    """(B, N) ln of the odds that the robot heard the latest command that acts, before any frame
+    after it; NaN if the robot most probably followed this direction already: it was no news."""
     ln_heard: Floats
     """(B, N, LISTENED) ln of the factor by which frames changed these odds until the next command
     acted, for the latest commands before the one that acts; NaN if they say nothing."""
@@ -251,8 +254,8 @@ class Bank(NamedTuple):
         robots, states = std.shape
         per_filter = (len(dead_time_s), robots)
         per_slot = (*per_filter, follows + 1)
-        weight = np.full(per_slot, -np.inf)
-        weight[..., 0] = 0.0
+        ln_weight = np.full(per_slot, -np.inf)
+        ln_weight[..., 0] = 0.0
         cov = np.zeros((*per_slot, states, states))
         cov[..., range(states), range(states)] = std[:, None] ** 2
         return cls(
@@ -260,7 +263,7 @@ class Bank(NamedTuple):
             cov=cov,
             direction=np.full(per_slot, np.nan),
             until_s=np.full(per_slot, np.inf),
-            weight=weight,
+            ln_weight=ln_weight,
             noise_scale=np.ones((*per_filter, 2)),
             unfit_s=np.zeros(per_filter),
             block_sum=np.zeros((*per_filter, 3)),
@@ -269,9 +272,9 @@ class Bank(NamedTuple):
             blocks=np.zeros(per_filter),
             dead_time_s=np.repeat(dead_time_s[:, None], robots, axis=1),
             score=np.zeros(per_filter),
-            coming=np.zeros(per_filter, dtype=np.int64),
+            next_command=np.zeros(per_filter, dtype=np.int64),
             group=np.repeat(group[:, None], robots, axis=1),
-            first_odds=np.full(per_filter, np.nan),
+            ln_odds_before=np.full(per_filter, np.nan),
             ln_heard=np.full((*per_filter, LISTENED), np.nan),
         )
 
@@ -309,7 +312,7 @@ class Hypotheses(NamedTuple):
     """(S,)"""
     until_s: Floats
     """(S,)"""
-    weight: Floats
+    ln_weight: Floats
     """(S,)"""
 
 
@@ -334,27 +337,17 @@ class FilterScratch(NamedTuple):
     """(3,) of the likeliest hypothesis"""
 
 
-class SharedTimes(NamedTuple):
-    """What the filters of N robots say together of the robots' dead times (`kernels.bank.share`),
-    by a grid of T times."""
+class CommonTimes(NamedTuple):
+    """T dead times that all N robots may have in common, and how they go with each filter's."""
 
     near: Floats
-    """(T, B, N) density of a time of the others, given a filter's dead time [1/s]."""
-    prior: Floats
+    """(T, B, N) density of each time for the other robots, given a filter's dead time [1/s]."""
+    ln_prior: Floats
     """(T,) ln of the prior density of each time, up to a constant."""
-    scratch: Floats
-    """(T, N)"""
-    score: Floats
-    """(B, N) ln of each filter's probability, up to a constant."""
-    mean_s: Floats
-    """(N,) each robot's dead time [s]."""
-    std_s: Floats
-    """(N,) its standard deviation [s]."""
 
     @classmethod
-    def start(cls, bank: Bank, step_s: Floats, prior: Prior) -> Self:
-        """Return what is to be said of the filters of a bank, before it is: `score` is that of the
-        robot's own frames, and the dead time that of its first filter.
+    def of(cls, bank: Bank, step_s: Floats, prior: Prior) -> Self:
+        """Return the times for the filters of a bank.
 
         If filter b of robot i is right, the robot's dead time is tau_b, give or take half the step
         of its grid, step_s (N,). That of another robot is the same, but for a probability
@@ -370,14 +363,24 @@ class SharedTimes(NamedTuple):
         near = (1 - GRID.own) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
         near += GRID.own * np.exp(-((gaps_s / GRID.own_s) ** 2) / 2) / GRID.own_s
         deviations = (times_s - prior.dead_time) / (prior.dead_time_std or 1.0)
-        return cls(
-            near=near,
-            prior=-(deviations**2) / 2,
-            scratch=np.empty((len(times_s), len(step_s))),
-            score=bank.score.copy(),
-            mean_s=bank.dead_time_s[0].copy(),
-            std_s=np.zeros(len(step_s)),
-        )
+        return cls(near=near, ln_prior=-(deviations**2) / 2)
+
+
+class SharedScores(NamedTuple):
+    """What the filters of N robots say together (`kernels.bank.share`)."""
+
+    score: Floats
+    """(B, N) ln of each filter's probability, up to a constant."""
+    mean_s: Floats
+    """(N,) each robot's dead time [s]."""
+    std_s: Floats
+    """(N,) its standard deviation [s]."""
+
+    @classmethod
+    def of_prior(cls, bank: Bank) -> Self:
+        """Return what the filters say if the prior is certain: the dead time is that of the first
+        filter, and there is no other."""
+        return cls(bank.score.copy(), bank.dead_time_s[0].copy(), np.zeros(bank.score.shape[1]))
 
 
 class NextFilters(NamedTuple):
@@ -389,13 +392,16 @@ class NextFilters(NamedTuple):
     """(C, N) the dead time that each takes [s]."""
     score: Floats
     """(C, N) the score that each takes."""
+    step_s: Floats
+    """(N,) how far each robot's dead times are apart then [s]."""
 
     @classmethod
-    def empty(cls, size: int, robots: int) -> Self:
-        """Return room for `size` filters of each of some robots."""
-        shape = (size, robots)
+    def room_for(cls, size: int, step_s: Floats) -> Self:
+        """Return room for `size` filters of each robot, whose dead times are `step_s` (N,) apart
+        now [s]."""
+        shape = (size, len(step_s))
         rows = np.empty(shape, np.int64)
-        return cls(rows, dead_time_s=np.empty(shape), score=np.empty(shape))
+        return cls(rows, dead_time_s=np.empty(shape), score=np.empty(shape), step_s=step_s.copy())
 
     def taken_from(self, bank: Bank) -> Bank:
         """Return the bank of these filters, each with the dead time and the score that it takes. If

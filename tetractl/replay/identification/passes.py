@@ -178,14 +178,14 @@ def run(
     likelihood, lost = np.zeros((len(tau), len(rows))), np.zeros(len(rows))
     residuals = []
     for track in tracks:
-        bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
+        bank.ln_weight[...], bank.ln_weight[..., 0] = -np.inf, 0.0
         commands = SentCommands(track.when, track.u)
         if track.lag > 0:  # the wheels stand until the first direction acts
             bank.direction[...] = np.nan
-            bank.coming[:] = 0
+            bank.next_command[:] = 0
         else:  # the first direction also acts before its time
             bank.direction[...] = track.u[0]
-            bank.coming[:] = 1
+            bank.next_command[:] = 1
         bank.until_s[...] = bank.dead_time_s[..., None] + track.when[0] + track.watchdog
         model = first._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold=track.hold)
         of_all = track.poses, track.used, track.placed
@@ -203,13 +203,13 @@ def run(
                 none = SentCommands(np.empty(0), np.empty(0))
                 kernel.place(bank, model, none, time[1], pose, fresh)
             if watched:
-                weight, latest = bank.weight[middle], bank.coming[middle] - 1
-                z = bank.state[middle, each, weight.argmax(axis=1)]
+                ln_weight, latest = bank.ln_weight[middle], bank.next_command[middle] - 1
+                z = bank.state[middle, each, ln_weight.argmax(axis=1)]
                 residuals.append(np.where(use[:, None], _residual(pose, z), np.nan))
-                others = np.exp(weight) * (bank.direction[middle] != track.u[latest][:, None])
+                others = np.exp(ln_weight) * (bank.direction[middle] != track.u[latest][:, None])
                 missed[latest, each] = others[:, :-1].sum(axis=1)
         lost += missed[:-1].sum(axis=0)
-        best = bank.weight.argmax(axis=2)[..., None, None]
+        best = bank.ln_weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
         bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
     variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
@@ -250,7 +250,7 @@ def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
     std[:, IDENTIFIED] = belief.std
     bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64), LOG_FOLLOWS)
     noise, ones = np.ascontiguousarray(noise), np.ones((count, len(PARAMETERS)))
-    return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf), bank
+    return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf, branch_all=True), bank
 
 
 def _residual(pose: Floats, z: Floats) -> Floats:

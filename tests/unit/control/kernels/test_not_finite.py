@@ -50,6 +50,7 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
         helix_rad_s=0.0,
         lag_s=0.0,
         watchdog_s=math.inf,
+        branch_all=True,
     )
     model.walk[HEADING] = 0.06
     mean = np.zeros((1, 1, STATES))
@@ -58,7 +59,7 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
     std[:, [HEADING, LN_A]] = 0.8, 0.6
     bank = Bank.start(np.zeros(1), mean, std, np.zeros(1, dtype=np.int64), LOG_FOLLOWS)
     bank.direction[...] = math.pi
-    bank.coming[...] = 1
+    bank.next_command[...] = 1
     times = 0.04 * np.arange(6.0)[:, None]
     poses = np.zeros((6, 1, 3))
     poses[:, 0, 0] = times[:, 0]
@@ -66,7 +67,7 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
     commands = SentCommands(np.array([0.0]), np.array([math.pi]))
     found = follow(bank, model, commands, PoseFrames(times, poses, seen), False, 0.0)
     assert np.isfinite(found).all()
-    cov = bank.cov[0, 0, int(bank.weight[0, 0].argmax())]
+    cov = bank.cov[0, 0, int(bank.ln_weight[0, 0].argmax())]
     assert np.linalg.eigvalsh(cov).min() > -1e-9 * np.trace(cov)
 
 

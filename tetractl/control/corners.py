@@ -68,5 +68,5 @@ def roomiest(problem: Problem, margins: Margins, apart: float) -> float:
     way = seconds[:, None, None] * problem.speed  # (M, 1, N)
     x = problem.poses.x + way * np.cos(directions)[:, None]  # (M, U, N)
     y = problem.poses.y + way * np.sin(directions)[:, None]
-    rooms = margins.room(x, y, apart)
-    return float(directions[np.argmax(rooms.mean(axis=0))])
+    clearances = margins.least_clearance(x, y, apart)
+    return float(directions[np.argmax(clearances.mean(axis=0))])

@@ -4,7 +4,7 @@ A *signal* is the direction [rad] that all robots follow for a signal period, a 
 signals. A plan is *under way* while robots follow it; the signals of it that are left are `warm`,
 as searches start from them. Without one robots are *at rest*: before the first plan, after a rest
 or a turn on the spot, and when a leg begins. A *leg* is the part of a trial up to a way-point or to
-the targets, or the hold after them. A robot *sticks* if it stands though it is sent a direction.
+the targets, or the hold after them.
 
 As in Algorithm 2 of the paper, each control step searches plans of several lengths, from what is
 left of the plan under way, and only the first signal is exerted. Besides driving by a plan, robots
@@ -12,21 +12,42 @@ can stop. What there is to choose from has a *value*, the less the better: the p
 distances to the targets at its end [length unit], and what its time and its risk cost in the same
 unit (`tetractl.control.value`).
 
+Two tests look at what a plan might do to bodies, and they differ in what follows:
+
+    collides soon    the first signal, held until a stop can act, brings a body into something:
+                     robots that can stand never drive such a plan, whatever its value
+                     (`_collides_soon`)
+    silence          if robots receive nothing after one of its signals, they come too near to
+                     something: the plan costs more, as this is only a risk (`_is_clear_in_silence`)
+
 The rules of one of two lists are asked in turn, and the first answer is what the robots do. Each is
 the method of its name.
 
     under way                                      at rest
 
-    pass     go on through a passage               stay     in a hold: all are within its radius
+    thread   on through a passage                  stay     in a hold: all are within its radius
     stop     in the coming period, if no plan      finish   if no plan can have a lower value,
              can have a lower value                         or none fits into the time left
-    keep     the signal, if no robot hears many    (plans are searched)
-             commands
+    keep     the signal, if all robots miss        (plans are searched)
+             many commands
     (plans are searched)
-    go on    by the safe plan of least value       turn     on the spot, if none found is safe:
-    rest     if a plan from rest can have a                 other headings allow other plans
-             lower value, or none found is safe    give up  if none is safe after all turns
-                                                   drive    by the plan of least value
+    go on    by the plan of least value that       turn     on the spot, if the plan of least value
+             does not collide soon                          collides soon: other headings allow
+    rest     if a plan from rest can have a                 other plans
+             lower value, or all found collide     give up  if it does so after all turns
+             soon                                  drive    by the plan of least value
+
+What else can happen in a step, and what follows:
+
+    the searches take too long    they end at the spec's `deadline`; the first one is always done,
+                                  and its plan is a candidate
+    a robot is lost               the leg begins again for the others, at rest or driving as they
+                                  are; on wheels, its body is an obstacle from now on
+    all are at their targets,     the leg ends, and the next one begins in the same step; after the
+    or a rule ends the leg        last leg, the trial ends
+    the time limit is over        the trial ends
+    robots gave up                the trial ends in the step after: its log has what was searched
+    a robot is dead               ControlError, if the spec ends a trial then
 
 Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
 robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and
@@ -57,7 +78,7 @@ from tetractl.control.fixed_sequence import (
 )
 from tetractl.control.holding import CircleSearch
 from tetractl.control.lengths import Searcher, least_length, longer
-from tetractl.control.margins import Margins
+from tetractl.control.margins import Margins, Silence
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
@@ -102,8 +123,8 @@ any other would be left to choose. Chosen, not measured."""
 SILENT_ROOM = 0.2
 """Clearance of robots that receive nothing, as a fraction of their radius: with 0.4, trials took a
 quarter longer (docs/decisions/safety.md)."""
-PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
-"""Outcomes after which the next leg begins."""
+END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
+"""Outcomes after which the next leg begins, if there is one."""
 
 Decision = Plan | Outcome | End
 """What robots do in a step, or how a leg ends."""
@@ -181,12 +202,14 @@ class ControlStep:
     """What a step begins with.
 
     The `problem` is to bring robots from where they will be when the next command acts to their
-    targets; `warm` (L,) are the signals left of the plan under way, None if none is; `horizon_max`
-    is the longest plan and `signals_left` the time until the limit of time, both in signals;
-    `value` is how plans are valued.
+    targets; `silence` is the one in which they are to keep clear, None if this is not asked of
+    them; `warm` (L,) are the signals left of the plan under way, None if none is; `horizon_max` is
+    the longest plan and `signals_left` the time until the limit of time, both in signals; `value`
+    is how plans are valued.
     """
 
     problem: Problem
+    silence: Silence | None
     warm: Floats | None
     horizon_max: int
     signals_left: float
@@ -209,8 +232,8 @@ class ControlStep:
 
 
 class LeastValues(NamedTuple):
-    """The least values that what robots can do instead of a stop may turn out to have, before plans
-    are searched; inf for what they cannot do."""
+    """The least values that driving on and a rest may turn out to have once plans are searched; inf
+    for what robots cannot do."""
 
     go_on: float
     rest: float
@@ -230,13 +253,14 @@ class Candidate(NamedTuple):
 
 
 class Searched(NamedTuple):
-    """What the searches of a step found: all of them in order, and the `candidates`, that of least
-    value first. They are plans for the `problem`; `passes` tells whether a tree led to the best."""
+    """What the searches of a step found: all of them in order, and the `candidates`, that of
+    least value first. They are plans for the `problem`; `by_tree`: whether a tree led to the best.
+    """
 
     problem: Problem
     searches: Sequence[Search]
     candidates: Sequence[Candidate]
-    passes: bool = False
+    by_tree: bool = False
 
 
 class Mpc:
@@ -293,7 +317,7 @@ class Mpc:
 
     def _ends_a_leg_only(self, decision: Decision) -> bool:
         """Return whether a decision ends a leg after which there is another."""
-        if not isinstance(decision, Outcome) or decision not in PASSED:
+        if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
         return self.progress.state is not State.STUCK and not self._in_last_leg
 
@@ -362,8 +386,10 @@ class Mpc:
         first_period_s = rest_periods * section.period
         motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
         left_s = self.time.left_s + held_periods * section.period
+        problem = self._with_margins(motion, self.estimator.known)
         return ControlStep(
-            problem=self._with_margins(motion, self.estimator.known),
+            problem=problem,
+            silence=self._silence(problem),
             warm=self._signals_left(held_periods),
             horizon_max=section.horizon_max,
             signals_left=left_s / motion.period,
@@ -427,16 +453,16 @@ class Mpc:
     def _under_way(self, step: ControlStep, warm: Floats) -> Decision:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
-            return self._pass(step, warm)
-        instead = self._least_values(step, warm)
-        stop = self._stop(step, warm, instead.least)
+            return self._thread(step, warm)
+        least_values = self._least_values(step, warm)
+        stop = self._stop(step, warm, least_values.least)
         if stop is not None:
             return stop
         kept = self._keep(step, warm)
         if kept is not None:
             return kept
         searched = self._search_under_way(step, warm)
-        plan = self._go_on(searched, instead.rest)
+        plan = self._go_on(searched, least_values.rest)
         if plan is not None:
             return plan
         return self._rest(searched)
@@ -478,7 +504,7 @@ class Mpc:
             return np.inf
         return step.value.rest(length, wait_s)
 
-    def _pass(self, step: ControlStep, warm: Floats) -> Plan:
+    def _thread(self, step: ControlStep, warm: Floats) -> Plan:
         """Go on through a passage by a long plan made at rest: search only its next AHEAD signals
         again, so that they bring robots to where the plan led them after these; keep the others.
 
@@ -494,7 +520,7 @@ class Mpc:
         search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, limits)
         foreseen = compiled_foresee(problem, search.signals)
         strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
-        if self.stands and (strays or self._enters(step.problem, search.signals)):
+        if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
             return self._standing(step.problem, State.RESTING, [search])
         signals = np.append(search.signals, warm[AHEAD:])
         plan = self._given(step.problem, signals, State.PASSING, [search])
@@ -512,10 +538,10 @@ class Mpc:
         limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
         return miss > limit and driven_s > TRUSTED_S
 
-    def _stop(self, step: ControlStep, warm: Floats, instead: float) -> Decision | None:
+    def _stop(self, step: ControlStep, warm: Floats, least: float) -> Decision | None:
         """Stop at the best moment of the coming control period, if the error that is left then is
-        at most the least value `instead`: robots would drive past their targets, on a detour that
-        costs more than it can win.
+        at most the `least` value of anything else: robots would drive past their targets, on a
+        detour that costs more than it can win.
 
         Robots that can stand rest at first on the last leg. They are measured there, and the next
         step ends the leg (`_finish`) or finds a plan from where they really are. Others, and those
@@ -523,10 +549,10 @@ class Mpc:
         """
         # at a way-point the next leg begins with a new plan: a later moment is not worth waiting
         within_s = self.section.period if self._in_last_leg else 0.0
-        if least_error(step.problem, within_s) > instead:
+        if least_error(step.problem, within_s) > least:
             return None  # no moment can be good enough: so it is in most steps, and costs no time
         stop = self._best_stop(step.problem, within_s)
-        if stop.error > instead:
+        if stop.error > least:
             return None
         if self._holds or (self.stands and self._in_last_leg):
             rest = self._standing(step.problem, State.RESTING)
@@ -546,8 +572,10 @@ class Mpc:
         """
         held = self.estimator.held_at_action
         stop = best_stop(problem, held, within_s)
+        if stop.delay_ns == 0 or not self.stands:
+            return stop
         seconds = stop.delay_ns / SECOND + REACTION_S
-        if stop.delay_ns > 0 and self.stands and self.course.margins.meets(problem, held, seconds):
+        if self.course.margins.enters_if_held(problem, held, seconds):
             return best_stop(problem, held, 0.0)
         return stop
 
@@ -560,22 +588,23 @@ class Mpc:
         """
         if self._held_periods() == 0 or not self.estimator.hearing.misses_many:
             return None
-        if self.stands and self._enters(step.problem, warm):
+        if self.stands and self._collides_soon(step.problem, warm):
             return self._standing(step.problem, State.RESTING)
         return self._given(step.problem, warm, State.DRIVING)
 
-    def _go_on(self, searched: Searched, rest: float) -> Plan | None:
-        """Follow the plan of least value that is safe, unless a rest can have a lower value.
+    def _go_on(self, searched: Searched, least_of_rest: float) -> Plan | None:
+        """Follow the plan of least value that does not collide soon, unless a rest can have a lower
+        value.
 
         Robots that cannot stand follow the first: there is nothing safer that they could do.
         """
         for candidate in searched.candidates:
             if not self.stands:
                 return self._planned(searched, candidate)
-            if candidate.value > rest:
+            if candidate.value > least_of_rest:
                 return None
             plan = self._planned(searched, candidate)
-            if not self._enters(searched.problem, plan.signals):
+            if not self._collides_soon(searched.problem, plan.signals):
                 return plan
         return None
 
@@ -669,9 +698,9 @@ class Mpc:
         return Outcome.NO_BETTER_PLAN
 
     def _turn(self, searched: Searched, best: Plan) -> Plan | None:
-        """Turn on the spot if the best plan found would bring a body into something before a stop
-        can act, as from a corner that robots face. Not after all turns were in vain."""
-        if not (self.stands and self._enters(searched.problem, best.signals)):
+        """Turn on the spot if the best plan found collides soon, as from a corner that robots face.
+        Not after all turns were in vain."""
+        if not (self.stands and self._collides_soon(searched.problem, best.signals)):
             return None
         apart = self.section.collision.separation
         turning = self.progress.turning
@@ -682,18 +711,18 @@ class Mpc:
         return replace(standing, instead=Turn(facing))
 
     def _give_up(self, searched: Searched, best: Plan) -> Plan | None:
-        """Stand, and end the trial in the next step (`_outcome`), if the best plan found would
-        bring a body into something before a stop can act. The log then has what was searched.
+        """Stand, and end the trial in the next step (`_outcome`), if the best plan found collides
+        soon. The log then has what was searched.
 
         A plan that touches something later is driven: it is searched again on the way.
         """
-        if self.stands and self._enters(searched.problem, best.signals):
+        if self.stands and self._collides_soon(searched.problem, best.signals):
             return replace(best, state=State.STUCK, instead=Stop())
         return None
 
     def _drive(self, searched: Searched, best: Plan) -> Plan:
-        """Follow the best plan found; if a tree led to it, pass by it (`_pass`)."""
-        if searched.passes and best.search.length > AHEAD:
+        """Follow the best plan found; if a tree led to it, through a passage (`_thread`)."""
+        if searched.by_tree and best.search.length > AHEAD:
             return replace(best, state=State.PASSING)
         return best
 
@@ -711,29 +740,30 @@ class Mpc:
         is_good = partial(self._is_good, step, problem)
         reached = searcher.spread(least_length(problem), longest, is_good)
         if reached or self.progress.moving or not self.section.collision.walls:
-            return self._searched(step, problem, searcher.found, passes=False)
+            return self._searched(step, problem, searcher.found, by_tree=False)
         certain = self._with_margins(problem, None)
         starts = ways(certain, self.setup.arena, longest, self._step_key)
-        passes = searcher.onward(certain, starts, partial(self._is_good, step, certain))
-        return self._searched(step, certain if passes else problem, searcher.found, passes)
+        by_tree = searcher.onward(certain, starts, partial(self._is_good, step, certain))
+        return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 
     def _is_good(self, step: ControlStep, problem: Problem, search: Search) -> bool:
         """Return whether a plan found for a problem needs no better one."""
         if search.cost > (self.section.optimizer.good_enough or 0.0):
             return False
-        return self._safe(step, search.signals, compiled_foresee(problem, search.signals))
+        foreseen = compiled_foresee(problem, search.signals)
+        return self._is_clear_in_silence(step, search.signals, foreseen)
 
     def _searched(
-        self, step: ControlStep, problem: Problem, searches: Sequence[Search], passes: bool
+        self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
     ) -> Searched:
         """Return all plans that searches found, as candidates for the problem."""
-        posed = replace(step, problem=problem)
+        posed = replace(step, problem=problem, silence=self._silence(problem))
         numbers = range(len(searches))
         candidates = [self._candidate(posed, searches, number) for number in numbers]
         candidates.sort(key=lambda candidate: candidate.value)
-        return Searched(problem, searches, candidates, passes)
+        return Searched(problem, searches, candidates, by_tree)
 
-    # plans, their values, and whether they are safe
+    # plans, their values, and what they might do to bodies
 
     @property
     def _step_key(self) -> int:
@@ -770,7 +800,7 @@ class Mpc:
         if cost >= step.problem.obstacle_weight:
             error = foreseen.target
             touches = foreseen.obstacle > 0
-        unheard = not self._safe(step, signals, foreseen)
+        unheard = not self._is_clear_in_silence(step, signals, foreseen)
         return step.value.plan(error, len(signals), step.is_new(signals), touches, unheard)
 
     def _planned(self, searched: Searched, candidate: Candidate) -> Plan:
@@ -800,32 +830,37 @@ class Mpc:
         )
         return replace(problem, obstacles=grown, separation=apart)
 
-    def _enters(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether a body enters an obstacle before a stop can act, which the next step may
+    def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
+        """Return whether a body enters something before a stop can act, which the next step may
         send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
         seconds = self._heard_s + LATE * self.estimator.dead_time_s
-        held = np.full(len(problem.a), signals[0])
-        return self.course.margins.meets(problem, held, seconds)
+        directions = np.full(len(problem.a), signals[0])
+        return self.course.margins.enters_if_held(problem, directions, seconds)
 
-    def _safe(self, step: ControlStep, signals: Floats, foreseen: Foreseen) -> bool:
-        """Return whether robots keep clear if, after any one of the signals (L,), they receive no
-        command for `silence` or until their watchdog stops them. Without this test, a plan could
-        head for a wall at full speed and turn off just before it.
-
-        The last SILENT_LAST signals are not tested; of the plan under way, only the first
-        SILENT_NEXT are.
-        """
+    def _silence(self, problem: Problem) -> Silence | None:
+        """Return the silence in which robots of a problem are to keep clear, None if this is not
+        asked of them. Their watchdogs may end it."""
         collision = self.section.collision
-        tested = len(signals) - SILENT_LAST
-        if not step.is_new(signals):
-            tested = min(tested, SILENT_NEXT)
-        if not collision.silence or tested <= 0:
-            return True
-        return self.course.margins.clear_unheard(
-            step.problem,
-            foreseen.path,
-            signals[:tested],
+        if not collision.silence:
+            return None
+        return self.course.margins.silence(
+            problem,
             seconds=min(collision.silence + self.section.period, self.setup.watchdog_s),
             margin=SILENT_ROOM * collision.radius,
             apart=collision.separation,
         )
+
+    def _is_clear_in_silence(self, step: ControlStep, signals: Floats, foreseen: Foreseen) -> bool:
+        """Return whether robots keep clear if, after any one of the signals (L,), they receive
+        nothing for a while. Without this test, a plan could head for a wall at full speed and turn
+        off just before it.
+
+        The last SILENT_LAST signals are not tested; of the plan under way, only the first
+        SILENT_NEXT are.
+        """
+        tested = len(signals) - SILENT_LAST
+        if not step.is_new(signals):
+            tested = min(tested, SILENT_NEXT)
+        if step.silence is None or tested <= 0:
+            return True
+        return step.silence.keeps_clear(foreseen.path, signals[:tested])

@@ -276,5 +276,5 @@ class RecommendedMpc(SearchFields):
         compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load
             next(ways(problem, setup.arena, 0, 0), None)
-        margins.entered(path)
-        margins.clear_unheard(problem, path, np.zeros(1), 0.0, 0.0, 0.0)
+        margins.enters(path)
+        margins.silence(problem, 0.0, 0.0, 0.0).keeps_clear(path, np.zeros(1))

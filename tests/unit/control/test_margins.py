@@ -76,7 +76,7 @@ def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
     path = np.zeros((4, 1, 3))
     path[:, 0, 0] = np.linspace(x0, x1, 4)
     path[:, 0, 1] = 1050.0
-    assert Margins([BOX], None, FAR[:1], 50).entered(path) is enters
+    assert Margins([BOX], None, FAR[:1], 50).enters(path) is enters
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
 def test_a_body_enters_another_where_they_come_nearer_than_two_radii(gaps, enters):
     path = np.zeros((2, 2, 3))
     path[:, 1, 0] = gaps
-    assert Margins([], None, FAR[:2], 50).entered(path) is enters
+    assert Margins([], None, FAR[:2], 50).enters(path) is enters
 
 
 def test_robots_keep_the_separation_they_have():
@@ -159,7 +159,7 @@ def test_a_direction_held_for_too_long_leads_into_a_wall(direction, seconds, cle
     margins = Margins([], setup.arena, setup.targets)
     path = poses.array()[None]
     signals = np.array([direction])
-    assert margins.clear_unheard(problem, path, signals, seconds, 20.0, 0.0) is clear
+    assert margins.silence(problem, seconds, 20.0, 0.0).keeps_clear(path, signals) is clear
 
 
 def test_robots_that_meet_under_a_direction_held_are_not_clear():
@@ -173,4 +173,4 @@ def test_robots_that_meet_under_a_direction_held_are_not_clear():
         close = replace(problem, separation=apart)
         path = poses.array()[None]
         signals = np.zeros(1)
-        assert margins.clear_unheard(close, path, signals, 1.0, 0.0, apart) is clear
+        assert margins.silence(close, 1.0, 0.0, apart).keeps_clear(path, signals) is clear

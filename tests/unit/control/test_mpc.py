@@ -230,20 +230,31 @@ def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(mor
     assert step(controller).state is state
 
 
+class AskedSilence:
+    """Stands for a silence in which any plan keeps clear, and writes down how many signals are
+    `tested` of plans by their length."""
+
+    def __init__(self, tested):
+        self.tested = tested
+
+    def keeps_clear(self, path, signals):
+        length = len(path) - 1  # before each signal, and after the last
+        self.tested[length] = len(signals)
+        return True
+
+
 class AskedMargins(Margins):
     """Stands for margins that any plan keeps. It writes down what it is asked of robots that
-    receive nothing: how many signals are `tested` of plans by their length, and for how long."""
+    receive nothing: how many signals are `tested`, and for how long."""
 
     def __init__(self):
         super().__init__([], None, TARGETS[:, :2])
         self.tested = {}
         self.seconds = set()
 
-    def clear_unheard(self, problem, path, signals, seconds, margin, apart):
-        length = len(path) - 1  # before each signal, and after the last
-        self.tested[length] = len(signals)
+    def silence(self, problem, seconds, margin, apart):
         self.seconds.add(round(seconds, 9))
-        return True
+        return AskedSilence(self.tested)
 
 
 def asked_margins(left, watchdog_s=math.inf):
@@ -457,13 +468,19 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
 @pytest.mark.parametrize(("wait_s", "allowed"), [(0.0, True), (0.4, True), (0.5, False)])
 def test_a_rest_leaves_time_for_the_plan_after_it(wait_s, allowed):
     problem = spec().controller.problem(spec().setup)
-    now = ControlStep(problem, None, 30, 20.0, Worth(ACCEPT, 0.0, problem.period))
+    value = Worth(ACCEPT, 0.0, problem.period)
+    now = ControlStep(
+        problem, silence=None, warm=None, horizon_max=30, signals_left=20.0, value=value
+    )
     assert now.allows(18, wait_s) == allowed
 
 
 def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
-    now = ControlStep(problem, None, 12, 400.0, Worth(ACCEPT, 0.0, problem.period))
+    value = Worth(ACCEPT, 0.0, problem.period)
+    now = ControlStep(
+        problem, silence=None, warm=None, horizon_max=12, signals_left=400.0, value=value
+    )
     assert now.allows(51, 0.0) and now.signals_max == 12
 
 

@@ -77,7 +77,9 @@ def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
     path = predict(problem, signals)
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
     assert missed < passage.WAYS_LEFT * (problem.speed / problem.a).sum()
-    assert margins.room(path[..., 0], path[..., 1], SEPARATION).min() > -1.0  # between moments
+    assert (
+        margins.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > -1.0
+    )  # between moments
     passed = (path[..., 0] > 1300).argmax(axis=0)
     assert len(set(passed.tolist())) == 3
 
@@ -123,7 +125,7 @@ def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
     path = predict(problem, signals)
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
     assert missed < 0.2 * problem.poses.distances(problem.targets).sum()
-    assert margins.room(path[..., 0], path[..., 1], SEPARATION).min() > 0
+    assert margins.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > 0
 
 
 @pytest.mark.parametrize("key", range(3))

@@ -17,7 +17,8 @@ from tetractl.control.kernels.obstacles import (
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
 
-ROOM = 0.98  # fraction of the available distance that a margin takes
+REDUCED = 0.98
+"""Fraction of a distance to which a margin is reduced that does not fit into it; chosen."""
 
 
 @compiled(**INLINE_EXACT)
@@ -94,7 +95,7 @@ def grow(rows, walls, boxes, x, y, nearest, least, margin, grown_rows, grown_wal
         gap = nearest[o]
         for n in range(x.size):
             gap = min(gap, _gap(rows, walls, o, x[n], y[n]))
-        more = max(margin if gap > margin else ROOM * max(gap, 0.0), min(margin, least[o]))
+        more = max(margin if gap > margin else REDUCED * max(gap, 0.0), min(margin, least[o]))
         if o < rows.shape[0]:
             for k in range(rows.shape[1]):
                 grown_rows[o, k] = rows[o, k]

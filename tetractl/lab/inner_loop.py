@@ -3,15 +3,23 @@
 The loop makes a step at every camera frame, in its own thread, so that planning cannot delay a
 stop. In each step it takes the new frames, lets the guard decide, and transmits one of these:
 
-    a stop                    while some of ten are left: after an abort, and after `stop`
+    a stop                    while some of STOPS are left: after an abort, and after `stop`
     the action that is held   in a run: at once if it is new or a robot must stop, else at the
                               actuator's rate
     the direction of `idle`   before a run, to robots in a field that turns meanwhile
     nothing                   otherwise
 
+What happens if something goes wrong:
+
+    a frame is late or missing    the guard decides (`tetractl.lab.guard`)
+    camera, guard or actuator     the guard aborts, and the first stop is sent in the same step, the
+    raise, or return nonsense     others in the steps that follow; the loop goes on
+    the actuator fails            the guard aborts; nothing more can be sent
+    emergency                     the guard aborts for good; stops are sent, also after an abort
+    the loop's thread hangs       `hold` aborts after HOLD_S; `stop` sends past it after STOP_S
+
 Threads: the loop's own makes the steps; the controller's calls `hold`, `stop`, `sent`, `warnings`
-and `restart`. A lock lets one of them act at a time. If the loop's thread hangs, `stop` sends
-without the lock. Times are ns on the run's clock.
+and `restart`. A lock lets one of them act at a time. Times are ns on the run's clock.
 """
 
 import threading
@@ -38,9 +46,10 @@ from tetractl.lab.guard_records import GuardState, Ruling
 IDLE_S = 0.01
 """Longest time between two steps without a frame [s]."""
 HOLD_S = 0.25
-"""Time after which a step hangs [s]: a direction is refused then."""
+"""Time for which `hold` waits for the thread to end its step [s]; chosen, not measured."""
 STOP_S = 1.0
-"""Time after which a step hangs [s]: a stop is sent without it then."""
+"""Time for which `stop` waits for it [s]: longer, as a stop that is sent past a step which only
+takes long may come between its bytes."""
 
 
 @dataclass(slots=True)
@@ -53,21 +62,23 @@ class HeldAction:
 
 @dataclass(slots=True)
 class StopSeries:
-    """The stops that are left to send, the first that was sent since `stop` was called, and whether
-    the abort of this run has had its stops.
-    """
+    """Stops that are sent one after the other."""
 
     left: int = 0
+    """How many are still to be sent."""
     first: Transmission | None = None
-    of_abort: bool = False
+    """The first that was sent since `stop` was called."""
+    after_abort: bool = False
+    """Whether the guard has aborted, and its stops were begun: they are so once."""
 
 
 class InnerLoop:
     """Runs a guard between a camera and an actuator.
 
     `wake` is set by the camera after each frame, `emergency` by the operator. `frames` are the
-    accepted frames, `last` is the last transmission. `idle` is a function of time [ns]: the
-    direction u [rad] sent before robots are steered. Without `start`, the caller must call `step`.
+    accepted frames, `last` is the last transmission of a run. `idle` is a function of time [ns]:
+    the direction u [rad] sent before robots are steered. Without `start`, the caller must call
+    `step` or `step_if_due`.
     """
 
     def __init__(
@@ -92,14 +103,15 @@ class InnerLoop:
         self._lock = threading.Lock()
         self._held: HeldAction | None = None
         self._stops = StopSeries()
-        # which robots were allowed to move by the last transmission of a held action
-        self._let_move: tuple[bool, ...] = ()
+        self._moving: tuple[bool, ...] = ()  # which robots the held action, sent last, lets move
         self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._transmit_ns = 0  # when the next transmission is due
         self._step_ns = 0  # when the next step without a frame is due
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
+        self._thread = threading.Thread(
+            target=self._step_until_closed, name="inner loop", daemon=True
+        )
 
     # ---- calls of the controller's thread ----
 
@@ -119,42 +131,52 @@ class InnerLoop:
                 raise AbortError(self.guard.reason)
             self.guard.start_run(self._clock.now())
             self.guard.note_direction(self._clock.now(), isinstance(action, Steer))
-            held = HeldAction(action)
-            self._held = held
-            self._guarded_tick()
-            if held.is_new or self.last is None:
+            self._held = HeldAction(action)
+            sent = self._step_safely()
+            if sent is None:
                 self.guard.abort("the guard lets no robot be steered")
-            if self.last is None or self.guard.state is GuardState.ABORT:
+            if sent is None or self.guard.state is GuardState.ABORT:
                 raise AbortError(self.guard.reason)
-            return self.last
+            return sent
 
     def restart(self, guard: Guard) -> None:
         """Continue with the guard of newly found robots; forget the frames so far."""
         with self._lock:
             self.guard = guard
             self.frames = FrameBuffer()
+            self._stops.after_abort = False  # this guard has not aborted
 
     def stop(self) -> Transmission | None:
-        """Send a stop to every robot ten times within 200 ms; return the first, None if none could
-        be sent; never raises."""
-        with self._locked(STOP_S) as locked:
+        """Send a stop to every robot, STOPS times with STOP_GAP_NS between them; return the first,
+        None if none could be sent; never raises."""
+        with self._locked(STOP_S) as is_locked:
+            # without the lock, too: a step that ends after all goes on with stops
             self._held = None
             self.idle = None
             self._stops.first = None
             self.guard.end_run()
             self._begin_stops(self._clock.now())
-        while locked and self._stops.left:
-            with self._locked(STOP_S) as locked:
-                if locked:
-                    self._guarded_tick()
+        if not is_locked:
+            return self._stop_past_thread()
+        while self._stops.left:
+            with self._locked(STOP_S) as is_locked:
+                if not is_locked:
+                    return self._stop_past_thread()
+                self._step_safely()
             if self._stops.left:
                 self._clock.sleep_until(self._transmit_ns)
-        if not locked:  # the loop's thread hangs: send without the lock
-            for _ in range(STOPS):
-                with suppress(AbortError):
-                    self._actuator.stop()
-                self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
         return self._stops.first
+
+    def _stop_past_thread(self) -> Transmission | None:
+        """Send the stops without the lock, as the loop's thread hangs; return the first stop since
+        `stop` was called, None if none could be sent."""
+        first = self._stops.first
+        for _ in range(STOPS):
+            with suppress(Exception):
+                sent = self._actuator.stop(emergency=self.guard.emergency)
+                first = first or sent
+            self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
+        return first
 
     def sent(self) -> list[Transmission]:
         """Return the transmissions since the last call, oldest first."""
@@ -176,9 +198,9 @@ class InnerLoop:
     def step(self) -> None:
         """Check the new frames, and send a transmission if one is due."""
         with self._lock:
-            self._guarded_tick()
+            self._step_safely()
 
-    def turn(self) -> None:
+    def step_if_due(self) -> None:
         """Make the step that is due, at a frame and every `IDLE_S`, in the place of the thread."""
         now = self._clock.now()
         if self._wake.is_set() or now >= self._step_ns:
@@ -186,7 +208,8 @@ class InnerLoop:
             self._step_ns = now + round(IDLE_S * SECOND)
             self.step()
 
-    def _run(self) -> None:
+    def _step_until_closed(self) -> None:
+        """Make the steps, in the loop's thread."""
         while not self._closing.is_set():
             self._wake.wait(IDLE_S)
             self._wake.clear()
@@ -202,10 +225,11 @@ class InnerLoop:
             if locked:
                 self._lock.release()
 
-    def _guarded_tick(self) -> None:
-        """Make one step; an error during the step stops the robots, but not this loop."""
+    def _step_safely(self) -> Transmission | None:
+        """Make one step; return the transmission of the held action, None if it was not sent. An
+        error during the step stops the robots, but not this loop."""
         try:
-            self._tick()
+            return self._check_and_transmit()
         except (Exception, SystemExit) as error:
             reason = error.message if isinstance(error, AbortError) else text_of(error)
             now = self._clock.now()
@@ -217,8 +241,10 @@ class InnerLoop:
             fault = plugin_fault(error)  # slow, so after the stop
             if fault and self.guard.reason == reason:
                 self.guard.correct_reason(fault.message)
+            return None
 
-    def _tick(self) -> None:
+    def _check_and_transmit(self) -> Transmission | None:
+        """Make one step; return the transmission of the held action, None if it was not sent."""
         now = self._clock.now()
         self.guard.check_awake(now)
         self._take_frames()
@@ -228,7 +254,7 @@ class InnerLoop:
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT:
             self._begin_stops_of_abort(now)
-        self._transmit(ruling, now)
+        return self._transmit(ruling, now)
 
     def _take_frames(self) -> None:
         """Let the guard check the frames that have come, and keep those that it accepts."""
@@ -255,25 +281,27 @@ class InnerLoop:
 
     # ---- transmissions ----
 
-    def _transmit(self, ruling: Ruling, now: int) -> None:
-        """Transmit what the table above says, if it is due."""
+    def _transmit(self, ruling: Ruling, now: int) -> Transmission | None:
+        """Transmit what the table above says, if it is due; return the transmission of the held
+        action, None if it was not sent."""
         if self._stops.left:
             self._repeat_stop(now)
             self.guard.name_culprit()  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
-            self._steer(self._held, ruling, now)
+            return self._send_held(self._held, ruling, now)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
-            self._turn_field(self.idle(now), ruling, now)
+            self._send_idle(self.idle(now), ruling, now)
+        return None
 
     def _begin_stops(self, now: int) -> None:
-        """Let ten stops be sent, the first at once."""
+        """Let STOPS stops be sent, the first at once."""
         self._stops.left = STOPS
         self._transmit_ns = now
 
     def _begin_stops_of_abort(self, now: int) -> None:
         """Let the stops of an abort be sent, once."""
-        if not self._stops.of_abort:
-            self._stops.of_abort = True
+        if not self._stops.after_abort:
+            self._stops.after_abort = True
             self._begin_stops(now)
 
     def _repeat_stop(self, now: int) -> None:
@@ -291,27 +319,31 @@ class InnerLoop:
             self._stops.left = 0
             self.guard.abort(error.message)
 
-    def _steer(self, held: HeldAction, ruling: Ruling, now: int) -> None:
-        """Send if the actuator's period has passed, the action is new, or a robot must stop."""
+    def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:
+        """Send the action if the actuator's period has passed, it is new, or a robot must stop;
+        return the transmission, None if there is none."""
         if now < self._transmit_ns and not held.is_new and not self._some_must_stop(ruling):
-            return
+            return None
+        # the rate is kept in the mean; a step that was late shortens the next period by up to half
         period_ns = self._actuator.period_ns
         self._transmit_ns = max(self._transmit_ns + period_ns, now + period_ns // 2)
         if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
-            exposed_ns = 0 if newest is None else newest.frame.sampled_ns
-            self._note(self._actuator.send(held.action, ruling.poses, ruling.moving, exposed_ns))
-        else:
-            self._note(self._actuator.stop())
-        self._let_move = ruling.moving
+            sampled_ns = 0 if newest is None else newest.frame.sampled_ns
+            sent = self._actuator.send(held.action, ruling.poses, ruling.moving, sampled_ns)
+        else:  # robots that share a field are held still together, by a stop
+            sent = self._actuator.stop()
+        self._note(sent)
+        self._moving = ruling.moving
         held.is_new = False
+        return sent
 
     def _some_must_stop(self, ruling: Ruling) -> bool:
         """Return whether a robot that was allowed to move by the last transmission is not now."""
-        pairs = zip(self._let_move, ruling.moving, strict=False)  # none before the first
+        pairs = zip(self._moving, ruling.moving, strict=False)  # none before the first
         return any(before and not now for before, now in pairs)
 
-    def _turn_field(self, direction: float, ruling: Ruling, now: int) -> None:
+    def _send_idle(self, direction: float, ruling: Ruling, now: int) -> None:
         """Send a direction to all robots before a run; send a stop if frames are missing."""
         if now < self._transmit_ns:
             return

@@ -51,11 +51,55 @@ def test_steering_past_a_loop_that_hangs_aborts(hung):
 
 def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
     before = len(hung.actuator.sent)
-    hung.plant.stop()
+    first = hung.plant.rig.loop.stop()
     stops = hung.actuator.sent[before:]
+    assert first is stops[0]
     assert [sent.direction for sent in stops] == [None] * 10
     assert stops[-1].sent_ns - stops[0].sent_ns == pytest.approx(180_000_000, abs=20_000_000)
     assert hung.world.moving == (False,) * 3
+
+
+def test_an_emergency_stop_past_a_loop_that_hangs_is_one_to_the_devices(hung, monkeypatch):
+    """Regression: only stops of the loop itself said that devices are to latch them."""
+    hung.plant.rig.guard.abort("emergency stop by the operator", emergency=True)
+    emergencies = []
+    stop = hung.actuator.stop
+
+    def note_stop(emergency=False):
+        emergencies.append(emergency)
+        return stop(emergency)
+
+    monkeypatch.setattr(hung.actuator, "stop", note_stop)
+    hung.plant.rig.loop.stop()
+    assert emergencies == [True] * 10
+
+
+def test_a_stop_past_a_loop_that_hangs_never_raises(hung, monkeypatch):
+    """Regression: errors of an actuator's own code ended it after the first stop."""
+    calls = []
+
+    def fail(emergency=False):
+        calls.append(emergency)
+        raise ValueError("a defect of the actuator")
+
+    monkeypatch.setattr(hung.actuator, "stop", fail)
+    assert hung.plant.rig.loop.stop() is None
+    assert len(calls) == 10
+
+
+def test_the_abort_of_a_new_guard_has_stops_of_its_own():
+    """Regression: a loop sent the stops of an abort once, whichever guard it was of."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    loop = lab.plant.rig.loop
+    lab.plant.send(Steer(0.5))
+    loop.guard.abort("the first")
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    lab.plant.rig.settle(lab.plant.rig.setup)
+    before = len(lab.actuator.sent)
+    loop.guard.abort("the second")
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert len(lab.actuator.sent) == before + 10
 
 
 def test_a_robot_that_must_stop_is_not_steered_until_the_next_period():

@@ -80,7 +80,7 @@ def joined(lab, clock):
 
     def close(loop):
         if loop.turn in clock.steps:
-            clock.steps.remove(loop.turn)
+            clock.steps.remove(loop.step_if_due)
 
     def live(own):
         def step():
@@ -99,7 +99,9 @@ def joined(lab, clock):
             stack.enter_context(mock.patch(name, value))
         made = mock.patch.object(RigSection, "clock", lambda *_: TrialClock(clock))
         stack.enter_context(made)
-        start = mock.patch.object(InnerLoop, "start", lambda loop: clock.steps.append(loop.turn))
+        start = mock.patch.object(
+            InnerLoop, "start", lambda loop: clock.steps.append(loop.step_if_due)
+        )
         stack.enter_context(start)
         host = mock.patch(f"{LiveClock.__module__}.MonotonicClock", lambda: TrialClock(clock))
         stack.enter_context(host)

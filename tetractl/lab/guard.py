@@ -1,16 +1,23 @@
 """The guard: decides, at every tick, which robots may move. It does no I/O and reads no clock.
 
-What its words mean:
+What its words mean. Of each pose in a frame one is true:
 
-- a pose is *refused* if it cannot be its robot's, else *accepted*: its robot is *tracked*;
-- a robot is *hidden* if its last accepted pose is over 0.05 s older than the newest frame; it must
-  stop until it is seen again;
-- a robot *disobeys* if its newest pose was refused because it moves as no command does;
-- a robot is *lost* if the run goes on without it, until another body replaces it; a run that may
-  lose none, or that loses its last robot, is aborted instead;
-- a *ghost* is a robot whose poses are refused for good: what the camera shows is another body;
-- robots drive *ahead*, or turn on the spot and wait for a plan;
-- the *rules* are the limits of the spec; the *checks* depend on what robots a device has.
+    accepted    it is its robot's
+    refused     it cannot be: it is too far from the last one, or moves as no command does (then the
+                robot *disobeys*)
+    unchanged   the camera shows the measurement of a frame before
+    missing     there is none
+
+and of each robot, at the newest frame:
+
+    tracked     its last accepted pose is at most UNTRACKED_STOP_S old: it may move
+    hidden      it is older: the robot must stop until one is accepted again
+    lost        the run goes on without it, until another body replaces it; a run that may lose
+                none, or that loses its last robot, is aborted instead
+
+A *ghost* is a robot whose poses are refused for good, as what the camera shows is another body.
+Robots drive *ahead*, or turn on the spot and wait for a plan. The *rules* are the limits of the
+spec; the *checks* depend on what robots a device has.
 
 Its states, and the calls that change them:
 
@@ -21,6 +28,22 @@ Its states, and the calls that change them:
 In `ready` no robot moves: before a run, in a pause and after it. In `hold`, one robot or all are
 stopped because of a fault that may pass; robots that can only be stopped together continue to be
 steered while one is hidden. `abort` is final.
+
+What happens next, if
+
+    a pose jumps              it is refused; after UNTRACKED_STOP_S the robot is hidden, and stops;
+                              after `untracked_abort` it is lost, or the run is aborted (10)
+    no pose of a robot comes  the same
+    no frame comes            all robots stop after `stale`; the run is aborted after `stream_lost`
+                              (9)
+    a control step is late    nothing; after `late_steps` in a row the run is aborted
+    no plan comes             robots go on by the last direction; the run is aborted after the
+                              silence that the rules allow (8)
+    a robot dies              it disobeys, as it does not move: the run is aborted once it is hidden
+                              or, if it may lose robots, goes on without it (10)
+    a device fails            the run is aborted (2, 6)
+    the operator stops all    the run is aborted, for good (5); Ctrl-C only ends the run, by
+                              `end_run`, after the control step
 
 Why a run is aborted. The first reason stays; in one step of the inner loop they come in this order:
 
@@ -341,19 +364,31 @@ class Guard:
             self.abort(failure)
         recently_damaged = self._stream.damage.recent(now_ns, damaged)
         poses = tuple(self._pose_now(i) for i in range(len(self._robots)))
-        warnings: tuple[str, ...] = ()
         if self._in_run:
-            self._check_run(self._situation(now_ns, recently_damaged), poses)
-            warnings = self._warnings.take()
-        none = (False,) * len(self._robots)
-        moving = none
+            return self._rule_run(self._situation(now_ns, recently_damaged), poses, now_ns)
+        return Ruling(self.state, self._nobody(), poses, self.reason, ())
+
+    def _rule_run(
+        self, situation: Situation, poses: tuple[Pose | None, ...], now_ns: int
+    ) -> Ruling:
+        """Rule on a run: check it first, and then, if nothing has ended it, let robots move.
+
+        The controller's thread may end or abort it at any time: robots move only if the state is
+        one of a run after all has been decided.
+        """
+        self._check_run(situation, poses)
+        warnings = self._warnings.take()
+        moving = self._moving(now_ns)
         if self._in_run:
-            moving = self._moving(now_ns)
             self._status.enter(GuardState.HOLD if self._must_hold(moving) else GuardState.RUN)
         state = self.state
-        if state is GuardState.ABORT:  # perhaps by the controller's thread, just now
-            moving = none
+        if state is not GuardState.RUN and state is not GuardState.HOLD:
+            moving = self._nobody()
         return Ruling(state, moving, poses, self.reason, warnings)
+
+    def _nobody(self) -> tuple[bool, ...]:
+        """Return that no robot may move (N,)."""
+        return (False,) * len(self._robots)
 
     # ---- a frame ----
 

@@ -35,7 +35,7 @@ from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
 from tetractl.lab.rig import build_rig
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import run_with
+from tetractl.run.task import run_observed
 
 FIRST_SEED = 9000
 PLANS = 96
@@ -82,7 +82,7 @@ def trials(count: int) -> None:
         with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
             witness = Witness(dish)
             try:
-                result = run_with([witness], dish.spec, 0, [], interrupt)
+                result = run_observed([witness], dish.spec, 0, [], interrupt)
             except TetractlError as error:
                 failed.append(f"seed {seed}: {error}")
                 continue
@@ -94,7 +94,7 @@ def trials(count: int) -> None:
         loaded = load_spec(DISH, (f"trials.seed={seed}",))
         same = replace(loaded, experiment=of_robots(loaded.experiment, witness.setup))
         seen.append(result.total_error)
-        simulated.append(run_with([], same, 0, [], interrupt).total_error)
+        simulated.append(run_observed([], same, 0, [], interrupt).total_error)
         print(
             f"seed {seed}: {seen[-1]:.0f} um through pictures, {simulated[-1]:.0f} simulated; "
             f"{swapped} swapped so far",

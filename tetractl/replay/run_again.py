@@ -18,7 +18,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder
 from tetractl.replay.comparison import Difference, log_differences
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import code_of, run_with
+from tetractl.run.task import code_of, run_observed
 
 
 class _Recorder:
@@ -69,7 +69,7 @@ def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     spec = LoadedSpec(log.experiment, start.spec_text, start.spec_name, attached=start.attached)
     sink = _Recorder(time.thread_time() + 2 * limits.seconds_limit())
     try:
-        run_with([Encoder(sink)], spec, start.trial, (), sink.interrupt)
+        run_observed([Encoder(sink)], spec, start.trial, (), sink.interrupt)
     except (TetractlError, ValueError, OverflowError) as error:
         why = str(error).partition("\n")[0]
         yield Difference(None, "plant", f"cannot be simulated again: {why}")

@@ -13,6 +13,25 @@ What calls what:
             how_it_ended        outcome and reason, in the order below
             _notify_of_the_end  the observers' last calls
 
+Who decides. `Trial.run` asks the trial's controller. `Trial.course` hands each request to its
+caller, and is sent the answer: so environments for learners run the same trial step by step.
+
+What happens next, if
+
+    a pose jumps           the plant's guard refuses it; the controller's newest frame has the pose
+                           before, marked as old (`tetractl.lab.guard`)
+    a plan fails           the controller decides what robots do instead: rest, turn, or end the
+                           trial by an outcome (`tetractl.control.mpc`); if it raises, the robots
+                           stop, and the trial is aborted by row 1 below
+    a plan takes long      it is sent late, and counted as missed if robots drove; steps that follow
+    or a step is late      are due later if it was late by a period; a lab's guard aborts after some
+                           in a row
+    Ctrl-C                 the step is finished, the robots stop, the trial is interrupted (row 4);
+                           a second one breaks planning and sleeping off
+    a robot does not move  it is reported; the trial goes on, or the controller ends it
+    a frame is missing,    the plant raises an AbortError: rows 1 and 2
+    a device fails
+
 Threads. Plant and observers are called by the thread that runs the trial; observers that may be
 slow are relays to threads of their own. It calls the controller, too, but for the first plan in
 real time, which has a thread of its own, so that frames are logged and squares driven meanwhile.
@@ -26,7 +45,8 @@ Interruptions are counted by `Interrupt`, in the handlers of signals:
     2 or more end it at once               as for 1                          KeyboardInterrupt
 
 Nothing else is broken off: what sends, stops or writes is not `breakable`. A plan that is broken
-off is no step.
+off is no step. Squares come before the first step: a first request ends them by a KeyboardInterrupt
+of our own, as there is no step to finish.
 
 How a trial ends. The robots are stopped first, whatever happened. Then the first of these counts:
 
@@ -45,7 +65,7 @@ import itertools
 import time
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import NamedTuple
@@ -95,7 +115,7 @@ class DecisionRequest:
 
 
 class ClosedError(BaseException):
-    """The course was closed: its result is not wanted."""
+    """The course was closed by its caller: its result is not wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +142,12 @@ class Trial:
         becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
         another exception is raised again after the observers were called with the result.
         """
-        trial = TrialCourse(self)
-        course = trial.run()
+        course = TrialCourse(self)
+        requests = course.run()
         try:
-            request = next(course)
+            request = next(requests)
             while True:
-                request = course.send(trial.answer(request))
+                request = requests.send(course.answer(request))
         except StopIteration as end:
             result: Result = end.value
             return result
@@ -302,9 +322,7 @@ class TrialCourse:
         try:
             info = trial.plant.open()
         except BaseException:
-            with suppress(Exception, SystemExit):  # not every plant stops before it is open
-                trial.plant.stop()
-            trial.plant.close()
+            abandon(trial.plant)
             raise
         opened_ns = trial.clock.now()
         self._virtual = info.virtual
@@ -314,10 +332,10 @@ class TrialCourse:
                 observer.on_start(start)
             loop = yield from self._loop()
         except ClosedError:
-            trial.plant.stop()
-            trial.plant.close()
+            with closing(trial.plant):
+                trial.plant.stop()
             raise GeneratorExit from None
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # raised by a second request, or by `_drive_side`
             reason = AT_ONCE if trial.interrupt.count > 1 else BEFORE_STEPS
             loop = LoopEnd(Outcome.INTERRUPTED, reason)
         except BaseException as error:
@@ -329,7 +347,8 @@ class TrialCourse:
         trial = self._trial
         observation = trial.plant.observe()
         decision, solve_ns = yield from ask(DecisionRequest(observation, None, ()))
-        if self._virtual and isinstance(trial.first_plan, Square):  # planning took no time
+        if self._virtual and isinstance(trial.first_plan, Square):
+            # planning took no time in which to drive one (`_first_in_real_time`)
             self._drive_square(trial.first_plan, observation)
         self._pacing.start()
         for k in itertools.count():
@@ -350,18 +369,22 @@ class TrialCourse:
 
     def _carry_out(self, k: int, observation: Observation, plan: Plan, solve_ns: int) -> Command:
         """Carry out step k: send what the plan says, and notify the observers; return the
-        command."""
+        command.
+
+        Nothing is reported before it is sent: observers take time. Then they are called with what
+        led to the step, and last with what the step's estimate says of the model.
+        """
         begun_leg = self._measure.step(plan.leg, observation)
         if plan.pauses:
             self._sleep_until(self._trial.clock.now() + plan.delay_ns)
             self._pacing.delay(plan.delay_ns)
         command = self._send(plan.action)
-        motion = RobotMotion.of(plan)
+        before = self._motion
+        self._motion = RobotMotion.of(plan)
         # the first plan, and one for robots that stand, may take as long as it needs
-        missed = self._motion is RobotMotion.DRIVE and solve_ns > self._pacing.period_ns
-        self._report(command.sent_ns, motion_text(self._motion, motion))
+        missed = before is RobotMotion.DRIVE and solve_ns > self._pacing.period_ns
+        self._report(command.sent_ns, motion_text(before, self._motion))
         self._report(command.sent_ns, begun_leg)
-        self._motion = motion
         self._counts.solve_ns.append(solve_ns)
         if missed:
             self._counts.misses += 1
@@ -511,14 +534,12 @@ class TrialCourse:
         events: list[Command | Note] = []
         error: BaseException | None = None
         try:
-            try:
+            with closing(plant):
                 stop = plant.stop()
                 verdict = plant.settle()
                 self._frames.take()
                 self._measure.add(self._frames.unreported, stop.sent_ns)
                 events = plant.news()
-            finally:
-                plant.close()
         except (Exception, SystemExit) as failure:
             error = failure
         return Halt(stop, verdict, self._frames.hand_over(), events, error)
@@ -557,6 +578,13 @@ class TrialCourse:
             except Exception as failure:
                 failures.append(failure)
         return failures
+
+
+def abandon(plant: Plant) -> None:
+    """Stop the robots of a plant that may not be open, and close it, whatever fails: the trial has
+    no result."""
+    with closing(plant), suppress(Exception, SystemExit):  # not every plant stops before it is open
+        plant.stop()
 
 
 def ask(request: DecisionRequest) -> Generator[DecisionRequest, Answer, TimedDecision]:

@@ -1,9 +1,12 @@
-"""Runs one trial for an executor, with its log and result.
+"""Runs one trial, with its log and result.
 
-    run_task       runs a task of an executor: one trial, and its log, whole or brief
-    run_trial      runs one trial of a spec, with a whole log
-      run_with     builds plant, controller and clock from the spec, and runs the trial
-        Trial.run  is the control loop (`tetractl.run.run_trial`)
+    run_task              runs a task of an executor: one trial, with the kind of log that it asks
+      _prepared           loads its spec, and compiles what it needs, once in a process
+      _run_whole          with a whole log: every frame and control step, while the trial runs
+      _run_brief          with a brief one: the result alone, after the trial
+        run_observed      builds clock, plant and controller, and runs the trial
+          Trial.run       is the control loop (`tetractl.run.run_trial`)
+    run_trial             runs one trial of a spec that is loaded, with a whole log
 
 In real time, a background thread calls the observers, so that a slow screen never delays the loop;
 the writers of logs are called in the loop's thread. In simulation, all are.
@@ -15,6 +18,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import lru_cache
 from pathlib import Path
 from pkgutil import resolve_name
@@ -40,7 +44,7 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import stated_delay
-from tetractl.run.run_trial import Trial
+from tetractl.run.run_trial import Trial, abandon
 
 QUEUED_CALLS_MAX = 2000
 """Largest number of queued calls of an observer: over two minutes of a trial."""
@@ -64,21 +68,29 @@ class ObserverRelay(Relay):
         )
 
 
+class LogKind(Enum):
+    """Which log a task is to leave."""
+
+    WHOLE = "whole"
+    BRIEF = "brief"
+    WHOLE_IF_FAILED = "whole if failed"
+    """Brief; but a trial that fails is run again, to write its whole log. Only for simulations,
+    whose trials repeat to the bit."""
+
+
 @dataclass(frozen=True, slots=True)
 class Task:
     """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
-    `spec` is the pickled LoadedSpec. The log is whole if `log` is true, or if `log_if_failed` is
-    true and the trial fails; otherwise it is brief. `code` is the hash, by `code_of`, of the code
-    with which the trial must be run, "" for any code.
+    `spec` is the pickled LoadedSpec. `code` is the hash, by `code_of`, of the code with which the
+    trial must be run, "" for any code.
     """
 
     trial: int
     count: int
     spec: bytes
     arm: str = ""
-    log: bool = True
-    log_if_failed: bool = True
+    log: LogKind = LogKind.WHOLE
     code: str = ""
 
     @property
@@ -137,50 +149,64 @@ def run_task(
     """Run a trial and write its log to `folder`; an interrupted trial has no brief log.
 
     Raises OtherCodeError if the code of this process is not the task's, and any error that leaves
-    the trial without an outcome, such as a camera that does not answer. With `log_if_failed`, a
-    failed trial is run a second time, with the same result, to write its whole log.
+    the trial without an outcome, such as a camera that does not answer.
     """
-    if task.log:
-        return _run_with_whole_log(task, folder, interrupt, observers, supervision)
-    if not task.log_if_failed:
-        return _run_with_brief_log(task, folder, interrupt, observers)
-    with suppress(Exception):  # the repeated trial raises the same error
-        finished = _run_with_brief_log(task, folder, interrupt)
-        if finished.result.outcome is not Outcome.ABORTED:
-            return finished
-    log_path(folder, task.trial).unlink(missing_ok=True)  # the brief log
-    return _run_with_whole_log(task, folder, interrupt, observers, supervision)
+    match task.log:
+        case LogKind.WHOLE:
+            return _run_whole(task, folder, interrupt, observers, supervision)
+        case LogKind.BRIEF:
+            return _run_brief(task, folder, interrupt, observers)
+        case LogKind.WHOLE_IF_FAILED:
+            finished = _run_unless_failed(task, folder, interrupt)
+            if finished is not None:
+                return finished
+            log_path(folder, task.trial).unlink(missing_ok=True)  # the brief log
+            return _run_whole(task, folder, interrupt, observers, supervision)
 
 
-def _run_with_whole_log(
+def _run_unless_failed(task: Task, folder: Path, interrupt: Interrupt) -> Finished | None:
+    """Run a trial with a brief log, which no observer watches; return None if it failed."""
+    try:
+        finished = _run_brief(task, folder, interrupt)
+    except Exception:  # the trial that is run again raises the same error
+        return None
+    return None if finished.result.outcome is Outcome.ABORTED else finished
+
+
+def _run_whole(
     task: Task,
     folder: Path,
     interrupt: Interrupt,
     observers: Sequence[Observer],
     supervision: LabSupervision | None,
 ) -> Finished:
-    spec = _loaded(task.spec, task.code)
+    """Run a trial and write its whole log meanwhile."""
+    spec = _prepared(task.spec, task.code)
     began_s = time.perf_counter()
-    with _log(spec, folder, task.trial) as log:
-        result = run_with([log], spec, task.trial, observers, interrupt, supervision)
+    with _log_writer(spec, folder, task.trial) as log:
+        result = run_observed([log], spec, task.trial, observers, interrupt, supervision)
     return Finished(result, time.perf_counter() - began_s)
 
 
-def _run_with_brief_log(
+def _run_brief(
     task: Task, folder: Path, interrupt: Interrupt, observers: Sequence[Observer] = ()
 ) -> Finished:
-    spec = _loaded(task.spec, task.code)
+    """Run a trial, and write its brief log afterwards unless it was interrupted."""
+    spec = _prepared(task.spec, task.code)
     began_s = time.perf_counter()
     brief = BriefLog()
-    result = run_with([brief], spec, task.trial, observers, interrupt)
+    result = run_observed([brief], spec, task.trial, observers, interrupt)
     if result.outcome is not Outcome.INTERRUPTED:
         brief.save(log_path(folder, task.trial))
     return Finished(result, time.perf_counter() - began_s)
 
 
 @lru_cache(maxsize=SPECS_KEPT)
-def _loaded(spec: bytes, code: str) -> LoadedSpec:
-    """Return a task's spec after compiling its controller; cached by the pickled bytes."""
+def _prepared(spec: bytes, code: str) -> LoadedSpec:
+    """Load a task's spec and compile what its trials need; return the spec.
+
+    This is done once in a process for each spec: later calls with the same bytes return the same.
+    """
     loaded: LoadedSpec = pickle.loads(spec)
     if code and code_of(loaded.experiment) != code:
         raise OtherCodeError(
@@ -200,16 +226,17 @@ def run_trial(
     observers: Sequence[Observer] = (),
     interrupt: Interrupt | None = None,
 ) -> Result:
-    """Run one trial and write its log."""
-    with _log(spec, folder, trial) as log:
-        return run_with([log], spec, trial, observers, interrupt or Interrupt())
+    """Run one trial and write its whole log."""
+    with _log_writer(spec, folder, trial) as log:
+        return run_observed([log], spec, trial, observers, interrupt or Interrupt())
 
 
-def _log(spec: LoadedSpec, folder: Path, trial: int) -> LogWriter:
+def _log_writer(spec: LoadedSpec, folder: Path, trial: int) -> LogWriter:
+    """Return the writer of a trial's whole log."""
     return LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time)
 
 
-def run_with(
+def run_observed(
     writers: Sequence[Observer],
     spec: LoadedSpec,
     trial: int,
@@ -217,11 +244,8 @@ def run_with(
     interrupt: Interrupt,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run one trial; `writers` are observers that are called in the control loop's thread.
-
-    In real time, a background thread calls the other `observers`, so that they do not delay the
-    loop.
-    """
+    """Run one trial. The `writers` of logs are called in the control loop's thread; in real time,
+    background threads call the `observers`, so that they do not delay the loop."""
     section = spec.experiment.plant
     clock = section.clock()
     start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
@@ -231,11 +255,18 @@ def run_with(
         if section.real_time:
             relays = [ObserverRelay(observer) for observer in observers]
             observers = [stack.enter_context(closing(relay)) for relay in relays]
-        spec, plant = _built(spec, clock, seed, supervision)
+        spec, plant = _spec_and_plant(spec, clock, seed, supervision)
+        try:
+            controller = build_controller(spec.experiment, key)
+        except BaseException:
+            abandon(plant)  # to choose cells it was opened, and its field turns
+            raise
+        # the trial asks the plant about itself once it is open
+        not_open = PlantInfo("", section.simulated, camera_rate_hz=0.0, facts={})
         return Trial(
-            start=start_of(spec, trial, PlantInfo("", section.simulated, 0.0, {}), start_unix_ns),
+            start=start_of(spec, trial, not_open, start_unix_ns),
             plant=plant,
-            controller=build_controller(spec.experiment, key),
+            controller=controller,
             first_plan=spec.experiment.controller.first_plan,
             clock=clock,
             observers=[*writers, *observers],
@@ -257,12 +288,12 @@ def _own_supervision(writers: Sequence[Observer], interrupt: Interrupt) -> LabSu
     )
 
 
-def _built(
+def _spec_and_plant(
     spec: LoadedSpec, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
 ) -> tuple[LoadedSpec, Plant]:
     """Return the spec, completed with the robots that the plant has found, and the plant."""
     experiment = spec.experiment
-    rule = experiment.chosen
+    rule = experiment.chosen  # how robots are chosen from more, None if the spec names them
     if rule is None or rule.are_found:
         return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)
     prepare: Prepare = resolve_name(rule.prepare)

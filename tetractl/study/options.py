@@ -13,7 +13,7 @@ from tetractl.control.build import warm_up
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.table.table import Table
 from tetractl.run.store import Store
-from tetractl.run.task import Task
+from tetractl.run.task import LogKind, Task
 from tetractl.study.load_study import LoadedStudy
 
 
@@ -36,6 +36,12 @@ class Logs:
             return cls(0, text == "failed")
         raise UsageError(f"--logs {text}: must be all, failed, sample:N or none")
 
+    def kind(self, trial: int) -> LogKind:
+        """Return which log a trial is to leave."""
+        if trial < self.each:
+            return LogKind.WHOLE
+        return LogKind.WHOLE_IF_FAILED if self.failed else LogKind.BRIEF
+
 
 def lacking(
     loaded: LoadedStudy, store: Store, logs: Logs, rerun_outdated: bool
@@ -51,12 +57,10 @@ def lacking(
     tasks: list[Task] = []
     kept: dict[str, int] = {}
     for arm in loaded.arms:
-        spec, batch = pickle.dumps(arm.spec), store.batches[arm.name]
+        spec = pickle.dumps(arm.spec)
+        batch = store.batches[arm.name]
         trials = [*batch.lacking, *(batch.outdated if rerun_outdated else ())]
-        tasks += [
-            Task(n, count, spec, arm.name, n < logs.each, logs.failed, arm.code)
-            for n in sorted(trials)
-        ]
+        tasks += [Task(n, count, spec, arm.name, logs.kind(n), arm.code) for n in sorted(trials)]
         if batch.outdated and not rerun_outdated:
             kept[arm.name] = len(batch.outdated)
     return sorted(tasks, key=lambda task: task.trial), kept

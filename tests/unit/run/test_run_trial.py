@@ -150,6 +150,17 @@ def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
     assert fakes.happenings.names == ["open", "stop", "close"]
 
 
+def test_a_course_that_is_closed_closes_its_plant_even_if_robots_cannot_be_stopped():
+    """Regression: a stop that failed left the plant open."""
+    fakes = bench()
+    course = fakes.trial.course()
+    next(course)
+    fakes.happenings.faults["stop", 1] = AbortError("the radio is gone")
+    with pytest.raises(AbortError, match="the radio is gone"):
+        course.close()
+    assert fakes.happenings.names[-2:] == ["stop", "close"]
+
+
 class MuteError(Exception):
     def __str__(self):
         raise ValueError("no text")

@@ -150,14 +150,14 @@ def test_an_arm_is_a_batch_and_a_batch_an_arm(done):
 
 
 def test_a_trial_without_an_outcome_is_run_again_the_next_time(tmp_path, monkeypatch):
-    real = task.run_with
+    real = task.run_observed
 
     def broken(writers, spec, trial, *more):
         if trial == 1:
             raise TetractlError("the disk is full")
         return real(writers, spec, trial, *more)
 
-    monkeypatch.setattr(task, "run_with", broken)
+    monkeypatch.setattr(task, "run_observed", broken)
     ran = run(tmp_path, SMALL)
     assert ran.counts == (4, 2, 0)
     assert {why for *_, why in ran.watcher.failures} == {"the disk is full"}

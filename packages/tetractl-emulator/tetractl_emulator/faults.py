@@ -148,7 +148,8 @@ def fault_kind(
     columns: dict[str, Any] = {"fault": (Literal[name], ...)}
     for key, field_type in fields.items():
         columns[key] = field_type if isinstance(field_type, tuple) else (field_type, ...)
-    kind = create_model(name, __base__=Fault, __doc__=about, **columns)
+    undocumented = {"use_attribute_docstrings": False}  # else pydantic looks for the class's source
+    kind = create_model(name, __base__=Fault, __doc__=about, __cls_kwargs__=undocumented, **columns)
     kind.visible = visible
     kind.begin = begin
     return kind

@@ -130,6 +130,20 @@ def test_a_seed_and_a_number_open_the_trial_of_the_benchmark():
     assert env.trial.spec.experiment.trials.seed == 5
 
 
+def test_a_trial_that_is_no_number_is_refused():
+    with pytest.raises(UsageError, match="a trial is a whole number from 0, but this is first"):
+        TrialEnv(SPEC).reset(seed=1, options={"trial": "first"})
+
+
+def test_an_obstacle_counts_as_the_greatest_error():
+    wall = {"type": "circle", "center": [800, 500], "radius": 100}
+    env = TrialEnv(SPEC | {"obstacles": [wall]})
+    env.reset(seed=1)
+    rewards, terminated, truncated, info = episode(env, EAST)
+    assert (terminated, truncated, info["outcome"]) == (True, False, "failed")
+    assert sum(rewards) == pytest.approx(1 - np.hypot(1100, 500) / START_ERROR_UM)
+
+
 def test_without_a_seed_each_reset_draws_one():
     env = TrialEnv(SPEC)
     env.reset(seed=1)

@@ -23,9 +23,9 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.fixed_sequence import given_plan
-from tetractl.control.plain import PlainController, PlainSection
+from tetractl.control.plain import PlainController, PlainSection, PlainStep
 from tetractl.core.commands import Command
-from tetractl.core.plan import Plan, Problem
+from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, Host
@@ -112,12 +112,11 @@ class PolicyController(PlainController):
         self._activation = ACTIVATIONS[section.activation]
         self._last_direction: float | None = None
 
-    def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
-        """Return the problem with the poses at which the next direction acts, and remember the
-        direction that was sent."""
+    def step(self, observation: Observation, last_command: Command | None) -> PlainStep | Outcome:
+        """Take the direction that was sent; return what is known at this step, or the outcome."""
         if last_command is not None and last_command.direction is not None:
             self._last_direction = last_command.direction
-        return super().predicted(observation, last_command)
+        return super().step(observation, last_command)
 
     def decided(
         self, problem: Problem, observation: Observation, gaps: Floats, step_key: int

@@ -66,7 +66,7 @@ NEAR_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class TimeSpan:
     """A time from `began_s` to `ended_s`; infinite if it did not end."""
 
     began_s: float
@@ -77,7 +77,7 @@ class Span:
 class VisibleFault:
     """A fault and the time in which it could be seen; `fields` are those that were drawn."""
 
-    span: Span
+    span: TimeSpan
     fields: Event
 
     @property
@@ -102,7 +102,7 @@ def time_s(event: Event) -> float:
 
 
 def nearest_exposures(
-    stamps_s: Floats, exposures_s: Floats, suspended: Sequence[Span]
+    stamps_s: Floats, exposures_s: Floats, suspended: Sequence[TimeSpan]
 ) -> list[int | None]:
     """Return the exposure next to the time of each picture (F,) [s]; None if none is near.
 
@@ -245,19 +245,19 @@ class Truth:
     # States of the guard
 
     @cached_property
-    def driven_spans(self) -> list[Span]:
+    def driven_spans(self) -> list[TimeSpan]:
         """The times in which the guard let robots be driven."""
-        spans = list[Span]()
+        spans = list[TimeSpan]()
         began_s: float | None = None
         for event in self.events("guard"):
             may_drive = event["state"] in DRIVING_STATES
             if may_drive and began_s is None:
                 began_s = time_s(event)
             elif not may_drive and began_s is not None:
-                spans.append(Span(began_s, time_s(event)))
+                spans.append(TimeSpan(began_s, time_s(event)))
                 began_s = None
         if began_s is not None and began_s < self.alive_s:
-            spans.append(Span(began_s, self.alive_s))
+            spans.append(TimeSpan(began_s, self.alive_s))
         return [span for span in spans if span.began_s < span.ended_s]
 
     @cached_property
@@ -296,7 +296,7 @@ class Truth:
         visible = list[VisibleFault]()
         for event in self.events("fault", phase="start"):
             row = event["row"]
-            span = Span(time_s(event), ended_s.get(row, np.inf))
+            span = TimeSpan(time_s(event), ended_s.get(row, np.inf))
             visible.append(VisibleFault(span, dict(drawn[row])))
         return visible
 

@@ -58,7 +58,7 @@ def work(tmp_path, batch):
 def test_every_shipped_experiment_brings_its_robots_near_their_targets(path, tmp_path):
     # cells that stay at their targets circle there: where one trial ends is chance
     experiment = load_spec(path).experiment
-    trials = 1 if experiment.hold is None else 10
+    trials = 1 if experiment.hold is None else 4
     run(path, "--trials", trials, "--plant", "sim", "--out", "logs", "--quiet", cwd=tmp_path).ok()
     results = [read_result(tmp_path / "logs" / f"trial-00{i}.mcap") for i in range(trials)]
     assert all(found.outcome.complete and not found.recovered for found in results)

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
     from tetractl.log.read.trial_log import TrialLog
 
+PLANT_NAMES = {"sim": "simulated", "lab": "of the lab"}
+"""What a log is called by the kind of its plant."""
+
 
 def rerun(
     log: options.Log,
@@ -52,26 +55,37 @@ def rerun(
 
     log = find_log(log)
     trial = trial_of(scan(log))
-    how = RunOptions(out, 1, False, dry_run, quiet, yes, wanted_port(serve, port), json, unattended)
+    how = RunOptions(
+        out=out,
+        dry_run=dry_run,
+        quiet=quiet,
+        yes=yes,
+        port=wanted_port(serve, port),
+        json=json,
+        unattended=unattended,
+    )
     number = trial.start.trial
-    code, folder = run_command(_recorded(trial, plant, sets or ()), how, number)
-    if code == Exit.DONE and not dry_run:
-        again = log_path(folder, number)
-        return _compare(log, again) if not sets else _errors_of(log, again, trial.start.setup.unit)
-    return code
+    code, folder = run_command(_recorded(trial, plant, sets or ()), how, only=number)
+    if code != Exit.DONE or dry_run:
+        return code
+    again = log_path(folder, number)
+    if sets:
+        _tell_errors(log, again, trial.start.setup.unit)
+        return Exit.DONE
+    return _compare(log, again)
 
 
-def _errors_of(was: Path, again: Path, unit: str) -> int:
+def _tell_errors(log: Path, again: Path, unit: str) -> None:
     """Print the total errors [unit] of the trials of two logs with different specs."""
     from tetractl.log.read.reader import result_of
     from tetractl.log.read.salvage import scan
 
-    old, new = (result_of(scan(log)).result.total_error for log in (was, again))
+    error = result_of(scan(log)).result.total_error
+    error_again = result_of(scan(again)).result.total_error
     ui.tell(
-        f"total error {new:.2f} {unit}, in the log {old:.2f} {unit}; their specs differ, so "
-        "nothing else is compared"
+        f"total error {error_again:.2f} {unit}, in the log {error:.2f} {unit}; their specs differ, "
+        "so nothing else is compared"
     )
-    return Exit.DONE
 
 
 def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec":
@@ -83,7 +97,8 @@ def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec
     from tetractl.experiment.load import LoadedSpec, parse_written
     from tetractl.experiment.plants import lab_as, on_plant
 
-    start, experiment = trial.start, trial.experiment
+    start = trial.start
+    experiment = trial.experiment
     if sets:
         experiment = parse_written(start.resolved, "the log's spec", sets).experiment
     lab = experiment.plant
@@ -104,23 +119,28 @@ def _compare(log: Path, again: Path) -> int:
     from tetractl.replay.comparison import log_differences
     from tetractl.replay.verify import host_differences
 
-    was, is_now = scan(log), scan(again)
-    first, second = result_of(was), result_of(is_now)
-    plants = [one.experiment.plant for one in (first, second)]
-    if plants[0].type != plants[1].type or plants[0].real_time:
-        names = {"sim": "simulated", "lab": "of the lab"}
-        one, two = (names.get(plant.type, plant.type) for plant in plants)
-        ui.tell(f"the log is {one}, the new one {two}: the two are not compared")
+    raw = scan(log)
+    raw_again = scan(again)
+    trial = result_of(raw)
+    plant = trial.experiment.plant
+    plant_again = result_of(raw_again).experiment.plant
+    if plant.type != plant_again.type or plant.real_time:
+        name = PLANT_NAMES.get(plant.type, plant.type)
+        name_again = PLANT_NAMES.get(plant_again.type, plant_again.type)
+        ui.tell(f"the log is {name}, the new one {name_again}: the two are not compared")
         return Exit.DONE
-    one, two = was.content_digest, is_now.content_digest
-    if one == two:
-        ui.tell(f"the content digests agree: {one}")
+    digest = raw.content_digest
+    digest_again = raw_again.content_digest
+    if digest == digest_again:
+        ui.tell(f"the content digests agree: {digest}")
         return Exit.DONE
-    ui.tell(f"the content digests differ: {one} in {log}, {two} in {again}")
-    ui.tell(*(f"  {one}" for one in islice(log_differences(is_now, was), 1)))
-    if first.recovered or not first.outcome.complete:
+    ui.tell(f"the content digests differ: {digest} in {log}, {digest_again} in {again}")
+    for difference in islice(log_differences(raw_again, raw), 1):
+        ui.tell(f"  {difference}")
+    if trial.recovered or not trial.outcome.complete:
         ui.tell(f"  {log} is damaged, or its trial did not run to its end")
-    if was.text(RESOLVED_SPEC) != is_now.text(RESOLVED_SPEC):
+    if raw.text(RESOLVED_SPEC) != raw_again.text(RESOLVED_SPEC):
         ui.tell("  the log's spec lacks fields of this tetractl")
-    ui.tell(*(f"  {line}" for line in host_differences(trial_of(was))))
+    for line in host_differences(trial_of(raw)):
+        ui.tell(f"  {line}")
     return Exit.FAILED

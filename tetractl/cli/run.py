@@ -57,7 +57,7 @@ def run(
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
     source = read_spec(spec)
-    settings: list[SpecSetting] = [*settings_on(source, sets or [], plant)]
+    settings: list[SpecSetting] = list(settings_on(source, sets or [], plant))
     if trials is not None:
         settings.append(FieldValue("trials.count", trials, "--trials"))
     if seed is not None:
@@ -66,6 +66,16 @@ def run(
     ui.warn(loaded, settings, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
-    served = wanted_port(serve, port)
-    how = RunOptions(out, jobs, resume, dry_run, quiet, yes, served, json, unattended)
-    return run_command(on_plant(loaded, plant), how)[0]
+    how = RunOptions(
+        out=out,
+        jobs=jobs,
+        resume=resume,
+        dry_run=dry_run,
+        quiet=quiet,
+        yes=yes,
+        port=wanted_port(serve, port),
+        json=json,
+        unattended=unattended,
+    )
+    code, _ = run_command(on_plant(loaded, plant), how)
+    return code

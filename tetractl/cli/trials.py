@@ -1,4 +1,9 @@
-"""Runs, displays and stops the trials of `run`, `rerun` and other commands that drive a plant."""
+"""Runs, displays and stops the trials of `run` and `rerun`, the commands that run an experiment.
+
+`run_command` is the whole of it: check the options, then in one `with` block serve the trials to
+viewers, lock the folder of logs, listen to signals and run; at the end print the statistics and how
+the run ended (`RunEnd`).
+"""
 
 import gc
 import threading
@@ -6,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import Enum
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -17,6 +23,8 @@ from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 from tetractl.run.interrupt import Interrupt, interrupted_once, leave_on_signals
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from tetractl.core.protocols import Observer
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.load import LoadedSpec
@@ -25,15 +33,17 @@ if TYPE_CHECKING:
     from tetractl.run.store import Store
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
-
-
+"""Printed by the handler of the first signal."""
 PORT = 8765
 """TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How trials are run: the options of `run`. They are served at `port`, unless it is None."""
+    """How trials are run: the options of `run`, with their defaults.
+
+    Without `out`, logs go to a new folder in ./logs. With `port`, trials are served to viewers.
+    """
 
     out: Path | None = None
     jobs: int = 1
@@ -46,44 +56,82 @@ class RunOptions:
     unattended: bool = False
 
 
+def wanted_port(serve: bool, port: int | None) -> int | None:
+    """Return the port to serve at, None without --serve; UsageError for a port without --serve."""
+    if not serve:
+        if port is not None:
+            raise UsageError("--port needs --serve")
+        return None
+    return PORT if port is None else port
+
+
 def run_command(
     loaded: "LoadedSpec", options: RunOptions, only: int | None = None
 ) -> tuple[int, Path]:
     """Run the trials of a spec, or only trial `only`, and print the statistics; with `dry_run`,
     only print the spec. Return the exit code and the logs' folder.
+
+    Trials that have a log already are not run again (with `resume`; else such a folder is refused).
     """
     from tetractl.run.store import Store, default_folder
     from tetractl.run.trial_limits import check
 
-    experiment, lab = loaded.experiment, loaded.experiment.plant.real_time
+    experiment = loaded.experiment
+    lab = experiment.plant.real_time
     if lab and options.jobs > 1:
         raise UsageError("--jobs is for virtual time: the lab runs one trial at a time")
     if options.unattended and not (lab and options.yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
     check(experiment)
+
     folder = options.out or default_folder(experiment.name, datetime.now(UTC))
     store = Store.of_batch(folder, experiment)
     if options.dry_run:
         store.read(options.resume)
-        _describe(loaded, folder, store.lacking if only is None else [only])
+        _print_plan(loaded, folder, _planned(store, only))
         return Exit.DONE, folder
     if lab:
         ui.require_confirmation(options.yes)
     with (
-        _served(experiment.name, options.port) as served,
+        _served(experiment.name, options.port) as viewers,
         store.opened(options.resume),
         _stoppable(loaded, options) as interrupt,
     ):
-        todo = store.lacking if only is None else [only]
-        report = _run_trials(loaded, store, todo, options, interrupt, served)
-        return _conclude(report, todo, folder, interrupt.requested, options.json), folder
+        planned = _planned(store, only)
+        report = _run_trials(loaded, store, planned, options, interrupt, viewers)
+        end = RunEnd.of(report, planned, interrupt.requested)
+        return _conclude(report, end, planned, folder, options.json), folder
 
 
-def wanted_port(serve: bool, port: int | None) -> int | None:
-    """Return the port to serve at, None without --serve; UsageError for a port without --serve."""
-    if port is not None and not serve:
-        raise UsageError("--port needs --serve")
-    return PORT if serve and port is None else port
+def _planned(store: "Store", only: int | None) -> list[int]:
+    """Return the numbers of the trials to run."""
+    return store.lacking if only is None else [only]
+
+
+def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
+    """Print what a run would do: the resolved spec, then the rest in YAML comments, so that the
+    whole text is a valid spec.
+    """
+    from tetractl.experiment.load import resolved_yaml
+    from tetractl.run.task import log_path
+    from tetractl.run.trial_limits import limits
+
+    print(f"# {loaded.name} as it would be run; nothing is run or written")
+    for line in resolved_yaml(loaded.experiment).removesuffix("\n").split("\n"):
+        print(printable(line))
+    print("# Limits")
+    for name, value in limits(loaded.experiment).items():
+        print(f"#   {name}: {value}")
+    print(f"# Trials to run: {len(planned)} of {loaded.experiment.trials.count}")
+    if len(planned) == 1:
+        print(f"# Logs to write: {log_path(folder, planned[0])}")
+    elif planned:
+        first = log_path(folder, planned[0])
+        last = log_path(folder, planned[-1])
+        print(f"# Logs to write: {first} ... {last}")
+
+
+# ---- While trials run ----
 
 
 @contextmanager
@@ -125,124 +173,199 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
 def _run_trials(
     loaded: "LoadedSpec",
     store: "Store",
-    trials: list[int],
+    planned: list[int],
     options: RunOptions,
-    interrupt: "Interrupt",
-    served: "Sequence[Observer]" = (),
+    interrupt: Interrupt,
+    viewers: "Sequence[Observer]",
 ) -> "Report":
-    """Run trials with their display and the `served` observers, until the first that fails."""
+    """Run trials with their display, and with `viewers` as observers, until the first that fails.
+
+    Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
+    all others by `_in_lines`.
+    """
+    from rich.console import Console
+
     from tetractl.run.batch import run_batch
     from tetractl.run.task import batch_tasks
 
-    experiment, tasks = loaded.experiment, batch_tasks(loaded, trials)
-    with _display(experiment, len(tasks), options, interrupt, served) as (executor, observer):
+    tasks = batch_tasks(loaded, planned)
+    console = Console(stderr=True, quiet=options.quiet)
+    screen = console.is_terminal and not console.is_dumb_terminal and not options.quiet
+    if loaded.experiment.plant.real_time:
+        display = _in_lab(loaded.experiment, console, screen, options, interrupt, viewers)
+    elif screen and options.jobs == 1:
+        display = _on_screen(console, interrupt, viewers)
+    else:
+        unit = loaded.experiment.units.length
+        display = _in_lines(console, unit, len(tasks), options.jobs, interrupt, viewers)
+    with display as (executor, observer):
         return run_batch(tasks, store, executor, observer, fail_fast=True)
 
 
 @contextmanager
-def _display(
+def _in_lab(
     experiment: "Experiment",
-    count: int,
+    console: "Console",
+    screen: bool,
     options: RunOptions,
-    interrupt: "Interrupt",
-    served: "Sequence[Observer]",
+    interrupt: Interrupt,
+    viewers: "Sequence[Observer]",
 ) -> "Iterator[tuple[Executor, RunObserver]]":
-    """Yield what runs `count` trials and what shows them: a live view, or a line for each.
+    """Run trials of the lab: yield what runs them and what shows them.
 
-    In the lab the terminal's space bar and Esc stop the robots at any time, and a person there
-    starts each trial, unless `yes`. If `unattended`, a closed terminal does not stop them.
+    The terminal's space bar and Esc stop the robots at any time, and a person there starts each
+    trial, unless `yes`. If `unattended`, a closed terminal does not stop the robots.
     """
     from rich.console import Console
 
     from tetractl.core.protocols import LabSupervision
-    from tetractl.run.executors import Here, on_this_machine
+    from tetractl.run.executors import Here
     from tetractl.view.terminal.keys import SAYS, StopKey
-    from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
+    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
+
+    safety = Console(stderr=True)  # prints with --quiet, too
+    emergency = threading.Event()
+    entered = threading.Event()
+    with StopKey(emergency.set, entered.set, options.unattended) as key:
+        says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
+        safety.print(says, style="bold", highlight=False)
+        asks = key.listening and not options.yes
+        prompt = TerminalPrompt(safety, entered) if asks else None
+        supervision = LabSupervision(emergency, prompt, lambda: interrupt.requested)
+        watch = LabWatch(safety, console, experiment.units.length, screen and key.listening)
+        yield Here(interrupt, [watch, *viewers], supervision), watch
+
+
+@contextmanager
+def _on_screen(
+    console: "Console", interrupt: Interrupt, viewers: "Sequence[Observer]"
+) -> "Iterator[tuple[Executor, RunObserver]]":
+    """Run trials in this process: yield what runs them, and a live view of each."""
+    from tetractl.run.executors import Here
+    from tetractl.view.terminal.live_screen import LiveView
+
+    with LiveView(console) as view:
+        yield Here(interrupt, [view, *viewers]), view
+
+
+@contextmanager
+def _in_lines(
+    console: "Console",
+    unit: str,
+    count: int,
+    jobs: int,
+    interrupt: Interrupt,
+    viewers: "Sequence[Observer]",
+) -> "Iterator[tuple[Executor, RunObserver]]":
+    """Run `count` trials: yield what runs them, in `jobs` processes, and a line for each.
+
+    Those that are served run in this process.
+    """
+    from tetractl.run.executors import Here, on_this_machine
     from tetractl.view.terminal.progress import BatchProgress
 
-    unit, console = experiment.units.length, Console(stderr=True, quiet=options.quiet)
-    live = console.is_terminal and not console.is_dumb_terminal and not options.quiet
-    if experiment.plant.real_time:
-        always = Console(stderr=True)  # messages on safety are always printed
-        emergency, entered = threading.Event(), threading.Event()
-        with StopKey(emergency.set, entered.set, options.unattended) as key:
-            says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
-            always.print(says, style="bold", highlight=False)
-            asks = key.listening and not options.yes
-            prompt = TerminalPrompt(always, entered) if asks else None
-            supervision = LabSupervision(emergency, prompt, lambda: interrupt.requested)
-            watch = LabWatch(always, console, unit, live and key.listening)
-            yield Here(interrupt, [watch, *served], supervision), watch
-    elif live and options.jobs == 1:
-        with LiveView(console) as view:
-            yield Here(interrupt, [view, *served]), view
-    else:
-        here = on_this_machine(options.jobs, count, interrupt)
-        with BatchProgress(console, count, unit) as progress:
-            yield Here(interrupt, served) if served else here, progress
+    executor = on_this_machine(jobs, count, interrupt)
+    if viewers:
+        executor = Here(interrupt, viewers)
+    with BatchProgress(console, count, unit) as progress:
+        yield executor, progress
 
 
-def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
-    """Print what a run would do: the resolved spec, then the rest in YAML comments, so that the
-    whole text is a valid spec.
-    """
-    from tetractl.experiment.load import resolved_yaml
-    from tetractl.run.task import log_path
-    from tetractl.run.trial_limits import limits
-
-    print(f"# {loaded.name} as it would be run; nothing is run or written")
-    print("\n".join(map(printable, resolved_yaml(loaded.experiment).split("\n"))), end="")
-    print("# Limits")
-    for name, value in limits(loaded.experiment).items():
-        print(f"#   {name}: {value}")
-    print(f"# Trials to run: {len(trials)} of {loaded.experiment.trials.count}")
-    if trials:
-        ends = [str(log_path(folder, trial)) for trial in dict.fromkeys((trials[0], trials[-1]))]
-        print(f"# Logs to write: {' ... '.join(ends)}")
+# ---- The end of a run ----
 
 
-def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, json: bool) -> int:
+class RunEnd(Enum):
+    """How a run ended: the first of these that is true."""
+
+    FAILED = "a trial has no result: its error is raised"
+    ABORTED = "a trial was aborted: exit code 1"
+    INTERRUPTED = "a signal stopped it before its last trial ended: exit code 130"
+    COMPLETE = "all else: exit code 0"
+
+    @classmethod
+    def of(cls, report: "Report", planned: list[int], stop_requested: bool) -> "RunEnd":
+        """Return how a run of the planned trials ended."""
+        if report.errors:
+            return cls.FAILED
+        if report.aborted:
+            return cls.ABORTED
+        if report.interrupted or (stop_requested and _not_run(report, planned)):
+            return cls.INTERRUPTED
+        return cls.COMPLETE
+
+
+def _conclude(
+    report: "Report", end: RunEnd, planned: list[int], folder: Path, as_json: bool
+) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
-    Raises the error of a trial that failed without an outcome.
+    Raises the error of a trial without a result; without any result nothing is printed before.
+    """
+    from tetractl.run.task import log_path
+
+    if end is RunEnd.FAILED and not report.results:
+        raise _first_error(report)
+    unwritten = None
+    if report.results or not _not_run(report, planned):
+        unwritten = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
+    for (_, trial), result in report.aborted.items():
+        ui.tell(f"error: trial {trial + 1}: {result.reason}")
+    _tell_where(folder, _not_run(report, planned))
+
+    match end:
+        case RunEnd.FAILED:
+            raise _first_error(report)
+        case RunEnd.ABORTED:
+            return Exit.FAILED
+        case RunEnd.INTERRUPTED:
+            ui.tell(f"interrupted; continue with the same command and --out {folder} --resume")
+            return Exit.INTERRUPTED
+        case RunEnd.COMPLETE:
+            first = min((trial for _, trial in report.results), default=0)
+            ui.tell(f"look at one with: tetractl replay {quote(str(log_path(folder, first)))}")
+            if unwritten is not None:
+                raise unwritten
+            return Exit.DONE
+
+
+def _not_run(report: "Report", planned: list[int]) -> int:
+    """Return the number of planned trials without a result."""
+    return len(planned) - len(report.results)
+
+
+def _first_error(report: "Report") -> Exception:
+    return next(iter(report.errors.values()))
+
+
+def _tell_where(folder: Path, not_run: int) -> None:
+    """Print where the logs are, and how many trials were not run."""
+    rest = f"; {not_run} trials were not run" if not_run else ""
+    ui.tell(f"logs in {folder}{rest}; every figure: tetractl stats {quote(str(folder))} --full")
+
+
+def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSError | None:
+    """Print the statistics of a folder's logs on stdout; return why they could not be written.
+
+    They are left out at a signal, and where the reader of stdout has ended. With `logs_may_lack`,
+    logs that cannot be described are no error: an aborted trial may leave none, or one without
+    poses.
     """
     from tetractl.cli.stats import show
     from tetractl.results.contrast import contrast
     from tetractl.results.describe import describe
     from tetractl.results.open_batch import open_batch
-    from tetractl.run.task import log_path
 
-    error = next(iter(report.errors.values()), None)
-    if error and not report.results:
-        raise error
-    lacking, unprinted = len(trials) - len(report.results), None
     try:
-        if report.results or not lacking:
-            with interrupted_once():
-                show(contrast([describe(open_batch([folder]))]), "json" if json else "table")
+        with interrupted_once():
+            show(contrast([describe(open_batch([folder]))]), "json" if as_json else "table")
     except KeyboardInterrupt:
         give_up_unread()
         ui.tell("the statistics were left out")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass
-    except OSError as failed:
-        unprinted = failed
+    except OSError as error:
+        return error
     except TetractlError:
-        if not report.aborted:  # an aborted trial may leave no log, or one without poses
+        if not logs_may_lack:
             raise
-    for (_, trial), result in report.aborted.items():
-        ui.tell(f"error: trial {trial + 1}: {result.reason}")
-    left = f"; {lacking} trials were not run" if lacking else ""
-    ui.tell(f"logs in {folder}{left}; every figure: tetractl stats {quote(str(folder))} --full")
-    if error:
-        raise error
-    if report.aborted:
-        return Exit.FAILED
-    if report.interrupted or (stopped and lacking):
-        ui.tell(f"interrupted; continue with the same command and --out {folder} --resume")
-        return Exit.INTERRUPTED
-    first = min((trial for _, trial in report.results), default=0)
-    ui.tell(f"look at one with: tetractl replay {quote(str(log_path(folder, first)))}")
-    if unprinted:
-        raise unprinted
-    return Exit.DONE
+    return None

@@ -27,6 +27,7 @@ from rich.text import Text
 from tetractl.core.clock import milliseconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
 from tetractl.core.trial import Result
 from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
@@ -50,6 +51,12 @@ BAR_MOST = 60
 BAR_WANTED = 12
 """Widths of the footer's bar: the greatest, and what hints leave to it."""
 ROBOT_BAR_MOST = 40
+NAME_LEAST = 4
+"""Letters of a robot's name that stay."""
+ROBOTS_LEAST = 3
+"""Lines of robots that are shown even if others have no line."""
+SMALLEST = 1e-12
+"""Least distance of a whole bar: robots may start on their targets [length unit]."""
 SPARKLINE_MOST = 48
 LINES_OF_OTHERS = 12
 """Lines that the robots' block leaves to other blocks."""
@@ -91,6 +98,33 @@ class _Block:
 
     rank: int
     lines: list[Text]
+
+
+@dataclass(frozen=True, slots=True)
+class _RobotColumns:
+    """Widths of a robot's line, `MARK NAME VALUE BAR`, and the decimals of its value."""
+
+    name: int
+    value: int
+    bar: int
+    decimals: int
+
+    @classmethod
+    def fit(
+        cls, width: int, names: Sequence[str], distances: Floats, full: float
+    ) -> "_RobotColumns":
+        """Return the columns that fit: names are cut before values are, bars have what is left.
+
+        Values have four digits at a distance of `full`: 854.0 mm.
+        """
+        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)
+        values = [f"{distance:.{decimals}f}" for distance in (full, *distances)]
+        value_width = max(len(value) for value in values)
+        rest = width - value_width - 5  # the mark, three gaps, and a column to spare
+        longest_name = max((len(name) for name in names), default=0)
+        name_width = min(longest_name, max(rest, NAME_LEAST))
+        bar_width = rest - name_width
+        return cls(name_width, value_width, min(max(bar_width, 0), ROBOT_BAR_MOST), decimals)
 
 
 class Dashboard:
@@ -202,45 +236,39 @@ class Dashboard:
         """Return a title, then each robot's distance to its target as a number and a bar; as many
         as fit, and a line on the others.
         """
-        moment = self._moment
-        setup = moment.setup
-        distances = moment.distances
-        full = max(float(np.nanmax(setup.distances(setup.starts.xy))), 1e-12)  # of a whole bar
-        most = max(height - LINES_OF_OTHERS, 3)
+        setup = self._moment.setup
+        distances = self._moment.distances
+        most = max(height - LINES_OF_OTHERS, ROBOTS_LEAST)
         shown = len(distances) if len(distances) <= most else most - 1
-        names = setup.names[:shown]
-        standing = self._standing()
-
-        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # four digits: 854.0 mm
-        values = [f"{distance:.{decimals}f}" for distance in distances[:shown]]
-        widest = f"{full:.{decimals}f}"
-        value_width = max(len(value) for value in (widest, *values))
-        longest_name = max((len(name) for name in names), default=0)
-        name_width = min(longest_name, max(width - 5 - value_width, 4))
-        gaps = 4  # of the mark, the name, the value and the bar
-        bar_width = min(max(width - gaps - name_width - value_width - 1, 0), ROBOT_BAR_MOST)
-
+        full = max(float(np.nanmax(setup.distances(setup.starts.xy))), SMALLEST)
+        columns = _RobotColumns.fit(width, setup.names[:shown], distances[:shown], full)
         what = f"to target [{setup.unit}]"
-        titles = (f"distance {what}, {moment.known}", f"{what}, {moment.known}", what)
-        lines = [Text(_first_fitting(width, *titles), "dim", no_wrap=True)]
-        for robot, (name, value) in enumerate(zip(names, values, strict=True)):
-            color = self._colors[robot]
-            mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, moment.poses[robot, 2])
-            line = Text.assemble(
-                (mark, f"bold {color}"),
-                (f" {name[:name_width]:<{name_width}} ", color),
-                f"{value:>{value_width}} ",
-            )
-            if name in standing:
-                line.append(_first_fitting(bar_width, "stands", ""), "yellow")
-            else:
-                part = float(distances[robot]) / full
-                line.append_text(bar(glyphs, bar_width, part, color))
-            lines.append(line)
+        known = self._moment.known
+        title = _first_fitting(width, f"distance {what}, {known}", f"{what}, {known}", what)
+        lines = [Text(title, "dim", no_wrap=True)]
+        lines += [self._robot(glyphs, robot, columns, full) for robot in range(shown)]
         if shown < len(distances):
             worst = _number(float(distances[shown:].max()))
             lines.append(Text(f"and {len(distances) - shown} more, at most {worst}", "dim"))
         return lines
+
+    def _robot(self, glyphs: Glyphs, robot: int, columns: "_RobotColumns", full: float) -> Text:
+        """Return the line of one robot; a whole bar is a distance of `full`."""
+        moment = self._moment
+        name = moment.setup.names[robot]
+        color = self._colors[robot]
+        distance = float(moment.distances[robot])
+        mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, moment.poses[robot, 2])
+        line = Text.assemble(
+            (mark, f"bold {color}"),
+            (f" {name[: columns.name]:<{columns.name}} ", color),
+            f"{distance:{columns.value}.{columns.decimals}f} ",
+        )
+        if name in self._standing():
+            line.append(_first_fitting(columns.bar, "stands", ""), "yellow")
+        else:
+            line.append_text(bar(glyphs, columns.bar, distance / full, color))
+        return line
 
     def _standing(self) -> list[str]:
         """Return the names of the robots that stand by the newest plan's estimate."""
@@ -307,8 +335,9 @@ class Dashboard:
         if not self._moment.events:
             return []
         most = next((count for least, count in EVENTS_SHOWN if height >= least), 0)
+        older = max(len(self._moment.events) - most, 0)
         lines = []
-        for event in self._moment.events[len(self._moment.events) - most :][:most]:
+        for event in self._moment.events[older:]:
             text = event.text if event.level == "info" else f"{event.level}: {event.text}"
             time = (f"{event.time_s:7.1f} s  ", "dim")
             style = LEVEL_STYLES.get(event.level, "")

@@ -18,7 +18,7 @@ from tetractl.core.table.table import Column, Table
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.replay.identification.identify import cell
-from tetractl.replay.identification.response import ROWS, respond
+from tetractl.replay.identification.response import UNITS, respond
 from tetractl.replay.identification.tracks import Track
 from tetractl.results.estimate import t_quantile
 
@@ -53,14 +53,14 @@ def main(folders: list[Path]) -> None:
     if len(runs) < 2:
         raise UsageError("two runs are needed: folders with files such as Robot1_Odometry.dat")
     found = [respond([track(*run)])[0] for run in runs]
-    every = [[run.values[k] for run in found] for k in range(len(ROWS))]
+    every = [[run.quantities[name] for run in found] for name in UNITS]
     values = [np.array([one.value for one in of]) for of in every]
     half = [t_quantile(len(of) - 1) * of.std(ddof=1) / len(of) ** 0.5 for of in values]
     both = zip(values, half, strict=True)
     mean = [SampleInterval(of.mean(), of.mean() - h, of.mean() + h) for of, h in both]
     columns = (
         Column(
-            "quantity", [f"{n.replace('_', ' ')} {u.format(unit='m')}" for n, u in ROWS.items()]
+            "quantity", [f"{n.replace('_', ' ')} {u.format(unit='m')}" for n, u in UNITS.items()]
         ),
         Column("mean of runs", [*map(cell, mean)]),
         Column("deviation", [f"{of.std(ddof=1):.4f}" for of in values]),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tetractl.replay.identification.fit import SampleInterval
-from tetractl.replay.identification.response import ROWS, respond, response_table
+from tetractl.replay.identification.response import respond, response_table
 from tetractl.replay.identification.tracks import Track
 
 TRUE = {
@@ -54,7 +54,7 @@ def test_gains_lags_and_dead_time_are_found_and_intervals_hold_them():
     held = []
     for seed in range(2):
         (found,) = respond([track(seed)])
-        values = dict(zip(ROWS, found.values, strict=True))
+        values = found.quantities
         for name, true in TRUE.items():
             assert values[name].value == pytest.approx(true, rel=0.25, abs=2e-4), (seed, name)
             held.append(values[name].low <= true <= values[name].high)
@@ -70,6 +70,8 @@ def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     one.poses[1000:1005] += (300.0, 0.0, 1.0)
     (found,) = respond([one, other])
     assert found.left_out == 2
+    (_, column) = response_table([found], "", "mm").columns
+    assert column.values[-1] == f"2 of {found.intervals + 2}"
     assert found.dead_time.high - found.dead_time.low < 1.1 * width
 
 

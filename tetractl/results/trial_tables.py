@@ -19,7 +19,7 @@ from tetractl.core.poses import Floats, Integers
 from tetractl.core.setup import Setup
 from tetractl.core.table.table import Column, Table
 from tetractl.log.format.channels import HOST_TIMING, STEP
-from tetractl.log.format.codec import OF_ESTIMATE, STOP_REASON_MAX
+from tetractl.log.format.codec import ESTIMATE_FIELDS, STOP_REASON_MAX
 from tetractl.log.format.tetractl_pb2 import ControllerStep, Estimate, StepTiming
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import result_of, trial_of, whole, written
@@ -168,7 +168,7 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
         "time_s": np.repeat(_seconds(log, [step.command.sent_ns for step in steps]), robots),
         "robot": np.tile(setup.names, len(steps)),
     }
-    for field in OF_ESTIMATE:
+    for field in ESTIMATE_FIELDS:
         rows = [_of_each_robot(step.estimate, field, robots) for step in steps]
         columns[_estimate_column(field, setup.unit)] = np.array(rows, dtype=float).ravel()
     return _table("estimates", columns)

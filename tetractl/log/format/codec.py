@@ -1,12 +1,19 @@
-"""Converts the records of a trial to tetractl's protobuf messages and back, bit for bit."""
+"""Converts the records of a trial to tetractl's protobuf messages and back.
+
+    Observation <-> MocapSample      Step    <-> ControllerStep and StepTiming
+    Command     <-> WheelCommand     Search, Estimate <-> messages of the same names
+    Frames      <-> CameraFrames
+
+Each pair is an `encode_` and a `decode_` function, next to each other. What is decoded is what was
+encoded, bit for bit, but for what only serves drawing: predicted paths are rounded (`drawn`), and
+true poses that are not the measured ones have single precision. Decoding raises ValueError for a
+message that no trial of that many robots has.
+"""
 
 from collections.abc import Sequence
-from functools import lru_cache
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from google.protobuf.message import Message
 from numpy.typing import NDArray
 
 from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
@@ -16,16 +23,18 @@ from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 
-OF_ESTIMATE = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
-OF_PLAN = ("cost", "target_cost", "obstacle_cost", "chosen", "generator", "leg", "delay_ns")
-"""The numbers of a plan that are fields of `ControllerStep`."""
+ESTIMATE_FIELDS = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
+"""The fields of an estimate, which its record and its message share."""
 FORMER_STATES = ("nearing", "leaving a corner")
 """States of earlier versions, in which robots followed signals; they are read as `driving`."""
-STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
-DIFFERENCES = 4  # how often a packed column is replaced by its differences
-DRAWN_PRECISION = 2.0**-14  # largest relative rounding error of `drawn`
-
-_reader = lru_cache(attrgetter)  # `named` is called for each step: its getters are made once
+STOP_REASON_MAX = 60
+"""Largest number of characters read of the reason why a search stopped."""
+DIFFERENCES = 4
+"""How often a packed column is replaced by its differences."""
+DRAWN_BITS_CUT = 10
+"""Bits of single precision's 24 that `drawn` sets to 0."""
+DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
+"""Largest relative rounding error of `drawn`."""
 
 
 class Frames(NamedTuple):
@@ -47,136 +56,201 @@ class Frames(NamedTuple):
     @classmethod
     def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
         """Return samples as arrays; `truth` is None unless every sample has true poses."""
-        seen = [sample.observation for sample in samples]
-        times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
-        truth = [sample.truth for sample in samples if sample.truth is not None]
-        numbers, sampled_ns, received_ns = np.array(times, dtype=np.int64).reshape(-1, 3).T
-        poses = _columns([one.poses for one in seen], robots)
-        valid = np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots)
-        known = _columns(truth, robots) if len(truth) == len(seen) else None
-        own = [one.exposed_ns or (one.sampled_ns,) * robots for one in seen]
-        exposed_ns = np.array(own, dtype=np.int64).reshape(-1, robots)
-        return cls(numbers, sampled_ns, received_ns, poses, valid, known, exposed_ns)
+        observations = [sample.observation for sample in samples]
+        truths = [sample.truth for sample in samples if sample.truth is not None]
+        all_known = len(truths) == len(samples)
+        exposed_ns = [
+            observation.exposed_ns or (observation.sampled_ns,) * robots
+            for observation in observations
+        ]
+        valid = [observation.valid for observation in observations]
+        return cls(
+            numbers=_integers([observation.frame for observation in observations]),
+            sampled_ns=_integers([observation.sampled_ns for observation in observations]),
+            received_ns=_integers([observation.received_ns for observation in observations]),
+            poses=_stacked([observation.poses for observation in observations], robots),
+            valid=np.array(valid, dtype=np.bool_).reshape(-1, robots),
+            truth=_stacked(truths, robots) if all_known else None,
+            exposed_ns=_integers(exposed_ns).reshape(-1, robots),
+        )
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
         """Join parts in order; `truth` is None unless every part has true poses."""
-        columns: list[Any] = [
-            None if any(one is None for one in arrays) else np.concatenate(arrays)
-            for arrays in zip(*parts, strict=True)
-        ]
-        return cls(*columns)
+        truths = [part.truth for part in parts if part.truth is not None]
+        all_known = len(truths) == len(parts)
+        return cls(
+            numbers=np.concatenate([part.numbers for part in parts]),
+            sampled_ns=np.concatenate([part.sampled_ns for part in parts]),
+            received_ns=np.concatenate([part.received_ns for part in parts]),
+            poses=np.concatenate([part.poses for part in parts]),
+            valid=np.concatenate([part.valid for part in parts]),
+            truth=np.concatenate(truths) if all_known else None,
+            exposed_ns=np.concatenate([part.exposed_ns for part in parts]),
+        )
 
     def part(self, rows: slice | Integers) -> "Frames":
         """Return the frames in the given rows."""
-        columns: list[Any] = [None if one is None else one[rows] for one in self]
-        return Frames(*columns)
+        return Frames(
+            numbers=self.numbers[rows],
+            sampled_ns=self.sampled_ns[rows],
+            received_ns=self.received_ns[rows],
+            poses=self.poses[rows],
+            valid=self.valid[rows],
+            truth=None if self.truth is None else self.truth[rows],
+            exposed_ns=self.exposed_ns[rows],
+        )
 
 
-def _columns(poses: Sequence[Poses], robots: int) -> Floats:
+def _stacked(poses: Sequence[Poses], robots: int) -> Floats:
     """Stack the poses of N robots at M times in an array (M, N, 3)."""
-    rows = [column for one in poses for column in (one.x, one.y, one.heading)]
+    rows: list[Floats] = []
+    for pose in poses:
+        rows += [pose.x, pose.y, pose.heading]
     return np.concatenate([[], *rows]).reshape(-1, 3, robots).transpose(0, 2, 1)
+
+
+# ---- Camera frames ----
 
 
 @np.errstate(all="ignore")  # numbers beyond single precision
 def drawn(values: Floats) -> Floats:
     """Round numbers that are only drawn to 14 significant bits: zeros take no space in a log."""
+    half = 1 << (DRAWN_BITS_CUT - 1)
+    high_bits = -(1 << DRAWN_BITS_CUT)
     bits = values.astype(np.float32).view(np.int32)
-    return ((bits + (1 << 9)) & -(1 << 10)).view(np.float32).astype(np.float64)
+    return ((bits + half) & high_bits).view(np.float32).astype(np.float64)
 
 
 def packed(columns: NDArray[Any]) -> bytes:
-    """Pack columns (M, C) of numbers of 4 or 8 bytes as `CameraFrames` defines."""
-    size, (count, width) = columns.itemsize, columns.shape
-    steps = np.ascontiguousarray(columns).view(f"<i{size}")
-    if count > 1:
-        zeros = np.zeros((DIFFERENCES, width), steps.dtype)
-        steps = np.diff(np.concatenate([zeros, steps]), DIFFERENCES, axis=0)
-    zigzag = (steps << 1) ^ (steps >> (8 * size - 1))
-    return np.ascontiguousarray(zigzag.T).view(np.uint8).reshape(-1, size).T.tobytes()
+    """Pack columns (M, C) of numbers of 4 or 8 bytes, so that zstd finds much alike. In this order,
+    each step undone by `unpacked`:
+
+    1. The bits of each number are taken for an integer.
+    2. Each column is replaced by its fourth differences, as if zeros were before it: numbers that
+       change smoothly become small. A single row stays as it is.
+    3. Small negative integers become small positive ones (`_zigzag`): 0, -1, 1, -2 -> 0, 1, 2, 3.
+    4. The lowest bytes of all numbers come first, column after column, then the next higher ones
+       (`_byte_planes`): the high bytes, nearly all 0, are together.
+    """
+    integers = np.ascontiguousarray(columns).view(f"<i{columns.itemsize}")
+    if len(integers) > 1:
+        before = np.zeros((DIFFERENCES, integers.shape[1]), integers.dtype)
+        integers = np.diff(np.concatenate([before, integers]), DIFFERENCES, axis=0)
+    return _byte_planes(_zigzag(integers))
 
 
 def unpacked(data: bytes, width: int, kind: str) -> NDArray[Any]:
     """Return the columns (M, `width`) of numbers of type `kind` in packed bytes; ValueError for
     another number of bytes."""
-    size = np.dtype(kind).itemsize
     if not data:
         return np.zeros((0, width), kind)
-    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1).transpose(2, 1, 0)
-    zigzag = np.ascontiguousarray(planes).view(f"<u{size}")[..., 0]
-    found = (zigzag >> 1) ^ -(zigzag & 1)
-    for _ in range(DIFFERENCES if len(found) > 1 else 0):
-        found = np.cumsum(found, axis=0, dtype=found.dtype)
-    return found.view(kind)
+    integers = _from_zigzag(_from_byte_planes(data, width, np.dtype(kind).itemsize))
+    if len(integers) > 1:
+        for _ in range(DIFFERENCES):
+            integers = np.cumsum(integers, axis=0, dtype=integers.dtype)
+    return integers.view(kind)
+
+
+def _zigzag(signed: NDArray[Any]) -> NDArray[Any]:
+    """Return 2 n for n >= 0 and -2 n - 1 for n < 0."""
+    sign_bit = 8 * signed.itemsize - 1
+    return (signed << 1) ^ (signed >> sign_bit)
+
+
+def _from_zigzag(unsigned: NDArray[Any]) -> NDArray[Any]:
+    """Undo `_zigzag`, modulo the size of the integers."""
+    return (unsigned >> 1) ^ -(unsigned & 1)
+
+
+def _byte_planes(integers: NDArray[Any]) -> bytes:
+    """Return the bytes of integers (M, C), in the order (byte, column, row)."""
+    by_column = np.ascontiguousarray(integers.T)
+    by_number = by_column.view(np.uint8).reshape(-1, integers.itemsize)
+    return by_number.T.tobytes()
+
+
+def _from_byte_planes(data: bytes, width: int, size: int) -> NDArray[Any]:
+    """Undo `_byte_planes`, as unsigned integers (M, `width`) of `size` bytes."""
+    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1)
+    by_number = np.ascontiguousarray(planes.transpose(2, 1, 0))
+    return by_number.view(f"<u{size}")[..., 0]
 
 
 @np.errstate(all="ignore")  # numbers beyond single precision
 def encode_frames(frames: Frames) -> pb.CameraFrames:
     """Encode camera frames; true poses have single precision unless they are the measured ones."""
-    count, truth = len(frames.numbers), frames.truth
-    exact = truth is not None and truth.tobytes() == frames.poses.tobytes()
-    single = None if exact or truth is None else truth.reshape(count, -1).astype(np.float32)
-    late = frames.sampled_ns[:, None] - frames.exposed_ns
-    return pb.CameraFrames(
-        late=packed(late) if late.any() else None,
+    count = len(frames.numbers)
+    late_ns = frames.sampled_ns[:, None] - frames.exposed_ns
+    message = pb.CameraFrames(
         times=packed(np.column_stack([frames.numbers, frames.sampled_ns, frames.received_ns])),
         poses=packed(frames.poses.reshape(count, -1)),
         valid=frames.valid.ravel().tolist(),
-        truth=None if single is None else packed(single),
-        exact=exact,
     )
+    if late_ns.any():
+        message.late = packed(late_ns)
+    if frames.truth is None:
+        message.exact = False
+    elif frames.truth.tobytes() == frames.poses.tobytes():
+        message.exact = True
+    else:
+        message.exact = False
+        message.truth = packed(frames.truth.reshape(count, -1).astype(np.float32))
+    return message
 
 
 @np.errstate(all="ignore")  # any bits may be a number
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     """Decode camera frames; ValueError for another number of robots than `robots`."""
-    times, poses = unpacked(message.times, 3, "<i8"), unpacked(message.poses, 3 * robots, "<f8")
+    times = unpacked(message.times, 3, "<i8")
+    poses = unpacked(message.poses, 3 * robots, "<f8")
     truth = poses if message.exact else unpacked(message.truth, 3 * robots, "<f4")
-    late = unpacked(message.late, robots, "<i8")
-    count, (numbers, sampled_ns, received_ns) = len(times), times.T
-    known = len(truth) in (0, count) and len(late) in (0, count)
-    if len(poses) != count or len(message.valid) != count * robots or not known:
+    late_ns = unpacked(message.late, robots, "<i8")
+    count = len(times)
+    complete = len(poses) == count and len(message.valid) == count * robots
+    optional = len(truth) in (0, count) and len(late_ns) in (0, count)
+    if not complete or not optional:
         raise ValueError(f"arrays of camera frames do not have {count} times {robots} entries")
+    sampled_ns = times[:, 1]
+    exposed_ns = np.repeat(sampled_ns[:, None], robots, axis=1)
+    if len(late_ns):
+        exposed_ns = exposed_ns - late_ns
+    true_poses = None
+    if len(truth) == count:
+        true_poses = truth.astype(np.float64).reshape(count, robots, 3)
     return Frames(
-        numbers,
-        sampled_ns,
-        received_ns,
-        poses.reshape(count, robots, 3),
-        np.array(message.valid, dtype=np.bool_).reshape(count, robots),
-        truth.astype(np.float64).reshape(count, robots, 3) if len(truth) == count else None,
-        np.repeat(sampled_ns[:, None], robots, axis=1) - (late if len(late) else 0),
+        numbers=times[:, 0],
+        sampled_ns=sampled_ns,
+        received_ns=times[:, 2],
+        poses=poses.reshape(count, robots, 3),
+        valid=np.array(message.valid, dtype=np.bool_).reshape(count, robots),
+        truth=true_poses,
+        exposed_ns=exposed_ns,
     )
 
 
-def named(record: object, *names: str) -> dict[str, Any]:
-    """Return the named fields of a record as arguments of a message; None leaves a field unset."""
-    values = _reader(*names)(record)
-    return {
-        name: value.ravel().tolist() if isinstance(value, np.ndarray) else value
-        for name, value in zip(names, values, strict=True)
-    }
-
-
-def stated(message: Message, *names: str) -> dict[str, Any]:
-    """Return the named fields of a message as arguments of a record, repeated ones as tuples."""
-    found = {name: getattr(message, name) for name in names}
-    return {k: v if isinstance(v, int | float | str) else tuple(v) for k, v in found.items()}
+# ---- Control steps ----
 
 
 def encode_observation(observation: Observation) -> pb.MocapSample:
     """Encode the camera frame on which a control step is decided."""
     return pb.MocapSample(
-        **named(observation, "frame", "sampled_ns", "received_ns", "valid", "exposed_ns"),
-        **named(observation.poses, "x", "y", "heading"),
+        frame=observation.frame,
+        sampled_ns=observation.sampled_ns,
+        received_ns=observation.received_ns,
+        x=observation.poses.x.tolist(),
+        y=observation.poses.y.tolist(),
+        heading=observation.poses.heading.tolist(),
+        valid=observation.valid.tolist(),
+        exposed_ns=observation.exposed_ns,
     )
 
 
 def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
     """Decode one camera frame; ValueError for another number of robots than `robots`."""
-    found = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
-    if found != {robots} or len(message.exposed_ns) not in (0, robots):
-        raise ValueError(f"a frame has {sorted(found)} robots instead of {robots}")
+    counts = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
+    if counts != {robots} or len(message.exposed_ns) not in (0, robots):
+        raise ValueError(f"a frame has {sorted(counts)} robots instead of {robots}")
     return Observation(
         frame=message.frame,
         sampled_ns=message.sampled_ns,
@@ -189,40 +263,57 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
 
 def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
-    facing = command.action.facing if isinstance(command.action, Turn) else None
-    fields = named(command, "direction", "sent_ns", "delivered", "left", "right")
-    return pb.WheelCommand(stop=command.stops, facing=facing, **fields)
+    return pb.WheelCommand(
+        stop=command.stops,
+        direction=command.direction,
+        facing=command.action.facing if isinstance(command.action, Turn) else None,
+        sent_ns=command.sent_ns,
+        delivered=command.delivered,
+        left=_listed(command.left),
+        right=_listed(command.right),
+    )
 
 
 def decode_command(message: pb.WheelCommand) -> Command:
     """Decode a command."""
-    action: Action = Stop() if message.stop else FieldOff()
-    if message.HasField("direction"):
-        action = Steer(message.direction)
-    elif message.HasField("facing"):
-        action = Turn(message.facing)
     return Command(
-        action,
+        _decode_action(message),
         sent_ns=message.sent_ns,
         delivered=tuple(message.delivered),
-        left=_floats(left) if (left := message.left) else None,
-        right=_floats(right) if (right := message.right) else None,
+        left=_floats(message.left) if message.left else None,
+        right=_floats(message.right) if message.right else None,
     )
+
+
+def _decode_action(message: pb.WheelCommand) -> Action:
+    if message.HasField("direction"):
+        return Steer(message.direction)
+    if message.HasField("facing"):
+        return Turn(message.facing)
+    return Stop() if message.stop else FieldOff()
 
 
 def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
     """Encode one control step with its encoded command; its solve time is in a separate message."""
     plan = step.plan
-    x, y = drawn(plan.path[..., :2]).reshape(-1, 2).T.tolist()
+    path = drawn(plan.path[..., :2]).reshape(-1, 2)
     return pb.ControllerStep(
         k=step.k,
         observation=encode_observation(step.observation),
         command=command,
+        signals=plan.signals.tolist(),
+        cost=plan.cost,
+        target_cost=plan.target_cost,
+        obstacle_cost=plan.obstacle_cost,
         searches=[_encode_search(search) for search in plan.searches],
-        path_x=x,
-        path_y=y,
-        estimate=pb.Estimate(**named(plan.estimate, *OF_ESTIMATE)) if plan.estimate else None,
-        **named(plan, "signals", "state", *OF_PLAN),
+        chosen=plan.chosen,
+        generator=plan.generator,
+        path_x=path[:, 0].tolist(),
+        path_y=path[:, 1].tolist(),
+        leg=plan.leg,
+        delay_ns=plan.delay_ns,
+        state=plan.state,
+        estimate=_encode_estimate(plan.estimate) if plan.estimate else None,
     )
 
 
@@ -235,16 +326,23 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     observation = decode_observation(message.observation, robots)
     if not 0 <= message.chosen < len(message.searches) or not message.signals:
         raise ValueError(f"step {message.k} chooses a search that does not exist")
-    x, y = _floats(message.path_x), _floats(message.path_y)
     command = decode_command(message.command)
     plan = Plan(
         signals=_floats(message.signals),
-        path=np.stack([x, y, np.full_like(x, np.nan)], axis=-1).reshape(-1, robots, 3),
+        path=_decode_path(message, robots),
+        cost=message.cost,
+        target_cost=message.target_cost,
+        obstacle_cost=message.obstacle_cost,
         searches=tuple(_decode_search(search) for search in message.searches),
-        estimate=_decode_estimate(message, robots),
+        chosen=message.chosen,
+        generator=message.generator,
+        estimate=_decode_estimate(message.estimate, robots)
+        if message.HasField("estimate")
+        else None,
         instead=None if isinstance(command.action, Steer) else command.action,
         state=_decode_state(message.state),
-        **stated(message, *OF_PLAN),
+        leg=message.leg,
+        delay_ns=message.delay_ns,
     )
     return Step(
         k=message.k,
@@ -252,8 +350,16 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         plan=plan,
         command=command,
         solve_ns=timing.solve_ns if timing else 0,
-        deadline_missed=bool(timing and timing.deadline_missed),
+        deadline_missed=timing.deadline_missed if timing else False,
     )
+
+
+def _decode_path(message: pb.ControllerStep, robots: int) -> Floats:
+    """Return the predicted poses (S + 1, N, 3) of S signals, with headings of NaN."""
+    x = _floats(message.path_x)
+    y = _floats(message.path_y)
+    heading = np.full_like(x, np.nan)
+    return np.stack([x, y, heading], axis=-1).reshape(-1, robots, 3)
 
 
 def _decode_state(text: str) -> State:
@@ -263,28 +369,18 @@ def _decode_state(text: str) -> State:
 
 def encode_timing(step: Step) -> pb.StepTiming:
     """Encode the solve time of a control step."""
-    return pb.StepTiming(**named(step, "k", "solve_ns", "deadline_missed"))
-
-
-def _decode_estimate(step: pb.ControllerStep, robots: int) -> Estimate | None:
-    if not step.HasField("estimate"):
-        return None
-    found: dict[str, Any] = {
-        field.name: value if isinstance(value, float) else _floats(value)
-        for field, value in step.estimate.ListFields()
-    }
-    if "misfit" in found:
-        found["misfit"] = found["misfit"].reshape(-1, 3)
-    needed = (found.get(name, np.empty(0)) for name in OF_ESTIMATE[:4])
-    every = (*needed, *(value for value in found.values() if isinstance(value, np.ndarray)))
-    if (counts := {len(values) for values in every}) != {robots}:
-        raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
-    return Estimate(**found)
+    return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
 
 
 def _encode_search(search: Search) -> pb.Search:
-    fields = named(search, "length", "signals", "cost", "history", "evaluations")
-    return pb.Search(stopped=printable(search.stopped, STOP_REASON_MAX), **fields)
+    return pb.Search(
+        length=search.length,
+        signals=search.signals.tolist(),
+        cost=search.cost,
+        history=search.history.tolist(),
+        evaluations=search.evaluations,
+        stopped=printable(search.stopped, STOP_REASON_MAX),
+    )
 
 
 def _decode_search(message: pb.Search) -> Search:
@@ -298,5 +394,64 @@ def _decode_search(message: pb.Search) -> Search:
     )
 
 
+def _encode_estimate(estimate: Estimate) -> pb.Estimate:
+    """Encode an estimate; what it lacks is unset."""
+    misfit = None if estimate.misfit is None else estimate.misfit.ravel().tolist()
+    return pb.Estimate(
+        a=estimate.a.tolist(),
+        a_std=estimate.a_std.tolist(),
+        speed=estimate.speed.tolist(),
+        speed_std=estimate.speed_std.tolist(),
+        heading_bias=_listed(estimate.heading_bias),
+        heading_bias_std=_listed(estimate.heading_bias_std),
+        dead_time=estimate.dead_time,
+        dead_time_std=estimate.dead_time_std,
+        misfit=misfit,
+        side=_listed(estimate.side),
+        side_std=_listed(estimate.side_std),
+        saturation=_listed(estimate.saturation),
+        stands=_listed(estimate.stands),
+    )
+
+
+def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
+    """Decode an estimate; ValueError unless each array it has is of `robots` robots."""
+    estimate = Estimate(
+        a=_floats(message.a),
+        a_std=_floats(message.a_std),
+        speed=_floats(message.speed),
+        speed_std=_floats(message.speed_std),
+        heading_bias=_floats_or_none(message.heading_bias),
+        heading_bias_std=_floats_or_none(message.heading_bias_std),
+        dead_time=message.dead_time if message.HasField("dead_time") else None,
+        dead_time_std=message.dead_time_std if message.HasField("dead_time_std") else None,
+        misfit=_floats(message.misfit).reshape(-1, 3) if message.misfit else None,
+        side=_floats_or_none(message.side),
+        side_std=_floats_or_none(message.side_std),
+        saturation=_floats_or_none(message.saturation),
+        stands=_floats_or_none(message.stands),
+    )
+    values = (getattr(estimate, name) for name in ESTIMATE_FIELDS)
+    counts = {len(value) for value in values if isinstance(value, np.ndarray)}
+    if counts != {robots}:
+        raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
+    return estimate
+
+
+# ---- Arrays ----
+
+
 def _floats(values: Sequence[float]) -> Floats:
     return np.array(values[:], dtype=np.float64)  # as a list, since protobuf's sequences are slow
+
+
+def _floats_or_none(values: Sequence[float]) -> Floats | None:
+    return _floats(values) if values else None
+
+
+def _listed(values: Floats | None) -> list[float] | None:
+    return None if values is None else values.tolist()
+
+
+def _integers(values: Sequence[Any]) -> Integers:
+    return np.array(values, dtype=np.int64)

@@ -14,13 +14,6 @@ from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Start
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import FORMAT_VERSION, TEXT
-from tetractl.log.format.codec import named, stated
-
-OF_RESULT = ("reason", "steps", "duration_s", "passed", "inside", "lost")
-OF_ERRORS = ("total_error", "robot_errors")
-OF_VERDICT = ("entered", "clearance", "edge", "apart", "turn", "turn_std")
-OF_POSES = ("x", "y", "heading")
-"""Fields that a result, its verdict and its final poses share with their message."""
 
 
 def encode_facts(facts: Mapping[str, str]) -> Iterable[pb.Fact]:
@@ -35,7 +28,8 @@ def decode_facts(facts: Iterable[pb.Fact]) -> dict[str, str]:
 
 def encode_run(start: Start) -> pb.Run:
     """Return the message that identifies a trial."""
-    setup, plant = start.setup, start.plant
+    setup = start.setup
+    plant = start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
     if not plant.simulated:  # the start time distinguishes trials in a lab
         run_id += f"-{start.start_unix_ns}"
@@ -65,9 +59,11 @@ def decode_plant(run: pb.Run) -> PlantInfo:
 def run_items(run: pb.Run) -> dict[str, str]:
     """Return the values of a run as text by name, each fact of its plant as `plant.KEY`."""
     items = {field.name: str(getattr(run, field.name)) for field in run.DESCRIPTOR.fields}
-    named = {f"plant.{key}": value for key, value in decode_facts(run.facts).items()}
     del items["facts"]
-    return items | {"robots": json.dumps(list(run.robots))} | named
+    items["robots"] = json.dumps(list(run.robots))
+    for key, value in decode_facts(run.facts).items():
+        items[f"plant.{key}"] = value
+    return items
 
 
 def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
@@ -76,10 +72,28 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     `warnings` is the number of operator messages that are warnings or errors.
     """
     verdict = result.verdict
-    final = {f"final_{name}": value for name, value in named(verdict.final, *OF_POSES).items()}
-    numbers = named(result, *OF_RESULT, *OF_ERRORS) | named(verdict, *OF_VERDICT) | final
-    numbers["reason"] = printable(result.reason, TEXT)
-    return pb.Result(outcome=result.outcome.logged, unit=unit, warnings=warnings, **numbers)
+    return pb.Result(
+        outcome=result.outcome.logged,
+        reason=printable(result.reason, TEXT),
+        steps=result.steps,
+        duration_s=result.duration_s,
+        total_error=result.total_error,
+        robot_errors=result.robot_errors,
+        unit=unit,
+        warnings=warnings,
+        passed=result.passed,
+        inside=result.inside,
+        lost=result.lost,
+        final_x=verdict.final.x.tolist(),
+        final_y=verdict.final.y.tolist(),
+        final_heading=verdict.final.heading.tolist(),
+        entered=verdict.entered,
+        clearance=verdict.clearance,
+        edge=verdict.edge,
+        apart=verdict.apart,
+        turn=verdict.turn,
+        turn_std=verdict.turn_std,
+    )
 
 
 def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Result:
@@ -87,20 +101,42 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
 
     Raises ValueError for another number of robots or an outcome that does not exist.
     """
-    m = message
-    final = (m.final_x, m.final_y, m.final_heading)
-    columns = [*final, m.robot_errors, m.entered, m.clearance]
-    columns += [column for column in (m.edge, m.apart, m.inside, m.lost) if column]
-    columns += [m.turn, m.turn_std] if m.turn or m.turn_std else []
-    if any(len(column) != robots for column in columns):
-        raise ValueError("the result and the run have different numbers of robots")
+    _require_robots(message, robots)
     return Result(
-        outcome=Outcome(Outcome.shown(m.outcome)),
+        outcome=Outcome(Outcome.shown(message.outcome)),
+        reason=message.reason,
+        steps=message.steps,
+        duration_s=message.duration_s,
+        total_error=message.total_error,
+        robot_errors=tuple(message.robot_errors),
         verdict=Verdict(
-            final=Poses(*(np.array(column, dtype=np.float64) for column in final)),
-            **stated(m, *OF_VERDICT),
+            final=Poses(
+                np.array(message.final_x, dtype=np.float64),
+                np.array(message.final_y, dtype=np.float64),
+                np.array(message.final_heading, dtype=np.float64),
+            ),
+            entered=tuple(message.entered),
+            clearance=tuple(message.clearance),
+            edge=tuple(message.edge),
+            apart=tuple(message.apart),
+            turn=tuple(message.turn),
+            turn_std=tuple(message.turn_std),
         ),
         solve_ns=tuple(end.solve_ns) if end else (),
         deadline_misses=end.deadline_misses if end else 0,
-        **stated(m, *OF_RESULT, *OF_ERRORS),
+        passed=tuple(message.passed),
+        inside=tuple(message.inside),
+        lost=tuple(message.lost),
     )
+
+
+def _require_robots(message: pb.Result, robots: int) -> None:
+    """Raise ValueError unless each column of a result that must have an entry per robot has it."""
+    always = (message.final_x, message.final_y, message.final_heading)
+    always += (message.robot_errors, message.entered, message.clearance)
+    optional = (message.edge, message.apart, message.inside, message.lost)
+    columns = [*always, *(column for column in optional if column)]
+    if message.turn or message.turn_std:
+        columns += [message.turn, message.turn_std]
+    if any(len(column) != robots for column in columns):
+        raise ValueError("the result and the run have different numbers of robots")

@@ -17,7 +17,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT
-from tetractl.log.format.codec import OF_ESTIMATE, Frames, drawn
+from tetractl.log.format.codec import ESTIMATE_FIELDS, Frames, drawn
 from tetractl.log.format.run_records import decode_result
 
 
@@ -118,7 +118,7 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
     are not of N robots.
     """
     values: dict[str, Floats] = {}
-    for name in OF_ESTIMATE:
+    for name in ESTIMATE_FIELDS:
         value = getattr(estimate, name)
         if value is None:
             continue

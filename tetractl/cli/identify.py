@@ -60,7 +60,7 @@ def identify(
     if tables and tracks[0].twists.size:
         return _show_response(tracks, out, as_json)
     if tables:
-        show_found(found_in(tracks, None), out, as_json)
+        show_found(found_in(tracks, None, None), out, as_json)
         return Exit.DONE
     expected, dead_time, damaged = None, 0.0, False
     for path in find_logs(logs):

@@ -74,7 +74,7 @@ def track(
     trackpy (particle or track_id, frame or t, y and x in pixels), or of the poses.csv of `track`,
     it identifies the cells as `tetractl identify` does robots; -o names the YAML file of their
     values.
-    Headings of such tracks are directions of motion over 0.4 s, which lowers a by some 15 %.
+    Headings of such tracks are directions of motion over 0.3 s, which lowers a by some 5 %.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
     bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film,
@@ -179,10 +179,12 @@ def _identify(
     from tetractl_microscope.foreign_tracks import pose_rows
 
     ui.refuse_existing(out)
-    rows_of = partial(pose_rows, um_px=scale, rate_hz=rate)
+    remarks: list[str] = []
+    rows_of = partial(pose_rows, um_px=scale, rate_hz=rate, remarks=remarks)
     found = csv_tracks([tracks, field], rows_of, SHORTEST_S, on_wheels=False)
+    ui.tell(*remarks)
     if left_out := [name for track in found for name in track.left_out]:
         ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")
     tell_remarks(found)
-    show_found(identify(found, None), out, as_json)
+    show_found(identify(found, None, None), out, as_json)
     return Exit.DONE

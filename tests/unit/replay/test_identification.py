@@ -81,6 +81,20 @@ def test_without_noise_everything_is_found_exactly():
     assert [one.heading_bias.value for one in found.robots] == pytest.approx([0] * 3, abs=2e-3)
 
 
+def test_a_dead_time_beyond_the_first_search_is_found():
+    """Regression: 0.36 s for 0.5 s, and an interval of a without the true one."""
+    plant, track = drive(1, "plant.dead_time=0.5", "plant.a_error=0.25")
+    found = identify([track], EXPECTED, None)
+    assert found.dead_time.value == pytest.approx(0.5, abs=1e-3)
+    assert [one.a.value for one in found.robots] == pytest.approx(plant.a, rel=5e-3)
+
+
+def test_robots_that_turn_before_they_are_sent_a_direction_have_another_clock():
+    _, track = drive(1)
+    with pytest.raises(UsageError, match=r"robots seem to turn 0\.\d+ s before they are sent"):
+        identify([replace(track, sent=track.sent + 0.3)], EXPECTED, None)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("dead_time", [0.05, 0.2])
 def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time):

@@ -18,6 +18,8 @@ RADIANS = {"rad": 1.0, "deg": math.pi / 180}
 """Units of angles [rad]."""
 RADIANS_S = {"rad_s": 1.0, "deg_s": math.pi / 180}
 """Units of turning rates [rad/s]."""
+TIME_NAMES = ("time", "t", "timestamp")
+"""Names of columns of times, before their units."""
 LENGTHS = ("um", "mm", "cm", "m")
 """Units of lengths, which are returned as they are."""
 SPELLINGS = {
@@ -133,7 +135,7 @@ def find_column(
 
 def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
     """Return the column of times [s], None if there is none."""
-    return find_column(path, headers, ("time", "t", "timestamp"), SECONDS)
+    return find_column(path, headers, TIME_NAMES, SECONDS)
 
 
 def direction(path: Path, row: CsvRow, column: NumberColumn, before: float) -> float:

@@ -35,6 +35,8 @@ ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
 ORIGIN = "CSV"
 WHEELS = ("v", "left", "right", "radius")
 """Names of the columns of speeds, before their units."""
+MIRRORED = 0.2
+"""Share of their ways by which robots get farther ahead with y reversed, above which it is."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 
@@ -300,24 +302,33 @@ def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools
 
 
 def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
-    """Raise UsageError for headings in degrees: beyond a turn, and along the motion as degrees.
+    """Raise UsageError for headings in degrees: beyond a turn, and along the motion as degrees; and
+    for those along the motion only with y reversed.
 
     Headings in radians may be beyond a turn, too: those of `tetractl export` count whole turns.
     """
-    beyond = np.nanmax(np.abs(np.where(valid, poses[..., 2], 0.0)))
-    problem = turn_problem(float(beyond))
-    if problem is None:
-        return
-    moved = np.where(valid[1:] & valid[:-1], 1.0, 0.0)[..., None] * np.nan_to_num(
-        np.diff(poses[..., :2], axis=0)
-    )
-    heading = np.nan_to_num(poses[:-1, :, 2])
-    as_degrees = np.radians(heading)
-    ahead = np.sum(moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading))
-    by_degrees = np.sum(moved[..., 0] * np.cos(as_degrees) + moved[..., 1] * np.sin(as_degrees))
-    if by_degrees > ahead:
+    known = valid[1:] & valid[:-1]
+    moved = np.where(known[..., None], np.diff(poses[..., :2], axis=0), 0.0)
+    heading = np.where(known, poses[:-1, :, 2], 0.0)
+    ahead = _ahead(moved, heading)
+    beyond = float(np.nanmax(np.abs(np.where(valid, poses[..., 2], 0.0))))
+    problem = turn_problem(beyond)
+    if problem is not None and _ahead(moved, np.radians(heading)) > ahead:
         said, hint = problem
-        raise UsageError(f"{path}: a heading of {beyond:g} {said}", f"{hint}: heading_deg")
+        raise UsageError(
+            f"{path}: a heading of {beyond:g} {said}", f"{hint}, or name the column heading_deg"
+        )
+    mirrored = _ahead(moved * (1, -1), heading)
+    if mirrored - ahead > MIRRORED * float(np.sum(np.hypot(*np.moveaxis(moved, -1, 0)))):
+        raise UsageError(
+            f"{path}: robots move along their headings only with y reversed",
+            "are y downwards and headings anticlockwise? reverse one of them",
+        )
+
+
+def _ahead(moved: Floats, heading: Floats) -> float:
+    """Return how far robots moved ahead, of their ways (M, N, 2) and headings (M, N) [rad]."""
+    return float(np.sum(moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)))
 
 
 @dataclass(frozen=True, slots=True)

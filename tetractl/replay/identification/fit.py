@@ -28,6 +28,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tetractl.control.body_model import USUAL
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.passes import (
     UNKNOWN_S,
@@ -41,6 +42,10 @@ from tetractl.replay.identification.passes import (
 ROUNDS = 6
 RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the first pass starts
 REACH_S, APART_S = 0.3, 0.02  # half width and spacing of the first pass's dead times [s]
+SEARCHED_S = (-0.5, 2.0, 0.05)
+"""Dead times that are searched if it is unknown, and their spacing [s]. Below 0, times are of two
+clocks."""
+EARLY_S = 0.1  # time by which robots may seem to turn before they are sent a direction [s]
 # prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at most
 FIRST, WEAK = np.array([0.5, 0.5, 0.2]), np.array([2.0, 0.5, 1.0])
 WIDER = 10.0  # prior standard deviation of a pass, over the deviation after the pass before
@@ -86,15 +91,36 @@ class Fitted(NamedTuple):
     misfits: list[list[str]]
 
 
-def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float) -> Fitted:
+def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | None) -> Fitted:
     """Fit the parameters to the frames of some tracks, from expected turning rates a (N,) [rad/s],
-    speeds (N,) [length unit/s] and dead time [s].
+    speeds (N,) [length unit/s] and dead time [s], None if that is unknown.
     """
     state = _Fit(frames, a, speed, dead_time)
     for _ in range(ROUNDS):
         state.fit_noise()
         state.fit_motion()
     return state.result()
+
+
+def _searched(frames: TrackFrames, rows: np.ndarray, first: Belief) -> float:
+    """Return the likeliest dead time of those that are possible [s], for robots `rows` (R,) with
+    each of RATES; UsageError if it is at an end of these."""
+    tau = np.arange(*SEARCHED_S)
+    found = run([frames], rows, first, tau, SEARCHED_S[2])
+    at = _likeliest(found, len(rows) // len(RATES))
+    if tau[at] < -EARLY_S or at == len(tau) - 1:
+        way = "before" if tau[at] < 0 else "after"
+        raise UsageError(
+            f"robots seem to turn {abs(tau[at]):.2g} s {way} they are sent a direction",
+            "are all times of one clock, and in s?",
+        )
+    return max(0.0, float(tau[at]))
+
+
+def _likeliest(found: Passed, count: int) -> int:
+    """Return the index of the likeliest dead time of a pass of robots with each of RATES."""
+    by_rate = found.likelihood.reshape(len(found.likelihood), count, -1)
+    return int(by_rate.max(axis=2).sum(axis=1).argmax())
 
 
 class _Fit:
@@ -106,7 +132,7 @@ class _Fit:
     """
 
     def __init__(
-        self, frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float
+        self, frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | None
     ) -> None:
         self.frames, count = frames, len(a)
         usual = USUAL.position_noise_s * speed, USUAL.slip * speed
@@ -120,13 +146,14 @@ class _Fit:
         rows = np.repeat(np.arange(count), len(RATES))
         first = self._belief(rows, self.noise[rows])
         first.mean[:, 0] += np.tile(np.log(RATES), count)
-        low = max(0.0, dead_time - REACH_S)
-        tau = np.arange(low, dead_time + REACH_S, APART_S)
         longest = max(frames, key=lambda one: len(one.time))
+        if dead_time is None:
+            dead_time = _searched(longest, rows, first)
+        tau = np.arange(max(0.0, dead_time - REACH_S), dead_time + REACH_S, APART_S)
         found = run([longest], rows, first, tau, APART_S)
-        likelihood = found.likelihood.reshape(len(tau), count, -1)
-        at = int(likelihood.max(axis=2).sum(axis=1).argmax())
-        best = np.arange(count) * len(RATES) + likelihood[at].argmax(axis=1)
+        at = _likeliest(found, count)
+        best = np.arange(count) * len(RATES)
+        best += found.likelihood[at].reshape(count, -1).argmax(axis=1)
         self.tau, self.tau_std = float(tau[at]), APART_S / 2
         self.mean, self.std = found.mean[at, best], found.std[at, best]
 

@@ -65,12 +65,14 @@ class IdentifiedRobots:
     lag_unstated: bool = False
 
 
-def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
+def identify(
+    tracks: list[Track], a: Floats | None, dead_time: float | None = 0.05
+) -> IdentifiedRobots:
     """Identify robots from tracks, all of the same robots.
 
     `a` (N,) [rad/s] are the expected turning rates, right within a factor of about 5, or None if
-    unknown; `dead_time` [s] is the expected dead time, right within 0.3 s. UsageError if the tracks
-    contain too few data.
+    unknown; `dead_time` [s] is the expected dead time, right within 0.3 s, or None. UsageError if
+    the tracks contain too few data, or times of two clocks.
     """
     require_same(tracks)
     frames = [TrackFrames.of(track) for track in tracks]

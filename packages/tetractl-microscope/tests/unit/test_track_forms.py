@@ -16,8 +16,8 @@ PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
 TIME, SPACE = {"type": "time", **FRAME}, {"type": "space", **PIXEL}
 
 
-def poses(path, um=None, hz=None):
-    rows = [row.cells for row in pose_rows(path, um, hz)]
+def poses(path, um=None, hz=None, said=None):
+    rows = [row.cells for row in pose_rows(path, um, hz, [] if said is None else said)]
     assert len({cells["robot"] for cells in rows}) == 2
     return sorted(tuple(float(cells[one]) for one in ("time_s", "x_um", "y_um")) for cells in rows)
 
@@ -78,6 +78,57 @@ def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_p
     path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})
     with pytest.raises(UsageError, match="no axis has a type, and their names are a, b, c"):
         poses(path, UM, HZ)
+
+
+@pytest.mark.parametrize(
+    ("header", "times"), [("time_s", K / HZ), ("t (ms)", 1000 * K / HZ), ("Timestamp_us", 4e4 * K)]
+)
+@pytest.mark.parametrize("frames", [True, False])
+def test_times_with_a_unit_are_taken_and_no_numbers_of_pictures(header, times, frames, tmp_path):
+    """Regression: a column time_s next to frame was left out, and a was 1.3 times the true one."""
+    uneven = np.where(K > 3, K + 5, K)
+    columns = {"particle": NUMBER, "frame": uneven, header: times, "y": Y, "x": X}
+    if not frames:
+        del columns["frame"]
+    path = tmp_path / "tracks.csv"
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
+    said = []
+    assert np.allclose(poses(path, UM, said=said), POSES) and not said
+    if not frames:
+        with pytest.raises(UsageError, match="it states times, so that --rate has no meaning"):
+            poses(path, UM, HZ)
+        return
+    poses(path, UM, HZ, said)
+    assert said == [f"warning: {path}: --rate 25 replaces its times, up to 0.2 s off"]
+
+
+def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
+    """Regression: they were divided by the rate, and no robot was "seen for 2 s"."""
+    table = np.column_stack([NUMBER, K / HZ, Y, X])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="track_id,t,y,x", comments="")
+    with pytest.raises(UsageError, match=r"column t: 0\.04 is no number of a picture") as error:
+        poses(tmp_path / "a.csv", UM, HZ)
+    assert "name the column t_s" in str(error.value.hint)
+
+
+def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
+    """Regression: --scale multiplied micrometres, and --rate divided seconds."""
+    rows = "".join(
+        f"ID,{cell:g},{UM * x!r},{UM * y!r},{k / HZ!r},{k:g}\n"
+        for cell, k, y, x in zip(*(each.tolist() for each in (NUMBER, K, Y, X)), strict=True)
+    )
+    path = tmp_path / "spots.csv"
+    path.write_text(SPOTS.format(um="micron", s="sec") + rows)
+    with pytest.raises(UsageError, match="places are in a unit of length, so that --scale"):
+        poses(path, UM)
+    said = []
+    faster = poses(path, None, 2 * HZ, said)
+    assert np.allclose([t for t, _, _ in faster], [t / 2 for t, _, _ in POSES])
+    assert "--rate 50 replaces its times" in said[0]
+    seconds = {"t": {"type": "time", "unit": "second"}, "y": SPACE, "x": SPACE}
+    with pytest.raises(UsageError, match="it states times, so that --rate"):
+        poses(graph(tmp_path / "g.geff", seconds, {"t": K / HZ, "y": Y, "x": X}), None, HZ)
 
 
 SPOTS = """\

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from tetractl.core.poses import Grey
-from tetractl_microscope.film.czi_file import czi_begins, czi_times
+from tetractl_microscope.film.czi_file import czi_first, czi_times
 from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
@@ -118,7 +118,7 @@ class FilmSource:
         if planned_hz and abs(planned_hz / self.rate_hz - 1) > DIFFERENT:
             self.remarks.append(
                 f"the film was planned at {planned_hz:.4g} Hz, but its pictures were taken at "
-                f"{self.rate_hz:.4g} Hz, by their times, which are used"
+                f"{self.rate_hz:.4g} Hz, by their times"
             )
 
     def seconds(self, value: Any, unit: Any) -> float | None:
@@ -234,8 +234,8 @@ def czi_film(path: Path) -> FilmSource:
 
     file: Any = CziReader(str(path))
     box = file.total_bounding_box
-    stated = czi_begins(path)  # the library counts all axes from 0, but reads by their own indices
-    begins = {axis: stated.get(axis, 0) for axis in "TZC" if axis in box}
+    first = czi_first(path)  # the library counts all axes from 0, but reads by their own indices
+    begins = {axis: first.begins.get(axis, 0) for axis in "TZC" if axis in box}
     lengths = [box[axis][1] - box[axis][0] for axis in begins]
     scenes = sorted(file.scenes_bounding_rectangle)
     scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
@@ -243,7 +243,7 @@ def czi_film(path: Path) -> FilmSource:
     def read(index: int) -> np.ndarray:
         at = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
         plane = {axis: begin + int(at[axis]) for axis, begin in begins.items()}
-        pixels = file.read(plane=plane, scene=scene)
+        pixels = file.read(plane=plane, scene=scene, pixel_type=first.pixels)
         return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
 
     xml = ElementTree.fromstring(file.raw_metadata)

@@ -1,7 +1,8 @@
 """Which files of a folder are the pictures of a film, and their places in its series of numbers.
 
 Hidden files, such as `._img_0001.png` and `.DS_Store` of macOS, are no pictures. Nor are the few
-that are unlike the most: of another format, or named by another pattern.
+that are unlike the most: of another format, or named by another pattern. A folder with pictures of
+several films or channels has no one order in time.
 """
 
 import math
@@ -10,10 +11,14 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
+
+from tetractl.core.errors import UsageError, printable
 
 ODD_SHARE = 0.25  # greatest share of the files that are left out as unlike the others
 SERIES_SHARE = 0.25  # least share of the steps of a series between which nothing is missing
 LISTED = 3  # most names in a remark
+TIMES_FILE = "times.csv"  # file of a folder that states the times of its pictures
 DIGITS = re.compile(r"\d+")
 SAME = {"jpeg": "jpg", "tiff": "tif"}  # endings that name one format
 
@@ -37,6 +42,31 @@ def picture_names(names: Sequence[str]) -> PictureNames:
     kept = _alike(kept, _pattern, "not named like the others", remarks)
     places = _places(kept, remarks)
     return PictureNames(kept, places, remarks)
+
+
+def require_one_film(folder: Path, names: Sequence[str]) -> None:
+    """Raise UsageError if names are of two formats or patterns, or count two numbers, such as the
+    time and the channel: these pictures are not one after the other.
+    """
+    odd = next((name for name in names if _kind(name) != _kind(names[0])), None)
+    if odd is None and _counts_two(names):
+        odd = names[1]
+    if odd is not None:
+        raise UsageError(
+            printable(f"{folder}: are {names[0]} and {odd} of one film, and one after the other?"),
+            "give a folder with the pictures of one film and channel, or state the time of each in "
+            f"{TIMES_FILE}",
+        )
+
+
+def _kind(name: str) -> tuple[str, str]:
+    return _format(name), _pattern(name)
+
+
+def _counts_two(names: Sequence[str]) -> bool:
+    """Return whether each value of a number in the names occurs with each of another one."""
+    differ = _changing(names)
+    return len(differ) > 1 and math.prod(len(set(column)) for column in differ) == len(names)
 
 
 def _format(name: str) -> str:
@@ -70,7 +100,7 @@ def _places(names: Sequence[str], remarks: list[str]) -> list[int] | None:
     """Return the places of files in the series of their numbers, None if they have no such series,
     or none is missing. All steps of a series are multiples of its own.
     """
-    numbers = _series(names)
+    numbers = _series(names, remarks)
     if numbers is None:
         return None
     steps = [after - before for before, after in pairwise(numbers)]
@@ -95,14 +125,22 @@ def _places(names: Sequence[str], remarks: list[str]) -> list[int] | None:
     return places
 
 
-def _series(names: Sequence[str]) -> list[int] | None:
+def _series(names: Sequence[str], remarks: list[str]) -> list[int] | None:
     """Return the one number that differs in the names, None if none does or several do."""
-    found = [DIGITS.findall(name.rpartition(".")[0]) for name in names]
-    if len({len(digits) for digits in found}) != 1 or len(names) < 2:
-        return None
-    columns = list(zip(*found, strict=True))
-    differ = [column for column in columns if len(set(map(int, column))) > 1]
+    differ = _changing(names)
+    if len(differ) > 1:
+        remarks.append("the names have several numbers that change: times do not follow them")
     if len(differ) != 1:
         return None
-    numbers = [int(digits) for digits in differ[0]]
+    numbers = differ[0]
     return numbers if all(a < b for a, b in pairwise(numbers)) else None
+
+
+def _changing(names: Sequence[str]) -> list[list[int]]:
+    """Return the numbers at each place of the names where they are not all the same; none if the
+    names do not have equally many."""
+    found = [DIGITS.findall(name.rpartition(".")[0]) for name in names]
+    if len({len(digits) for digits in found}) != 1:
+        return []
+    columns = [[int(digits) for digits in column] for column in zip(*found, strict=True)]
+    return [column for column in columns if len(set(column)) > 1]

@@ -19,6 +19,7 @@ from tetractl.core.children import Child, python
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
 from tetractl_microscope.film.film_source import DIFFERENT
+from tetractl_microscope.film.picture_names import TIMES_FILE
 from tetractl_microscope.film.picture_times import PictureTimes, mean_rate_hz, stated_times
 from tetractl_microscope.number_columns import read_times
 
@@ -27,7 +28,6 @@ SCALES_UM = (0.05, 100.0)
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 ONE_PICTURE = "is one picture, and no film"
 ONE_PICTURE_HINT = "give the film, or the folder of its pictures"
-TIMES_FILE = "times.csv"
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -176,7 +176,13 @@ def _preferred(
     option: str, given: float | None, own: float | None, span: tuple[float, float], said: list[str]
 ) -> float | None:
     """Return the value given, or else the film's own if it is possible; say if they differ."""
-    if own is None or not _possible(own, span):
+    if own is None or not 0 < own < math.inf:
+        return given
+    if not _possible(own, span):
+        least, most = span
+        said.append(
+            f"what it states for {option}, {own:.4g}, is not used: not in {least:g} to {most:g}"
+        )
         return given
     if given is not None and abs(given / own - 1) > DIFFERENT:
         said.append(f"{option} {given:g} is used; the film states {own:.4g}")

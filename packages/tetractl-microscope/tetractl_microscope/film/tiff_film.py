@@ -15,7 +15,7 @@ from tifffile import COMPRESSION, PHOTOMETRIC, TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
 from tetractl_microscope.film.film_source import FilmSource, Raw, micrometres
-from tetractl_microscope.film.picture_names import picture_names
+from tetractl_microscope.film.picture_names import TIMES_FILE, picture_names, require_one_film
 
 TIFFS = frozenset({".tif", ".tiff"})
 PICTURES = TIFFS | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
@@ -84,6 +84,8 @@ def folder_film(folder: Path) -> FilmSource:
                 by_opencv = _opencv_reads(page)
                 times += [_elapsed_s(page, source) for page in tif.pages]
         pages += [(path, page, by_opencv) for page in range(count)]
+    if not (folder / TIMES_FILE).exists():
+        require_one_film(folder, chosen.names)
     source.count = len(pages)
     _require_codec(source)
     if len(pages) == len(chosen.names):

@@ -44,6 +44,10 @@ def later_in_time(path):
     czi(path, [({"T": 3 + k, "Z": 2}, {}, one) for k, one in enumerate(PICTURES)])
 
 
+def later_channel(path):
+    czi(path, [({"T": k, "C": 2}, {}, one) for k, one in enumerate(PICTURES)])
+
+
 def inverted_palette(path):
     palette = np.tile(np.arange(65535, -1, -257, dtype=np.uint16), (3, 1))
     tifffile.imwrite(path, 255 - PICTURES, photometric="palette", colormap=palette)
@@ -75,13 +79,15 @@ def two_scenes(path):
         ("palette.tif", palette, []),
         ("slices.czi", slices, []),
         ("later.czi", later_in_time, []),
+        ("channel.czi", later_channel, []),
         ("scenes.czi", two_scenes, ["the first of 2 scenes is read"]),
     ],
 )
 def test_the_pictures_are_those_that_were_taken(name, write, remarks, tmp_path):
     """Regression: a film after its thumbnail, or of slices, was "one picture, and no film"; white
     was black without compression alone; scenes were one picture, and positions left out unsaid. The
-    first pictures of a CZI file whose times begin above 0 were black, the last ones lost."""
+    first pictures of a CZI file whose times begin above 0 were black, the last ones lost; of a
+    channel above 0 none was read."""
     write(tmp_path / name)
     found = open_film(tmp_path / name, 30.0)
     assert np.array_equal([picture for _, picture in found], PICTURES)

@@ -12,7 +12,7 @@ from support.needs_opencv import cv2
 from tetractl_microscope.film.fit_cell import fit_cells
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.kinematics import velocities
-from tetractl_microscope.film.picture_names import picture_names
+from tetractl_microscope.film.picture_names import TIMES_FILE, picture_names, require_one_film
 from tetractl_microscope.film.picture_times import PictureTimes, increasing
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import TETRAHYMENA
@@ -165,6 +165,40 @@ def test_only_what_is_like_most_files_is_a_picture(names, kept, places):
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        [f"t{k}_c{c}.png" for k in range(5) for c in (0, 1)],
+        [f"img_{k}_{c}.png" for k in range(5) for c in ("BF", "GFP")],
+        [f"img_{k}.{c}" for k in range(5) for c in ("jpg", "png")],
+    ],
+)
+def test_pictures_of_two_channels_are_not_one_film(names, tmp_path):
+    """Regression: they were pictures one after the other, so that a film took twice its time."""
+    for name in names:
+        cv2.imwrite(str(tmp_path / name), made(1)[0])
+    with pytest.raises(UsageError, match="of one film, and one after the other") as error:
+        open_film(tmp_path, 20.0)
+    assert names[0] in str(error.value) and names[1] in str(error.value)
+    times = "".join(f"{k / 20}\n" for k in range(len(names)))
+    (tmp_path / TIMES_FILE).write_text("time_s\n" + times)
+    assert open_film(tmp_path).times is None
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["a1764000000.1.png", "a1764000000.2.png", "a1764000001.4.png"],
+        ["1_2.png", "2_5.png", "3_9.png"],
+    ],
+)
+def test_times_in_names_are_not_guessed_in_silence(names, tmp_path):
+    require_one_film(tmp_path, names)
+    found = picture_names(names)
+    assert found.places is None
+    assert found.remarks == ["the names have several numbers that change: times do not follow them"]
+
+
+@pytest.mark.parametrize(
     "times",
     [
         np.concatenate([np.arange(10) / 15, 2 / 3 + np.arange(10) / 30]),  # the rate doubles
@@ -298,3 +332,13 @@ def test_a_graph_of_uneven_pictures_has_their_times(tmp_path):
     graph = core_io.read_to_memory(tmp_path / "uneven.geff")
     assert graph["node_props"]["t"]["values"].tolist() == [0.0, 0.1, 0.4]
     assert [axis.unit for axis in graph["metadata"].axes] == ["second", "pixel", "pixel"]
+
+
+def test_a_rate_that_no_film_has_is_not_used_in_silence(tmp_path):
+    """Regression: "states no rate; ... taken at 0.01 Hz, by their times, which are used"."""
+    (tmp_path / "film").mkdir()
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / "film" / f"{k}.png"), made(1)[0])
+    (tmp_path / "film" / TIMES_FILE).write_text("time_s\n0\n50\n100\n150\n")
+    with pytest.raises(UsageError, match=r"for --rate, 0\.02, is not used: not in 0\.1 to 2000"):
+        open_film(tmp_path / "film")

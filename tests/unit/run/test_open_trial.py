@@ -11,6 +11,8 @@ from support.paths import ROOT
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.core.plan import Outcome
+from tetractl.experiment.examples import examples
+from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest
 from tetractl.run.open_trial import OpenTrial
@@ -26,6 +28,20 @@ SPEC = {
     "controller": {"type": "mpc", "time_limit": 20},
     "plant": {"type": "sim", "measurement_noise": {"position": 1, "heading": 0.02}},
     "trials": {"count": 3, "seed": 5},
+}
+
+
+REFUSED = {
+    "magnetospirillum_hold": "neither way-points nor a hold",
+    "microjet_hold": "neither way-points nor a hold",
+    "tetrahymena_hold": "neither way-points nor a hold",
+    "tetrahymena_dish": "each trial of the spec finds its robots",
+}
+"""The shipped specs that `sequence` cannot run, and why."""
+SHIPPED = {
+    name: file
+    for name, file in examples().items()
+    if not name.startswith(("faults/", "studies/"))  # scripts of the emulated lab, and studies
 }
 
 
@@ -51,6 +67,28 @@ def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
     saved = tetractl.read_log(log)
     sent = [step.plan.direction for step in saved.steps]
     assert sent == list(trial.directions)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name not in REFUSED])
+def test_the_log_of_each_shipped_spec_is_that_of_a_run(name, tmp_path):
+    random = np.random.default_rng(3)
+    trial = tetractl.open_trial(SHIPPED[name], trial=1)
+    for _ in range(30):
+        trial.step(random.uniform(-math.pi, math.pi))
+    if trial.result is None:
+        trial.stop()
+    log = trial.save(tmp_path / "stepped")
+    (tmp_path / "run").mkdir()
+    run_trial(parse_spec(trial.spec.text, trial.spec.name), tmp_path / "run", 1)
+    assert content_digest(log) == content_digest(tmp_path / "run" / log.name)
+    assert not tetractl.verify(log).problems
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_shipped_spec_that_a_sequence_cannot_run_is_refused_with_its_reason(name):
+    with pytest.raises(UsageError, match=REFUSED[name]):
+        tetractl.open_trial(SHIPPED[name])
 
 
 def test_its_spec_is_text_that_gives_the_same_trial(tmp_path):

@@ -31,10 +31,14 @@ class Progress:
         return None
 
     def add(self, signals: Floats, costs: Floats) -> None:
-        """Add the costs (P,) of an iteration's sequences (length, P) to the history."""
-        self.evaluations += costs.size
+        """Add an iteration that has evaluated the costs (P,) of sequences (length, P)."""
         leader = int(np.argmin(costs))
-        self.keep(signals[:, leader], float(costs[leader]))
+        self.add_best(signals[:, leader], float(costs[leader]), costs.size)
+
+    def add_best(self, signals: Floats, cost: float, evaluations: int) -> None:
+        """Add an iteration by its best sequence (length,) and the number of its evaluations."""
+        self.evaluations += evaluations
+        self.keep(signals, cost)
 
     def keep(self, signals: Floats, cost: float) -> None:
         """Add an entry to the history; keep the sequence (length,) if it is the best."""

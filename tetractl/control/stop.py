@@ -45,7 +45,7 @@ StopCriterion = Annotated[
 ]
 
 
-def stopped(history: Floats, stop: StopCriterion) -> StopReason | None:
+def reason_to_stop(history: Floats, stop: StopCriterion) -> StopReason | None:
     """Return why to stop after iteration z = len(history) - 1, or None to go on.
 
     history[m] is J(u_gb) after iteration m. Up to z = 10, only the criterion `target` may stop a

@@ -7,13 +7,14 @@ while a command is planned and while the robots come to rest.
 
     SimPlant             what a host sees of the plant: frames, commands, verdict
       SimCamera          exposes frames of the true poses, which reach the host later
-      CommandSender             sends commands to the robots, again and again
+      CommandSender        sends commands to the robots, again and again
         SimHost          computes the wheel speeds of robots on wheels
       Transit            the commands in flight
       TrueMotion         moves the robots from event to event
         Drive            how they move: DirectDrive, WheelDrive or CellDrive
         Watchdogs        stop robots that hear nothing
         MotionDisturbances, HeadingWalk, TruePath
+        SimPlant           is called back to send the held command again, amid the motion
 
 `SimSection` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
 spec and seed alone.
@@ -104,7 +105,8 @@ class SimPlant:
     """A `Plant` of simulated robots; `seed` determines all that is random.
 
     Order of calls: `open` exposes the first frame; then `observe` and `send` for each control step,
-    `samples` and `news` at any time; `stop` once, and `settle` after it.
+    `samples` and `news` at any time; `stop` once, and `settle` after it. Its public attributes are
+    for those that look at the truth; nothing changes them from outside.
     """
 
     def __init__(
@@ -176,7 +178,9 @@ class SimPlant:
             "true_a": json.dumps(self.a.tolist()),
             "true_speed": json.dumps(self.speed.tolist()),
         }
-        return PlantInfo("sim", True, self.settings.camera_rate, facts)
+        return PlantInfo(
+            kind="sim", simulated=True, camera_rate_hz=self.settings.camera_rate, facts=facts
+        )
 
     def observe(self) -> Observation:
         """Return the newest camera frame that the host has received."""
@@ -184,17 +188,21 @@ class SimPlant:
         return self._newest_frame()
 
     def send(self, action: Action) -> Command:
-        """After the planning time, send an action to every robot; a stop is repeated until every
-        robot has received it."""
-        answered = self.observe()
-        self._plan()
+        """Let the planning time pass, then send an action to every robot; a stop is repeated until
+        every robot has received it.
+
+        The command answers the frame on which it was planned. But robots on wheels have a host that
+        computes their wheel speeds at the moment of sending, by the newest frame.
+        """
+        planned_on = self.observe()
+        self._let_planning_time_pass()
         now_ns = self.clock.now()
         if isinstance(action, Stop):
-            command = self._sender.send_stops(now_ns, answered)
+            command = self._sender.send_stops(now_ns, planned_on)
+        elif self.drive.host is None:
+            command = self._sender.send(now_ns, action, planned_on)
         else:
-            if self.drive.host is not None:  # answers what it sees when it sends
-                answered = self._newest_frame()
-            command = self._sender.send(now_ns, action, answered)
+            command = self._sender.send(now_ns, action, self._newest_frame())
         self._catch_up()
         return command
 
@@ -233,7 +241,8 @@ class SimPlant:
         self._motion.advance(self.clock.now())
 
     def _heading_walk(self, random: np.random.Generator) -> HeadingWalk:
-        """Return the walk from frame to frame; drives that sum up their path have their own."""
+        """Return the random walk of the headings from frame to frame. Drives that sum up their path
+        walk at each of its samples instead (`build_drive`): theirs stands still here."""
         if self.drive.sampled:
             return HeadingWalk(0.0, random)
         step_rad = self.settings.heading_noise / np.sqrt(self.settings.camera_rate)
@@ -245,19 +254,19 @@ class SimPlant:
 
     def _await_frame(self, since_ns: int) -> None:
         """Wait until the host has a frame exposed at `since_ns` or later."""
-        patience_ns = self.clock.now() + NO_FRAME_S * SECOND
+        give_up_ns = self.clock.now() + NO_FRAME_S * SECOND
         while self.camera.newest is None or self.camera.newest.sampled_ns < since_ns:
             arriving_ns = self.camera.arriving_ns
             if arriving_ns is None:
                 self.clock.sleep_until(self._motion.timetable.next_frame_ns)
             else:
                 self.clock.sleep_until(arriving_ns)
-            if self.clock.now() > patience_ns:
+            if self.clock.now() > give_up_ns:
                 raise AbortError(f"no camera frame arrived for {NO_FRAME_S} s")
             self._catch_up()
 
-    def _plan(self) -> None:
-        """Let the planning time pass."""
+    def _let_planning_time_pass(self) -> None:
+        """Sleep for as long as disturbances say that planning takes; none takes no time."""
         now_ns = self.clock.now()
         planning_s = sum(
             disturbance.planning_s(now_ns / SECOND) for disturbance in self.disturbances

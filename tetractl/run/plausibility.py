@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import nearest_starts, nearest_targets
+from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, SpecSetting, SpecText
@@ -46,7 +47,7 @@ ROBOTS_ALIKE = 0.05
 headings by at most this number of radians."""
 SAME_HEADING_RAD = 1e-9
 """Start headings that differ by less are equal but for rounding [rad]."""
-SEEN = 0.7
+LEAST_ERROR = 0.7
 """Least total error worth asking for, in deviations of a measured position for each robot. With 0.4
 in place of 0.7 trials last longer for hardly less error (docs/decisions/controller.md)."""
 ROUNDING = 1e-9
@@ -85,20 +86,16 @@ class CheckContext:
         self.walls = self.collision is not None and self.collision.walls
         """Whether plans keep that distance to the arena's edge too."""
         self.longest_s = self.setup.time_limit_s
-        """Longest time for which robots move [s]."""
-        steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
-        steps_s = (steps_max + 1) * control.period
-        self.limit = "time_limit"
-        """The field of the controller that sets that time."""
-        if steps_s <= self.longest_s * (1 + ROUNDING):
-            self.limit = "steps_max"
+        """Longest time for which robots move [s], the lesser one of two limits."""
+        self.limit = _field_of_limit(control, self.longest_s)
+        """The controller's field that sets that time."""
 
     @property
     def least_total_error(self) -> float:
         """A lower bound of the total error of any plan [length unit], see `model.bounds`."""
         return bounds.least_total_error(self.setup, self.longest_s)
 
-    def counts(self, least: float, robots: int) -> bool:
+    def is_worth_warning(self, least: float, robots: int) -> bool:
         """Return whether a least total error of some robots is above the tolerance and rounding."""
         arena = self.setup.arena
         return least > max(robots * self.tolerance, NO_ERROR * max(arena.width, arena.height))
@@ -107,19 +104,32 @@ class CheckContext:
         """Return the distances of points (N, 2) to the nearest obstacle or wall."""
         return clearance(self.setup, points[:, 0], points[:, 1], self.walls)
 
-    def too_few(self, i: int, seconds: float, left: float) -> str:
-        """Return how far robot i drives in a time [s], and the distance left, as text."""
-        return f"drives {self.setup.speed[i] * seconds:.4g} {self.unit}, {left:.4g} too few"
+    def length_text(self, length: float) -> str:
+        """Return a length with its unit."""
+        return f"{length:.4g} {self.unit}"
 
-    def way(self, i: int) -> str:
+    def to_target(self, i: int) -> str:
         """Return the distance from a robot's start to its target as text."""
-        gap = float(np.linalg.norm(self.setup.targets[i] - self.setup.starts.xy[i]))
-        return f"{gap:.4g} {self.unit}"
+        return self.length_text(
+            float(np.linalg.norm(self.setup.targets[i] - self.setup.starts.xy[i]))
+        )
+
+    def driven(self, i: int, seconds: float) -> str:
+        """Return how far robot i drives in a time [s] as text."""
+        return self.length_text(self.setup.speed[i] * seconds)
 
 
-def angles(spec: CheckContext) -> Findings:
+def _field_of_limit(control: ControllerSection, longest_s: float) -> str:
+    """Return which field of a controller limits a trial to `longest_s`: the number of its steps, if
+    these are over by then, else its time."""
+    steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
+    steps_s = (steps_max + 1) * control.period
+    return "steps_max" if steps_s <= longest_s * (1 + ROUNDING) else "time_limit"
+
+
+def angles_of_many_turns(context: CheckContext) -> Findings:
     """Angles of more than a whole turn, which are probably degrees."""
-    for where, value in _radians(spec.experiment, ()):
+    for where, value in _radians(context.experiment, ()):
         problem = turn_problem(value)
         if problem is not None:
             text, hint = problem
@@ -140,50 +150,53 @@ def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
                 yield place, item
 
 
-def plan_outlasts_trial(spec: CheckContext) -> Findings:
+def plan_outlasts_trial(context: CheckContext) -> Findings:
     """Plans that take longer than a trial."""
-    if not spec.longest_s * (1 + ROUNDING) < spec.plan_s < math.inf:
+    if not context.longest_s * (1 + ROUNDING) < context.plan_s < math.inf:
         return
-    fitting = max(int(spec.longest_s / spec.signal_s * (1 + ROUNDING)), 1)
+    fitting = max(int(context.longest_s / context.signal_s * (1 + ROUNDING)), 1)
     yield warning(
         ("controller", "horizon_max"),
-        f"plans of {spec.plan_s:.4g} s outlast the trial, which ends after {spec.longest_s:.4g} s",
-        f"raise controller.{spec.limit}, or lower horizon_max to {fitting}",
+        f"plans of {context.plan_s:.4g} s outlast the trial, which ends after "
+        f"{context.longest_s:.4g} s",
+        f"raise controller.{context.limit}, or lower horizon_max to {fitting}",
     )
 
 
-def coarse_period(spec: CheckContext) -> Findings:
+def coarse_period(context: CheckContext) -> Findings:
     """Signals held so long that robots finish turning, or overshoot.
 
     An exact motion holds for any period, and one fast robot still differs from the others.
     """
-    turned = spec.setup.a * spec.signal_s
-    quick = turned[turned > COARSE]
-    overshoots = spec.motion in OVERSHOOTING
-    if not quick.size or (quick.size == 1 and not overshoots):
+    rates = context.setup.a * context.signal_s  # a T of each robot
+    coarse = rates[rates > COARSE]
+    overshoots = context.motion in OVERSHOOTING
+    if not coarse.size or (coarse.size == 1 and not overshoots):
         return
-    quickest = int(turned.argmax())
-    share = -100 * math.expm1(-float(quick.min()))
-    reason = f"{quick.size} robots make {share:.3g} % or more of a turn in T"
     if overshoots:
         reason = "by equation (6) its heading overshoots a held direction further at each step"
+    else:
+        # a small angle to the direction falls by exp(-a T): the slowest of them turns least
+        percent = 100 * -math.expm1(-float(coarse.min()))
+        reason = f"{coarse.size} robots make {percent:.3g} % or more of a turn in T"
+    quickest = int(rates.argmax())
     yield warning(
         ("controller", "period"),
-        f"a T = {turned[quickest]:.3g} for {spec.setup.names[quickest]}, with signals held for T = "
-        f"{spec.signal_s:.4g} s, is above 2: {reason}",
-        f"hold signals for less than {COARSE / spec.setup.a[quickest]:.3g} s",
+        f"a T = {rates[quickest]:.3g} for {context.setup.names[quickest]}, with signals held for "
+        f"T = {context.signal_s:.4g} s, is above {COARSE:g}: {reason}",
+        f"hold signals for less than {COARSE / context.setup.a[quickest]:.3g} s",
     )
 
 
-def unknown_dead_time(spec: CheckContext) -> Findings:
+def unknown_dead_time(context: CheckContext) -> Findings:
     """A plant whose dead time differs from the controller's by more than a control period, unless
     the controller identifies it.
     """
-    plant = spec.experiment.plant
-    if not isinstance(plant, Delaying) or spec.estimates:
+    plant = context.experiment.plant
+    if not isinstance(plant, Delaying) or context.estimates:
         return
-    assumed_s = spec.experiment.controller.dead_time
-    late_periods = (plant.dead_time - assumed_s) / spec.setup.period_s
+    assumed_s = context.experiment.controller.dead_time
+    late_periods = (plant.dead_time - assumed_s) / context.setup.period_s
     if abs(late_periods) <= 1:
         return
     side = "late" if late_periods > 0 else "early"
@@ -195,15 +208,15 @@ def unknown_dead_time(spec: CheckContext) -> Findings:
     )
 
 
-def robots_alike(spec: CheckContext) -> Findings:
+def robots_alike(context: CheckContext) -> Findings:
     """Robots that one signal cannot separate, though their targets require it."""
-    for group in _groups_alike(spec.setup):
-        alike = spec.setup.only(group)
-        least = bounds.least_total_error(alike, spec.longest_s, alike=True)
-        if spec.counts(least, len(group)):
+    for group in _groups_alike(context.setup):
+        alike = context.setup.only(group)
+        least = bounds.least_total_error(alike, context.longest_s, alike=True)
+        if context.is_worth_warning(least, len(group)):
             yield warning(
                 ("robots", group[1], "a"),
-                f"{_words_alike(alike)} {least:.4g} {spec.unit}",
+                _alike_text(alike, context.length_text(least)),
                 "give them different a, or targets with the same relative positions as the starts",
             )
 
@@ -222,8 +235,8 @@ def _groups_alike(setup: Setup) -> Iterator[list[int]]:
                 yield np.flatnonzero(group).tolist()
 
 
-def _words_alike(alike: Setup) -> str:
-    """Return what makes these robots alike, up to the number of the least total error."""
+def _alike_text(alike: Setup, least: str) -> str:
+    """Return what makes these robots alike, and that `least` is their least total error for it."""
     first, *others = alike.names
     them = _listed(others)
     robots = len(alike.names)
@@ -232,12 +245,12 @@ def _words_alike(alike: Setup) -> str:
     if spread == 0 and turned < SAME_HEADING_RAD:
         return (
             f"is that of {first}, and so is the start heading: {them} can only move "
-            f"in parallel, and the least total error of the {robots} is"
+            f"in parallel, and the least total error of the {robots} is {least}"
         )
     return (
         f"{them} and {first} differ by {100 * spread:.2g} % in turning rate a and "
         f"{turned:.2g} rad in start heading, perhaps too little to separate them: if "
-        f"they did not differ, the least total error of the {robots} would be"
+        f"they did not differ, the least total error of the {robots} would be {least}"
     )
 
 
@@ -251,129 +264,134 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(shown[:-1])} and {shown[-1]}"
 
 
-def out_of_reach(spec: CheckContext) -> Findings:
+def out_of_reach(context: CheckContext) -> Findings:
     """Targets that a robot cannot reach in a trial, even along a straight line."""
-    for i, left in enumerate(reach(spec.setup, spec.longest_s)):
-        if left > spec.tolerance:
+    for i, left in enumerate(reach(context.setup, context.longest_s)):
+        if left > context.tolerance:
             yield warning(
                 ("robots", i, "target"),
-                f"is {spec.way(i)} away; in the {spec.longest_s:.4g} s of a trial the robot "
-                f"{spec.too_few(i, spec.longest_s, left)}",
-                f"raise controller.{spec.limit}, or bring the target nearer",
+                f"is {context.to_target(i)} away; in the {context.longest_s:.4g} s of a trial the "
+                f"robot drives {context.driven(i, context.longest_s)}, {left:.4g} too few",
+                f"raise controller.{context.limit}, or bring the target nearer",
             )
 
 
-def beyond_the_plan(spec: CheckContext) -> Findings:
+def beyond_the_plan(context: CheckContext) -> Findings:
     """Targets that a robot can reach in a trial, but not in the longest plan: the furthest."""
-    if spec.plan_s == math.inf:
+    if context.plan_s == math.inf:
         return
-    left = reach(spec.setup, spec.plan_s)
-    far = (left > spec.tolerance) & (reach(spec.setup, spec.longest_s) <= spec.tolerance)
+    left = reach(context.setup, context.plan_s)
+    far = (left > context.tolerance) & (
+        reach(context.setup, context.longest_s) <= context.tolerance
+    )
     if not far.any():
         return
-    speed = np.where(far, spec.setup.speed, 1.0)  # robots that are not far may stand
-    needed_s = np.where(far, left / speed + spec.plan_s, 0.0)
-    i = int(needed_s.argmax())
+    needed_s = {
+        i: float(left[i] / context.setup.speed[i]) + context.plan_s
+        for i in np.flatnonzero(far).tolist()
+    }
+    i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
     yield warning(
         ("controller", "horizon_max"),
-        f"{spec.setup.names[i]} is {spec.way(i)} from its target; in "
-        f"{round(spec.plan_s / spec.signal_s)} signals, "
-        f"{spec.plan_s:.4g} s, it {spec.too_few(i, spec.plan_s, left[i])}",
-        f"set it to more than {math.ceil(needed_s[i] / spec.signal_s)}",
+        f"{context.setup.names[i]} is {context.to_target(i)} from its target; in "
+        f"{round(context.plan_s / context.signal_s)} signals, {context.plan_s:.4g} s, it drives "
+        f"{context.driven(i, context.plan_s)}, {left[i]:.4g} too few",
+        f"set it to more than {math.ceil(needed_s[i] / context.signal_s)}",
     )
 
 
-def error_left(spec: CheckContext) -> Findings:
+def error_left(context: CheckContext) -> Findings:
     """No plan can reach all targets: the lower bound of the total error is not 0."""
-    least = spec.least_total_error
-    if spec.counts(least, len(spec.setup.a)):
+    least = context.least_total_error
+    if context.is_worth_warning(least, len(context.setup.a)):
         yield warning(
             ("robots",),
-            f"least total error of any plan: {least:.4g} {spec.unit}",
+            f"least total error of any plan: {least:.4g} {context.unit}",
             "no controller can do better with these a, speeds, starts and targets",
         )
 
 
-def walled_off(spec: CheckContext) -> Findings:
+def walled_off(context: CheckContext) -> Findings:
     """Targets to which no path leads past the obstacles, or no path with the margin."""
-    if not spec.experiment.obstacles:
+    if not context.experiment.obstacles:
         return
-    setup = spec.setup
-    apart = shut_out(setup, 0.0, spec.walls)
-    squeezed = shut_out(setup, spec.margin, spec.walls) if spec.margin > 0 else apart
-    ends = np.minimum(spec.clearances(setup.starts.xy), spec.clearances(setup.targets))
+    setup = context.setup
+    apart = shut_out(setup, 0.0, context.walls)
+    squeezed = shut_out(setup, context.margin, context.walls) if context.margin > 0 else apart
+    ends = np.minimum(context.clearances(setup.starts.xy), context.clearances(setup.targets))
     for i in np.flatnonzero((apart > 0) | (squeezed > 0)).tolist():
         if apart[i] > 0:
             yield warning(
                 ("robots", i, "target"),
-                f"is walled off: the robot comes no nearer than {apart[i]:.4g} {spec.unit}",
+                f"is walled off: the robot comes no nearer than {apart[i]:.4g} {context.unit}",
                 "open a gap between the obstacles",
             )
-        elif ends[i] > spec.margin:
+        elif ends[i] > context.margin:
             yield warning(
                 ("robots", i, "target"),
-                f"has no path to it that keeps {spec.margin:.4g} {spec.unit} from the obstacles: "
-                f"the robot comes within {squeezed[i]:.4g} {spec.unit}",
+                f"has no path to it that keeps {context.length_text(context.margin)} from the "
+                f"obstacles: the robot comes within {context.length_text(squeezed[i])}",
                 "lower controller.collision.margin or radius, or widen the gap",
             )
 
 
-def inside_margin(spec: CheckContext) -> Findings:
+def inside_margin(context: CheckContext) -> Findings:
     """Starts and targets that are nearer to an obstacle than the planner's fixed margin."""
-    if not spec.margin or not spec.collision or spec.collision.adaptive:
+    if not context.margin or not context.collision or context.collision.adaptive:
         return
-    for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
-        gaps = spec.clearances(points)
-        for i in np.flatnonzero(gaps <= spec.margin).tolist():
+    for field, points in (("start", context.setup.starts.xy), ("target", context.setup.targets)):
+        gaps = context.clearances(points)
+        for i in np.flatnonzero(gaps <= context.margin).tolist():
             yield warning(
                 ("robots", i, field),
-                f"is {gaps[i]:.4g} {spec.unit} from the nearest obstacle or wall; plans keep "
-                f"{spec.margin:.4g} {spec.unit}",
+                f"is {gaps[i]:.4g} {context.unit} from the nearest obstacle or wall; plans keep "
+                f"{context.margin:.4g} {context.unit}",
                 "move it, or lower controller.collision.margin or radius",
             )
 
 
-def tight(spec: CheckContext) -> Findings:
+def target_near_obstacle(context: CheckContext) -> Findings:
     """Targets so near to an obstacle that an adaptive margin gives way to the way that a robot
     drives in a control period.
     """
-    if not spec.collision or not spec.collision.radius or not spec.collision.adaptive:
+    if not context.collision or not context.collision.radius or not context.collision.adaptive:
         return
-    room = spec.clearances(spec.setup.targets) - spec.collision.radius
-    step = spec.setup.speed * spec.experiment.controller.period
-    for i in np.flatnonzero(room < spec.collision.margin + step).tolist():
+    room = context.clearances(context.setup.targets) - context.collision.radius
+    step = context.setup.speed * context.experiment.controller.period
+    for i in np.flatnonzero(room < context.collision.margin + step).tolist():
         yield warning(
             ("robots", i, "target"),
-            f"leaves a body {room[i]:.3g} {spec.unit} of room to the nearest obstacle or edge; "
-            f"it drives {step[i]:.3g} {spec.unit} in a control period",
+            f"leaves a body {room[i]:.3g} {context.unit} of room to the nearest obstacle or edge; "
+            f"it drives {step[i]:.3g} {context.unit} in a control period",
             "move the target, or control more often; a trial may end far from it",
         )
 
 
-def accepts_less_than_seen(spec: CheckContext) -> Findings:
+def accepts_less_than_noise(context: CheckContext) -> Findings:
     """An accepted error that is less than the camera's noise."""
-    control = spec.experiment.controller
+    control = context.experiment.controller
     if not isinstance(control, Accepting):
         return
-    least = SEEN * control.prior.position_noise * len(spec.setup.names)
+    least = LEAST_ERROR * control.prior.position_noise * len(context.setup.names)
     if control.accept_error < least:
         yield warning(
             ("controller", "accept_error"),
-            f"is less than {SEEN} x position_noise x robots, {least:.3g} {spec.unit}: so small an "
-            "error is hardly seen, and trials take longer for little",
-            f"accept {least:.3g} {spec.unit} or more",
+            f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} {context.unit}: so "
+            "small an error is hardly seen, and trials take longer for little",
+            f"accept {least:.3g} {context.unit} or more",
         )
 
 
-def too_close(spec: CheckContext) -> Findings:
+def too_close(context: CheckContext) -> Findings:
     """Starts or targets nearer to each other than the lab's least separation."""
-    per_mm = 1e-3 / spec.setup.metres
-    for section, lab in (("plant", spec.experiment.plant), ("lab", spec.experiment.lab)):
-        if not isinstance(lab, LabSection):
+    per_mm = 1e-3 / context.setup.metres
+    places = {"plant": context.experiment.plant, "lab": context.experiment.lab}
+    for section, part in places.items():
+        if not isinstance(part, LabSection):
             continue
-        least_mm = lab.limits.separation_mm
+        least_mm = part.limits.separation_mm
         for field, nearest in (("start", nearest_starts), ("target", nearest_targets)):
-            for i, other in nearest(spec.setup):
+            for i, other in nearest(context.setup):
                 if other.distance < least_mm * per_mm:
                     yield warning(
                         ("robots", i, field),
@@ -383,31 +401,33 @@ def too_close(spec: CheckContext) -> Findings:
                     )
 
 
-def same_place(spec: CheckContext) -> Findings:
+def same_place(context: CheckContext) -> Findings:
     """The first two equal starts, and the first two targets where robots overlap."""
-    body = 2 * spec.collision.radius if spec.collision else 0.0
+    body = 2 * context.collision.radius if context.collision else 0.0
     for field, nearest in (("start", nearest_starts), ("target", nearest_targets)):
-        for i, other in nearest(spec.setup):
+        for i, other in nearest(context.setup):
             if other.distance == 0 or other.distance < body:
-                place = f"is {other.distance:.4g} {spec.unit} from the {field} of {other.name}"
+                place = f"is {other.distance:.4g} {context.unit} from the {field} of {other.name}"
                 text = f"{place}: both cannot stand there"
                 yield warning(("robots", i, field), text, "move one of them")
                 break
 
 
-def hold_too_tight(spec: CheckContext) -> Findings:
+def hold_too_tight(context: CheckContext) -> Findings:
     """A hold within less than v / a of robots that cannot stand still."""
-    setup = spec.setup
+    setup = context.setup
     if setup.hold is None or setup.wheel_radius is not None:
         return
     for name, least in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
         if setup.hold.radius < least:
-            text = f"is less than v / a of {name}, {least:.4g} {spec.unit}, its least mean distance"
+            text = (
+                f"is less than v / a of {name}, {least:.4g} {context.unit}, its least mean distance"
+            )
             yield warning(("hold", "radius"), text, "ask for more, or for a stronger field")
 
 
 RULES: tuple[Callable[[CheckContext], Findings], ...] = (
-    angles,
+    angles_of_many_turns,
     plan_outlasts_trial,
     coarse_period,
     unknown_dead_time,
@@ -417,8 +437,8 @@ RULES: tuple[Callable[[CheckContext], Findings], ...] = (
     error_left,
     walled_off,
     inside_margin,
-    tight,
-    accepts_less_than_seen,
+    target_near_obstacle,
+    accepts_less_than_noise,
     too_close,
     same_place,
     hold_too_tight,

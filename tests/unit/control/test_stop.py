@@ -10,7 +10,7 @@ from tetractl.control.stop import (
     RelativeStop,
     TargetStop,
     paper_criterion,
-    stopped,
+    reason_to_stop,
 )
 from tetractl.core.plan import Plan, StopReason
 from tetractl.core.poses import Observation
@@ -37,7 +37,7 @@ def test_20_goes_on_while_the_decrease_is_large():
     history = 2.0 ** np.arange(12, 0, -1)  # z = 11; Delta = sum of 1 ... 10, C = (1 + ... + 11) / 2
     assert len(history) == 12
     assert not paper_criterion(history)
-    assert stopped(history, PAPER) is None
+    assert reason_to_stop(history, PAPER) is None
 
 
 @pytest.mark.parametrize("still", range(2, 12))
@@ -46,7 +46,7 @@ def test_an_iteration_without_improvement_stops_20(still):
     decreases[still - 1] = 0.0  # log 0 = -inf
     history = falling(2000, *decreases)
     assert paper_criterion(history)
-    assert stopped(history, PAPER) == "criterion"
+    assert reason_to_stop(history, PAPER) == "criterion"
 
 
 def test_20_looks_back_ten_iterations_only():
@@ -87,17 +87,17 @@ def test_20_depends_on_the_unit_of_length():
 def test_the_relative_stop_looks_over_its_window():
     stop = RelativeStop(type="relative")
     flat = np.full(40, 100.0)
-    assert stopped(flat[:11], stop) is None  # z = 10: the window is only just full
-    assert stopped(flat[:12], stop) == "criterion"
+    assert reason_to_stop(flat[:11], stop) is None  # z = 10: the window is only just full
+    assert reason_to_stop(flat[:12], stop) == "criterion"
     falling_enough = np.linspace(100, 50, 40)
-    assert stopped(falling_enough, stop) is None
-    assert stopped(falling_enough / 1e6, stop) is None  # unit-free
+    assert reason_to_stop(falling_enough, stop) is None
+    assert reason_to_stop(falling_enough / 1e6, stop) is None  # unit-free
     just = np.array([100.0] * 5 + [99.0] * 10)
-    assert stopped(just, stop) == "criterion"  # fell by the hundredth, not by more
+    assert reason_to_stop(just, stop) == "criterion"  # fell by the hundredth, not by more
 
 
 def test_the_other_stops():
     target = TargetStop(type="target", cost=3.0)
-    assert stopped(np.array([9.0, 3.1]), target) is None
-    assert stopped(np.array([9.0, 3.0]), target) == "target"
-    assert stopped(np.full(500, 1.0), BudgetStop(type="budget")) is None
+    assert reason_to_stop(np.array([9.0, 3.1]), target) is None
+    assert reason_to_stop(np.array([9.0, 3.0]), target) == "target"
+    assert reason_to_stop(np.full(500, 1.0), BudgetStop(type="budget")) is None

@@ -17,7 +17,7 @@ each particle, (L, P). The moves (14)-(17) and the costs are compiled (`tetractl
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,7 @@ from pydantic import Field
 
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
-from tetractl.control.stop import PaperStop, StopCriterion, stopped
+from tetractl.control.stop import PaperStop, StopCriterion, reason_to_stop
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import OptimizerSection
@@ -37,6 +37,10 @@ UPPER = DIRECTION.high
 """Greatest value ub of a signal, (12) [rad]."""
 SPAN = UPPER - LOWER
 """Greatest change |ub - lb| of a signal in an iteration, (15) [rad]."""
+KEY_OF_START = 0
+"""Which of a search's random numbers are those of the start."""
+KEY_OF_MOVES = 1
+"""Which are those of the moves, (14)."""
 
 
 class Pso(OptimizerSection):
@@ -74,36 +78,35 @@ class Pso(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or NULL."""
+        """Search sequences of `length` signals by Algorithm 1, pso(u_gb^0): u_gb^0 is the warm
+        start, or NULL for None. The numbers of lines are the paper's."""
         progress = Progress(length, limits)
         swarm = self.swarm(problem, length, warm, key)  # lines 1-6
-        progress.evaluations = self.particles if warm is None else self.particles + 1
-        progress.keep(swarm.best.signals, swarm.best.cost)
+        evaluations = self.particles if warm is None else self.particles + 1
+        progress.add_best(swarm.best.signals, swarm.best.cost, evaluations)
         for _ in range(self.iterations):  # line 7
             progress.ended = progress.limit_before(self.particles)
-            if progress.ended is not None:
-                break
-            swarm.iterate()  # line 8
-            progress.evaluations += self.particles
-            progress.keep(swarm.best.signals, swarm.best.cost)
-            progress.ended = stopped(np.array(progress.history), self.stop)  # line 9
+            if progress.ended is None:
+                swarm.iterate()  # line 8
+                progress.add_best(swarm.best.signals, swarm.best.cost, self.particles)
+                progress.ended = reason_to_stop(np.array(progress.history), self.stop)  # line 9
             if progress.ended is not None:
                 break  # line 10
         return progress.search()  # line 13
 
     def swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
-        """Algorithm 1, lines 1-6: return a swarm whose u_gb is `warm` or, without it, the best of
-        all u_lb,n. A warm start is not compared with the u_lb,n before the first iteration.
+        """Return the swarm with which Algorithm 1 begins, lines 1-6: its u_gb is `warm` or, without
+        it, the best of all u_lb,n. A warm start is not compared with the u_lb,n before the first
+        iteration.
         """
         # imported late: reading a spec searches nothing
         from tetractl.control.evaluate import compiled_costs
 
-        costs_of = compiled_costs(problem, self.particles)
+        scattered = Swarm.scattered(self, length, key, compiled_costs(problem, self.particles))
         if warm is None:
-            return Swarm.scatter(self, length, key, costs_of)
-        cost = compiled_costs(problem, 1)(warm[:, None])[0]
-        best = Best(warm.copy(), float(cost))
-        return Swarm.scatter(self, length, key, costs_of, best)
+            return scattered
+        cost_of_one = compiled_costs(problem, 1)
+        return replace(scattered, best=Best(warm.copy(), float(cost_of_one(warm[:, None])[0])))
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield the fields of a logged search that contradict its history."""
@@ -122,7 +125,7 @@ class Best:
 
 @dataclass(slots=True)
 class Swarm:
-    """P particles in L dimensions; `scatter` makes a swarm, `iterate` moves it.
+    """P particles in L dimensions; `scattered` makes a swarm, `iterate` moves it.
 
     `costs_of` maps sequences (L, P) to their costs J (P,). All random numbers come from `key`.
     """
@@ -144,34 +147,30 @@ class Swarm:
     """Number of iterations done."""
 
     @classmethod
-    def scatter(
-        cls,
-        section: Pso,
-        length: int,
-        key: int,
-        costs_of: Callable[[Floats], Floats],
-        warm: Best | None = None,
+    def scattered(
+        cls, section: Pso, length: int, key: int, costs_of: Callable[[Floats], Floats]
     ) -> "Swarm":
-        """Draw u_n, v_n and u_lb,n uniformly in their search spaces, line 1; take u_gb from the
-        u_lb,n, line 3, or from a warm start, line 5.
+        """Return a swarm whose u_n, v_n and u_lb,n are drawn uniformly in their search spaces, line
+        1, and whose u_gb is the best of the u_lb,n, line 3.
         """
         shape = 3, length, section.particles
-        draws = uniform(mix(key, 0), 0, 3 * length * section.particles).reshape(shape)
-        u_lb = LOWER + SPAN * draws[2]
+        draws = uniform(mix(key, KEY_OF_START), 0, 3 * length * section.particles)
+        draws_u, draws_v, draws_lb = draws.reshape(shape)
+        u_lb = LOWER + SPAN * draws_lb
         local_costs = costs_of(u_lb)
         return cls(
             section=section,
-            key=mix(key, 1),
+            key=mix(key, KEY_OF_MOVES),
             costs_of=costs_of,
-            u=LOWER + SPAN * draws[0],
-            v=-SPAN + 2 * SPAN * draws[1],
+            u=LOWER + SPAN * draws_u,
+            v=-SPAN + 2 * SPAN * draws_v,
             u_lb=u_lb,
             local_costs=local_costs,
-            best=best_of(u_lb, local_costs) if warm is None else warm,
+            best=best_of(u_lb, local_costs),
         )
 
     def iterate(self) -> None:
-        """Algorithm 1, line 8: move all particles, then update the local and the global best."""
+        """Move all particles, then update the local and the global best: line 8."""
         self._move()
         costs = self.costs_of(self.u)
         self.u_lb = np.where(costs < self.local_costs, self.u, self.u_lb)  # (18)
@@ -182,8 +181,8 @@ class Swarm:
         self.z += 1
 
     def _move(self) -> None:
-        """Change u and v by equations (14)-(17)."""
-        from tetractl.control.kernels.update import move
+        """Change u and v in place by equations (14)-(17), which the kernel has."""
+        from tetractl.control.kernels.update import move  # late: reading a spec compiles nothing
 
         move(
             self.u,

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tetractl.control.stop import stopped
+from tetractl.control.stop import reason_to_stop
 from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
 
@@ -56,7 +56,7 @@ def _possible_ends(section: SwarmSettings, history: Floats, limits: Limits) -> s
     iterations = len(history) - 1
     if iterations > 0:
         with np.errstate(invalid="ignore"):  # logarithms fail if a logged history rises
-            reason = stopped(history, section.stop)
+            reason = reason_to_stop(history, section.stop)
         if reason is not None:
             return {reason}
     if iterations >= section.iterations:

@@ -52,7 +52,8 @@ class Hearing:
         hearing = self
         new = heard.sent_s > self.until_s
         for sent_s, ln_factors in zip(heard.sent_s[new], heard.ln_factors[new], strict=True):
-            hearing = hearing._with(float(sent_s), np.nan_to_num(ln_factors, nan=0.0).tolist())
+            said = np.nan_to_num(ln_factors, nan=0.0)  # 0 where frames do not say
+            hearing = hearing._with(float(sent_s), said.tolist())
         return hearing
 
     def _with(self, sent_s: float, ln_factors: Sequence[float]) -> "Hearing":
@@ -67,8 +68,8 @@ class Hearing:
     def _missed_before_one(self) -> float:
         """Return the mean with a command that was sent out. Those before it of which frames showed
         nothing, as where a signal is sent again, may all have been missed: then it is no news."""
-        shown = self.shown or self.since > 0
-        if not shown or self.since > RUN:
+        frames_said = self.shown or self.since > 0
+        if not frames_said or self.since > RUN:
             return self.missed
         return self.missed + (self.since - self.missed) / MEMORY
 

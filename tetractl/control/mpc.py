@@ -227,8 +227,8 @@ class ControlStep:
     def allows(self, length: int, wait_s: float) -> bool:
         """Return whether there is time for a plan of `length` signals that begins in `wait_s`;
         if the targets are farther away than the longest plan leads, for the longest plan."""
-        left = self.signals_left - wait_s / self.problem.period
-        return min(length, self.horizon_max) <= left
+        signals_in_time = self.signals_left - wait_s / self.problem.period
+        return min(length, self.horizon_max) <= signals_in_time
 
 
 class LeastValues(NamedTuple):
@@ -458,9 +458,9 @@ class Mpc:
         stop = self._stop(step, warm, least_values.least)
         if stop is not None:
             return stop
-        kept = self._keep(step, warm)
-        if kept is not None:
-            return kept
+        same_signal = self._keep(step, warm)
+        if same_signal is not None:
+            return same_signal
         searched = self._search_under_way(step, warm)
         plan = self._go_on(searched, least_values.rest)
         if plan is not None:
@@ -823,10 +823,10 @@ class Mpc:
         plan = self._given(problem, np.zeros(1), state, searches)
         return replace(plan, instead=Stop())
 
-    def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with its margins, given the estimate `known`, None if certain."""
+    def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
+        """Return the problem with its margins, given the estimate `estimate`, None if certain."""
         grown, apart = self.course.margins.around(
-            problem, self.section.collision, self._heard_s, self.estimator.dead_time_s, known
+            problem, self.section.collision, self._heard_s, self.estimator.dead_time_s, estimate
         )
         return replace(problem, obstacles=grown, separation=apart)
 

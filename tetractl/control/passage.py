@@ -211,11 +211,11 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
         if len(branches) == 0:
             break
         tree.keep(branches)
-        left = ways_left[-1, branches].sum(axis=1)  # of all robots together, at each node
-        if left[0] < least_left:
-            least_left = float(left[0])
+        way_left = ways_left[-1, branches].sum(axis=1)  # of all robots together, at each node
+        if way_left[0] < least_left:
+            least_left = float(way_left[0])
             nearest_level = level
-        number_near = int((left[:STARTS_OF_LEVEL] < near).sum())
+        number_near = int((way_left[:STARTS_OF_LEVEL] < near).sum())
         for node in range(min(number_near, STARTS_IN_ALL - yielded)):
             yield tree.sequence(node)
             yielded += 1

@@ -40,15 +40,16 @@ def cache_folder() -> Path:
         why = claim(wanted)
         if why is None:
             return wanted
-    own = Path(tempfile.mkdtemp(prefix="tetractl-"))  # 0700
-    atexit.register(shutil.rmtree, own, ignore_errors=True)
-    os.environ[FOLDER] = str(own)
+    temporary = Path(tempfile.mkdtemp(prefix="tetractl-"))  # 0700
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    os.environ[FOLDER] = str(temporary)
     say_once(f"{why}; compiled code is kept in a temporary folder and removed after this run")
-    return own
+    return temporary
 
 
 def _wanted() -> Path | None:
-    if named := os.environ.get(FOLDER):
+    named = os.environ.get(FOLDER)
+    if named:
         return Path(named).absolute()
     base = os.environ.get("XDG_CACHE_HOME")
     try:
@@ -61,7 +62,8 @@ def claim(folder: Path) -> str | None:
     """Make a folder that only this user can write to; return the reason if that fails, or None."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if why := exposed(folder):
+        why = exposed(folder)
+        if why:
             return why
         if folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             folder.chmod(0o700)
@@ -83,13 +85,13 @@ def exposed(folder: Path) -> str | None:
     me = os.getuid()
     real = folder.resolve(strict=True)
     for place in (real, *real.parents):
-        found = place.stat()
-        if found.st_uid not in ((me,) if place == real else (me, 0)):
+        status = place.stat()
+        if status.st_uid not in ((me,) if place == real else (me, 0)):
             return f"{place} belongs to another user"
-        shared = found.st_mode & _OTHERS
-        if shared == stat.S_IWGRP and _alone_in(found.st_gid):
+        shared = status.st_mode & _OTHERS
+        if shared == stat.S_IWGRP and _alone_in(status.st_gid):
             continue
-        if shared and (place == real or not found.st_mode & stat.S_ISVTX):
+        if shared and (place == real or not status.st_mode & stat.S_ISVTX):
             return f"others can write to {place}"
     return None
 
@@ -113,18 +115,18 @@ def _alone_in(group: int) -> bool:
 
     try:
         name = pwd.getpwuid(os.getuid()).pw_name
-        found = grp.getgrgid(group)
+        members = grp.getgrgid(group)
     except KeyError:
         return False
-    return found.gr_name == name and set(found.gr_mem) <= {name}
+    return members.gr_name == name and set(members.gr_mem) <= {name}
 
 
 def compiler_settings() -> str:
     """Return numba's environment variables except NUMBA_CACHE_DIR as text, "NAME=value NAME=value
     ...", or "none" if none is set."""
-    found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
-    kept = sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR="))
-    return " ".join(kept) or "none"
+    settings = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
+    sorted_settings = sorted(item for item in settings if not item.startswith("NUMBA_CACHE_DIR="))
+    return " ".join(sorted_settings) or "none"
 
 
 @functools.cache
@@ -144,6 +146,7 @@ def file_digest(source: Path) -> bytes:
 def digest(sources: Iterable[Path], options: str = "") -> str:
     """Return 12 hex digits of a hash of the contents of files, wherever they are, and of compiler
     options."""
-    found = hashlib.sha256(b"".join(sorted(map(file_digest, sources))))
-    found.update(options.encode())
-    return found.hexdigest()[:12]
+    digests = sorted(map(file_digest, sources))
+    total = hashlib.sha256(b"".join(digests))
+    total.update(options.encode())
+    return total.hexdigest()[:12]

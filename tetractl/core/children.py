@@ -259,14 +259,14 @@ class WorkerPool:
                 return
 
     def _listen(self) -> None:
-        shown = 0
+        lines = 0
         with suppress(OSError), os.fdopen(os.dup(self._heard.fileno()), "rb") as stream:
             while line := stream.readline(SAID_BYTES):
                 for text in shown_lines(line):
-                    shown += 1
-                    if shown <= LINES_MAX:
+                    lines += 1
+                    if lines <= LINES_MAX:
                         self._tell(f"{self._who}: {text}")
-                    elif shown == LINES_MAX + 1:
+                    elif lines == LINES_MAX + 1:
                         self._tell(f"{self._who}: says more, which is not shown")
 
 

@@ -71,8 +71,10 @@ class MonotonicClock:
 
     def sleep_until(self, when: int) -> None:
         """Sleep until `when` [ns]."""
-        while (left := when - self.now()) > 0:
-            time.sleep(left / SECOND)
+        remaining_ns = when - self.now()
+        while remaining_ns > 0:
+            time.sleep(remaining_ns / SECOND)
+            remaining_ns = when - self.now()
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:

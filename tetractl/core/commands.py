@@ -147,7 +147,10 @@ class Verdict:
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) entered an obstacle."""
-        return [one or gap < radius for one, gap in zip(self.entered, self.clearance, strict=True)]
+        return [
+            entered or gap < radius
+            for entered, gap in zip(self.entered, self.clearance, strict=True)
+        ]
 
     def over_edge(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) left the arena; empty if the log does not record it."""

@@ -111,12 +111,12 @@ def printable(text: str, length: int | None = None) -> str:
     Control characters (C0, escape and C1), changes of the writing direction, line separators and
     the bytes of a file name that is not UTF-8 are written as escapes.
     """
-    shown = text if length is None else text[: length + 1]  # escaping never shortens a text
-    if not shown.isprintable():
-        shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in shown)
-    if length is not None and len(shown) > length:
-        return shown[: length - 3] + "..."
-    return shown
+    printed = text if length is None else text[: length + 1]  # escaping never shortens a text
+    if not printed.isprintable():
+        printed = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in printed)
+    if length is not None and len(printed) > length:
+        return printed[: length - 3] + "..."
+    return printed
 
 
 def entry(text: str) -> str:

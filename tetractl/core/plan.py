@@ -51,8 +51,8 @@ class Outcome(StrEnum):
     @classmethod
     def shown(cls, text: str) -> str:
         """Return a text of a log that may begin with an outcome, with the outcome's name."""
-        found = cls.NO_BETTER_PLAN
-        return re.sub(rf"^{found.logged}", found.value, text)
+        outcome = cls.NO_BETTER_PLAN
+        return re.sub(rf"^{outcome.logged}", outcome.value, text)
 
     @property
     def complete(self) -> bool:
@@ -191,23 +191,26 @@ class Estimate:
 
     def standing(self, names: Sequence[str]) -> list[str]:
         """Return the robots, of these `names`, that surely stand although they are to drive."""
-        there = [] if self.stands is None else self.stands.tolist()
-        return [name for name, p in zip(names, there, strict=False) if p > STANDS]
+        probabilities = [] if self.stands is None else self.stands.tolist()
+        return [name for name, p in zip(names, probabilities, strict=False) if p > STANDS]
 
     def unfit(self, names: Sequence[str]) -> set[str]:
         """Return what the model does not fit, such as "heading of red"."""
         if self.misfit is None:
             return set()
-        which = zip(*(each.tolist() for each in np.nonzero(self.misfit > 1)), strict=True)
+        which = zip(*(indices.tolist() for indices in np.nonzero(self.misfit > 1)), strict=True)
         return {f"{INNOVATIONS[j]} of {names[i]}" for i, j in which}
 
-    def only(self, some: Bools) -> "Estimate":
-        """Return the estimates of the robots for which `some` (N,) is true."""
-        if some.all():
+    def only(self, chosen: Bools) -> "Estimate":
+        """Return the estimates of the robots for which `chosen` (N,) is true."""
+        if chosen.all():
             return self
-        every = {one.name: getattr(self, one.name) for one in fields(self)}
-        kept = {name: v[some] for name, v in every.items() if isinstance(v, np.ndarray)}
-        return replace(self, **kept)
+        values = {
+            field_of_class.name: getattr(self, field_of_class.name)
+            for field_of_class in fields(self)
+        }
+        chosen_values = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **chosen_values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,13 +241,13 @@ class Plan:
     delay_ns: int = 0
     leg: int = 0
 
-    def of_all(self, left: Bools, seen: Poses) -> "Plan":
-        """Return the plan, made for the robots whose `left` (N,) is true, with a path of all N
-        robots: those that are lost stay at their poses in `seen`."""
-        if left.all():
+    def of_all(self, present: Bools, poses: Poses) -> "Plan":
+        """Return the plan, made for the robots whose `present` (N,) is true, with a path of all N
+        robots: those that are lost stay at their poses in `poses`."""
+        if present.all():
             return self
-        path = np.repeat(seen.array()[None], len(self.path), axis=0)
-        path[:, left] = self.path
+        path = np.repeat(poses.array()[None], len(self.path), axis=0)
+        path[:, present] = self.path
         return replace(self, path=path)
 
     @property
@@ -345,14 +348,14 @@ class Problem:
     side: Floats | None = None
     saturation: Floats | None = None
 
-    def only(self, some: Bools) -> "Problem":
-        """Return the problem of the robots for which `some` (N,) is true."""
-        if some.all():
+    def only(self, chosen: Bools) -> "Problem":
+        """Return the problem of the robots for which `chosen` (N,) is true."""
+        if chosen.all():
             return self
         names = "targets", "a", "speed", "bias", "flow", "side", "saturation"
-        of = {name: getattr(self, name) for name in names}
-        kept = {name: value[some] for name, value in of.items() if value is not None}
-        return replace(self, poses=Poses.of(self.poses.array()[some]), **kept)
+        values = {name: getattr(self, name) for name in names}
+        chosen_values = {name: value[chosen] for name, value in values.items() if value is not None}
+        return replace(self, poses=Poses.of(self.poses.array()[chosen]), **chosen_values)
 
     @property
     def drift(self) -> Floats:

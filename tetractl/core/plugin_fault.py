@@ -36,7 +36,8 @@ def plugins_blamed(
     except (KeyboardInterrupt, *spared):
         raise
     except BaseException as error:
-        if fault := plugin_fault(error, packages):
+        fault = plugin_fault(error, packages)
+        if fault:
             raise fault from error
         raise
 
@@ -52,7 +53,8 @@ def plugin_fault(
     returned a value with which tetractl's code fails.
     """
     if isinstance(error, WrongValueError):
-        if owner := _owner(_file(type(error.giver).__module__)):
+        owner = _owner(_file(type(error.giver).__module__))
+        if owner:
             who = error.who if error.who in owner[0] else owner[0]  # the one of many that is named
             text = f"plug-in {who} ({owner[1]}) returned {error.what}"
             return FaultyPluginError(text, CHECK)
@@ -65,7 +67,8 @@ def plugin_fault(
     with suppress(Exception):  # it may have no text
         places += COMPILED.findall(str(error)[:20_000])
     for what, file, line in places:
-        if owner := _owner(Path(file).absolute()):
+        owner = _owner(Path(file).absolute())
+        if owner:
             what = printable(what, 300)
             text = f"plug-in {owner[0]} ({owner[1]}, {file}:{line}) raised {what}"
             fault = FaultyPluginError(text, HINT)
@@ -90,8 +93,8 @@ def _of_computer(error: BaseException) -> bool:
 def _owner(file: Path) -> tuple[str, str] | None:
     """Return the names of the kinds that a file defines, or of the kinds of its package if it
     defines none, and the package with its version; None for a file of no plug-in."""
-    own = list[str]()
-    near = list[str]()
+    of_file = list[str]()
+    of_package = list[str]()
     package = ""
     for registry in (*REGISTRIES, COMMANDS, LAB_COMMANDS):
         for kind in (kind for kind in registry.kinds() if kind.package):
@@ -99,12 +102,12 @@ def _owner(file: Path) -> tuple[str, str] | None:
             top = module.partition(".")[0]
             is_own = _file(module) == file
             if is_own or (top != module and _file(top).parent in file.parents):
-                (own if is_own else near).append(f"{registry.what} '{kind.name}'")
+                (of_file if is_own else of_package).append(f"{registry.what} '{kind.name}'")
                 package = f"{kind.package} {kind.version}"
-    return (" or ".join(own or near), package) if package else None
+    return (" or ".join(of_file or of_package), package) if package else None
 
 
 def _file(module: str) -> Path:
     """Return the file of an imported module, and one that does not exist for another module."""
-    found = sys.modules.get(module)
-    return Path((found and found.__file__) or "/nowhere/nowhere")
+    imported = sys.modules.get(module)
+    return Path((imported and imported.__file__) or "/nowhere/nowhere")

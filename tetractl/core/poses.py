@@ -55,11 +55,11 @@ class Poses:
 
     def array(self) -> Floats:
         """Return the poses as an array of shape (N, 3): x, y, heading."""
-        found = np.empty((len(self.x), 3))
-        found[:, 0] = self.x
-        found[:, 1] = self.y
-        found[:, 2] = self.heading
-        return found
+        array = np.empty((len(self.x), 3))
+        array[:, 0] = self.x
+        array[:, 1] = self.y
+        array[:, 2] = self.heading
+        return array
 
     @property
     def xy(self) -> Floats:
@@ -112,8 +112,10 @@ class CameraFrame:
         """
         if not self.exposed_ns:
             return (self.sampled_ns,) * len(self.poses)
-        each = zip(self.poses, self.exposed_ns, last_ns, strict=True)
-        return tuple(last if pose is None else max(own, last) for pose, own, last in each)
+        rows = zip(self.poses, self.exposed_ns, last_ns, strict=True)
+        return tuple(
+            last if pose is None else max(exposed_ns, last) for pose, exposed_ns, last in rows
+        )
 
 
 @dataclass(frozen=True, slots=True)

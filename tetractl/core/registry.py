@@ -86,23 +86,23 @@ class Registry:
         top = point.module.partition(".")[0]
         SPEAKERS.setdefault(top, "" if self.of_commands else f"{self.what} '{name}'")
         try:
-            found = point.load()
+            loaded = point.load()
         except Exception as error:  # a module of another package may raise anything
             text = str(error).partition("\n")[0]
             raise self.unusable(name, f"{type(error).__name__}: {text}") from error
         if self.base and not (
-            isinstance(found, type) and issubclass(found, resolve_name(self.base))
+            isinstance(loaded, type) and issubclass(loaded, resolve_name(self.base))
         ):
             raise self.unusable(name, f"the object is not a class derived from {self.base}")
-        return found
+        return loaded
 
     def usable(self) -> dict[str, Any]:
         """Return the loaded object of each name, leaving out kinds that raise PluginError."""
-        found: dict[str, Any] = {}
+        objects: dict[str, Any] = {}
         for name in self.names():
             with suppress(PluginError):
-                found[name] = self.load(name)
-        return found
+                objects[name] = self.load(name)
+        return objects
 
     def unusable(self, name: str, why: str) -> PluginError:
         """Return the error that says why another package's object with this name is of no use."""
@@ -134,7 +134,7 @@ def package_files(package: str) -> Iterator[Path]:
     modules = list[str]()
     with suppress(PackageNotFoundError):
         points = distribution(package).entry_points
-        modules += [one.module for one in points if one.group.startswith("tetractl.")]
+        modules += [point.module for point in points if point.group.startswith("tetractl.")]
     for top in dict.fromkeys(module.partition(".")[0] for module in modules):
         spec = find_spec(top)
         if spec is not None and spec.submodule_search_locations:

@@ -21,7 +21,8 @@ INSTEAD = {
 """What to use instead of a name, by what it is a name of: a group of entry points or a command."""
 
 
-def refuse_retired(of: str, name: str) -> None:
+def refuse_retired(what: str, name: str) -> None:
     """Raise UsageError for a name that an earlier version had."""
-    if instead := INSTEAD.get((of, name)):
+    instead = INSTEAD.get((what, name))
+    if instead:
         raise UsageError(f"{name!r} is no longer there", instead)

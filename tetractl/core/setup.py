@@ -100,16 +100,16 @@ class Setup:
 
     def only(self, robots: Sequence[int]) -> "Setup":
         """Return the setup of some of the robots, by their indices."""
-        some = list(robots)
+        rows = list(robots)
         return replace(
             self,
-            names=tuple(self.names[i] for i in some),
-            colors=tuple(self.colors[i] for i in some),
-            starts=Poses.of(self.starts.array()[some]),
-            targets=self.targets[some],
-            way_points=self.legs[:-1, some],
-            a=self.a[some],
-            speed=self.speed[some],
+            names=tuple(self.names[i] for i in rows),
+            colors=tuple(self.colors[i] for i in rows),
+            starts=Poses.of(self.starts.array()[rows]),
+            targets=self.targets[rows],
+            way_points=self.legs[:-1, rows],
+            a=self.a[rows],
+            speed=self.speed[rows],
         )
 
     def distances(self, xy: Floats) -> Floats:

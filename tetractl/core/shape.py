@@ -105,8 +105,10 @@ def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any)
     b = turn(x0, y0, x1, y1, bx, by)
     c = turn(ax, ay, bx, by, x0, y0)
     d = turn(ax, ay, bx, by, x1, y1)
-    apart = (np.maximum(x0, x1) < np.minimum(ax, bx)) | (np.maximum(ax, bx) < np.minimum(x0, x1))
-    apart |= (np.maximum(y0, y1) < np.minimum(ay, by)) | (np.maximum(ay, by) < np.minimum(y0, y1))
+    apart = np.maximum(x0, x1) < np.minimum(ax, bx)
+    apart |= np.maximum(ax, bx) < np.minimum(x0, x1)
+    apart |= np.maximum(y0, y1) < np.minimum(ay, by)
+    apart |= np.maximum(ay, by) < np.minimum(y0, y1)
     # both ends on the same side of the other segment
     apart |= ((a > 0) & (b > 0)) | ((a < 0) & (b < 0)) | ((c > 0) & (d > 0)) | ((c < 0) & (d < 0))
     return ~apart

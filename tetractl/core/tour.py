@@ -105,11 +105,11 @@ class Losses:
         after_ns = round(self._rule.after_s * SECOND)
         back = np.zeros_like(self.lost)
         seen_ns = np.full(len(back), frame.sampled_ns) if self._seen_ns is None else self._seen_ns
-        for one in self._waiting:
-            gone = self.left & (one.sampled_ns - seen_ns >= after_ns)
-            seen_ns[one.valid] = one.sampled_ns
+        for waiting in self._waiting:
+            gone = self.left & (waiting.sampled_ns - seen_ns >= after_ns)
+            seen_ns[waiting.valid] = waiting.sampled_ns
             lost = self.lost | gone
-            back = lost & one.valid & self._rule.replaced
+            back = lost & waiting.valid & self._rule.replaced
             if gone.any() or back.any():
                 self.times = self.times + gone
                 self.lost = lost & ~back
@@ -131,7 +131,7 @@ STOOD = "while others drive", "though commanded to move"
 
 def told_dead(names: Sequence[str], dead: Bools) -> str:
     """Return the text that some of the robots `names` are dead, "" for none."""
-    who = [name for name, one in zip(names, dead.tolist(), strict=True) if one]
+    who = [name for name, is_dead in zip(names, dead.tolist(), strict=True) if is_dead]
     if not who:
         return ""
     return f"{', '.join(who)} {'do' if len(who) > 1 else 'does'} not move {STOOD[0]}"
@@ -170,7 +170,8 @@ class TourMeasure:
     def step(self, leg: int, observation: Observation) -> str:
         """Set the leg of a control step; return a message if a new leg begins, otherwise ""."""
         for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
-            self._passed.append(float(observation.poses.distances(past).sum()))
+            distances = observation.poses.distances(past)
+            self._passed.append(float(distances.sum()))
         begins = leg > self._leg
         self._leg = leg
         if leg == len(self._legs) and self._began_ns is None:
@@ -182,15 +183,21 @@ class TourMeasure:
         """Count how often robots are lost and, for each robot, in how many frames of the hold it
         is within the hold's radius of its target, by its true pose if that is known; otherwise a
         robot that is not tracked counts as outside."""
-        for one in samples:
-            seen = one.observation
-            if until_ns and seen.sampled_ns > until_ns:
+        for sample in samples:
+            observation = sample.observation
+            if until_ns and observation.sampled_ns > until_ns:
                 continue
-            self._losses.see(seen)
-            if self._hold is None or self._began_ns is None or seen.sampled_ns < self._began_ns:
+            self._losses.see(observation)
+            if (
+                self._hold is None
+                or self._began_ns is None
+                or observation.sampled_ns < self._began_ns
+            ):
                 continue
-            near = (one.truth or seen.poses).distances(self._legs[-1]) <= self._hold.radius
-            self._inside += near if one.truth else near & seen.valid
+            near = (sample.truth or observation.poses).distances(
+                self._legs[-1]
+            ) <= self._hold.radius
+            self._inside += near if sample.truth else near & observation.valid
             self._frames += 1
 
     @property

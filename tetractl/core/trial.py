@@ -160,22 +160,23 @@ class TrialRecords:
     def tour(self) -> TourMeasure:
         """The measure of how the robots passed their way-points and held, up to the stop."""
         setup = self.start.setup
-        stops = [one.sent_ns for one in self.commands if one.stops]
-        found = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
+        stops = [command.sent_ns for command in self.commands if command.stops]
+        measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
         for step in self.steps:
-            found.step(step.plan.leg, step.observation)
-        found.add(map(self.sample, range(len(self.frames))), max(stops, default=None))
-        return found
+            measure.step(step.plan.leg, step.observation)
+        samples = map(self.sample, range(len(self.frames)))
+        measure.add(samples, until_ns=max(stops, default=None))
+        return measure
 
     def sample(self, i: int) -> Sample:
         """Return the camera frame in row `i`."""
-        own = tuple(self.exposed_ns[i].tolist())
-        seen = Observation(
+        exposed_ns = tuple(self.exposed_ns[i].tolist())
+        observation = Observation(
             int(self.frames[i]),
             int(self.mocap_ns[i]),
             int(self.received_ns[i]),
             Poses.of(self.mocap[i]),
             self.valid[i],
-            own if any(one != self.mocap_ns[i] for one in own) else (),
+            exposed_ns if any(pose_ns != self.mocap_ns[i] for pose_ns in exposed_ns) else (),
         )
-        return Sample(seen, None if self.truth is None else Poses.of(self.truth[i]))
+        return Sample(observation, None if self.truth is None else Poses.of(self.truth[i]))

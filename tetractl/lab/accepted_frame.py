@@ -59,9 +59,9 @@ class FrameBuffer:
     def last(self, span_ns: int) -> list[AcceptedFrame]:
         """Return the frames exposed at most `span_ns` before the newest, oldest first."""
         with self._lock:
-            found: list[AcceptedFrame] = []
+            frames: list[AcceptedFrame] = []
             for frame in reversed(self._frames):
                 if self._frames[-1].frame.sampled_ns - frame.frame.sampled_ns > span_ns:
                     break
-                found.append(frame)
-        return found[::-1]
+                frames.append(frame)
+        return frames[::-1]

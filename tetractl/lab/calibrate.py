@@ -288,7 +288,8 @@ class _Bench:
         if not poses:
             return None
         headings = [pose.heading for pose in poses]
-        enough = max(TURNED_RAD, QUIET_TURNS * float(np.ptp(np.unwrap(headings))))
+        turned_rad = float(np.ptp(np.unwrap(headings)))
+        enough = max(TURNED_RAD, QUIET_TURNS * turned_rad)
         sent_ns = self._hold(counts)
 
         def arrived_ns() -> int | None:
@@ -448,8 +449,10 @@ def _steady(poses: Sequence[tuple[int, Pose]], since_ns: int, mm: float) -> Driv
     dx = np.diff(x) * mm
     dy = np.diff(y) * mm
     span_s = t[-1] - t[0]
-    along = float(np.sum(dx * np.cos(middle) + dy * np.sin(middle)) / span_s)
-    across = float(np.sum(dy * np.cos(middle) - dx * np.sin(middle)) / span_s)
+    cos = np.cos(middle)
+    sin = np.sin(middle)
+    along = float(np.sum(dx * cos + dy * sin) / span_s)
+    across = float(np.sum(dy * cos - dx * sin) / span_s)
     return DrivenPath(turning, along, across)
 
 

@@ -122,12 +122,12 @@ class Culprit:
     def _swapped(self, suspect: int, robots: Sequence[int]) -> str:
         """Return a text if the suspect and another of the robots have exchanged numbers."""
         as_own = dict(zip(robots, self._misfits(robots, robots), strict=True))
-        for other in robots:
-            if other == suspect:
+        for robot in robots:
+            if robot == suspect:
                 continue
-            exchanged = sum(self._misfits([suspect, other], [other, suspect]))
-            if exchanged < min(CLEAR, as_own[suspect] + as_own[other] - CLEAR):
-                first, second = sorted((suspect, other))
+            exchanged = sum(self._misfits([suspect, robot], [robot, suspect]))
+            if exchanged < min(CLEAR, as_own[suspect] + as_own[robot] - CLEAR):
+                first, second = sorted((suspect, robot))
                 return SWAPPED.format(self._names[first], self._names[second])
         return ""
 
@@ -149,9 +149,9 @@ class Culprit:
     def _blocks(self, i: int) -> list[tuple[int, Pose]]:
         """Return the poses of robot i that are at least BLOCK_NS apart, with their times."""
         blocks: list[tuple[int, Pose]] = []
-        for shown in self._shown:
-            pose = shown.poses[i]
-            exposed_ns = shown.times[i]
+        for frame in self._shown:
+            pose = frame.poses[i]
+            exposed_ns = frame.times[i]
             if pose is not None and (not blocks or exposed_ns - blocks[-1][0] >= BLOCK_NS):
                 blocks.append((exposed_ns, pose))
         return blocks
@@ -183,15 +183,15 @@ class Culprit:
         ends = {last.times[i] for i in robots}
         sent_before = {end_ns: self._sent_before(end_ns, delays + steps) for end_ns in ends}
         columns = [
-            sent_before[last.times[i]][:, :, other]
-            for i, other in zip(robots, commanded, strict=True)
+            sent_before[last.times[i]][:, :, column]
+            for i, column in zip(robots, commanded, strict=True)
         ]
         sent = np.stack(columns, axis=-1)
         sent *= STEP_NS / SECOND
         rows: list[Floats] = []
         for delay in range(delays):
-            own = (sent[delay : delay + steps] * in_own)[::-1]  # oldest first
-            rows.append(squares_of(then, now, own))
+            in_own_span = (sent[delay : delay + steps] * in_own)[::-1]  # oldest first
+            rows.append(squares_of(then, now, in_own_span))
         return np.array(rows)
 
     def _sent_before(self, end_ns: int, steps: int) -> Floats:

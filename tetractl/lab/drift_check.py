@@ -300,31 +300,31 @@ class DriftCheck:
         per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
         variance = self._spread[:, d, d]
         explained = 1.0 - variance / PRIOR[d] ** 2
-        known = (explained > LEAST_KNOWN) & (per > 0.0)
-        if not known.any():
+        is_known = (explained > LEAST_KNOWN) & (per > 0.0)
+        if not is_known.any():
             return (), ()
-        explained = np.where(known, explained, 1.0)
-        rates = np.where(known, per * self._fit[:, d] / explained, 0.0)
-        errors = np.where(known, per * np.sqrt(variance / explained), np.inf)
+        explained = np.where(is_known, explained, 1.0)
+        rates = np.where(is_known, per * self._fit[:, d] / explained, 0.0)
+        errors = np.where(is_known, per * np.sqrt(variance / explained), np.inf)
         return tuple(rates.tolist()), tuple(errors.tolist())
 
-    def left_over(self, i: int, seen: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
+    def left_over(self, i: int, frames: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
         """Return what commands and wheels do not explain of the motion of robot i over its poses
-        `seen`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
+        `frames`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
         and growth of the picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
         total = np.zeros((3, COLUMNS))
         variance = 2 * self._noise**2
-        for (then_ns, then), (now_ns, now) in pairwise(seen):
+        for (then_ns, then), (now_ns, now) in pairwise(frames):
             way = motion(then, now) * (self._mm, self._mm, 1.0)
             block = MotionBlock(i, then, way, now_ns, now_ns - then_ns)
             x, walk = self._regressors([block], way[None])
             total = total + x[0]
             variance = variance + walk[0]
-        known = total[:, KNOWN]
-        variance = variance + np.einsum("rp,pq,rq->r", known, self._spread[i], known)
+        regressors = total[:, KNOWN]
+        variance = variance + np.einsum("rp,pq,rq->r", regressors, self._spread[i], regressors)
         spread = np.sqrt(variance)
-        residual = total[:, RESIDUAL] - known @ self._fit[i]
+        residual = total[:, RESIDUAL] - regressors @ self._fit[i]
         return residual / spread, total[:, PICTURE] / spread[:, None]
 
     # ---- the fit ----
@@ -336,9 +336,9 @@ class DriftCheck:
         for until_ns, dt_ns in {(block.until_ns, block.dt_ns) for block in blocks}:
             delayed = [self.commands.mean(until_ns - tap_ns, dt_ns) for tap_ns in BEFORE_NS]
             means[until_ns, dt_ns] = delayed
-        every = np.array([means[block.until_ns, block.dt_ns] for block in blocks])
+        delayed_means = np.array([means[block.until_ns, block.dt_ns] for block in blocks])
         robots = [block.robot for block in blocks]
-        return every[np.arange(len(blocks)), :, :, robots]
+        return delayed_means[np.arange(len(blocks)), :, :, robots]
 
     def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
         """Return residuals and regressors (K, 3, COLUMNS) of blocks with the `motions` (K, 3), and
@@ -383,9 +383,9 @@ class DriftCheck:
         py = py * self._mm
         cos = np.cos(heading)
         sin = np.sin(heading)
-        one = np.ones_like(px)
+        ones = np.ones_like(px)
         zero = np.zeros_like(px)
-        moves = np.array([[one, zero, -py, px], [zero, one, px, py]])
+        moves = np.array([[ones, zero, -py, px], [zero, ones, px, py]])
         axes = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
         return axes @ moves.transpose(2, 0, 1) * dt_s[:, None, None]
 
@@ -398,9 +398,9 @@ class DriftCheck:
         x, walk = self._regressors(blocks, motions)
         spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, :, None]
-        known = x[:, :, KNOWN]
-        expected = (known @ self._fit[robots, :, None])[..., 0]
-        bound = CLIP * np.sqrt(1 + ((known @ self._spread[robots]) * known).sum(axis=2))
+        regressors = x[:, :, KNOWN]
+        expected = (regressors @ self._fit[robots, :, None])[..., 0]
+        bound = CLIP * np.sqrt(1 + ((regressors @ self._spread[robots]) * regressors).sum(axis=2))
         residual = x[:, :, RESIDUAL].copy()
         x[:, :, RESIDUAL] = np.clip(residual, expected - bound, expected + bound)
         self._carried[robots, :2] = ((residual - x[:, :, RESIDUAL]) * spread)[:, :2]
@@ -429,9 +429,9 @@ class DriftCheck:
         squares = sums[:, RESIDUAL, RESIDUAL] - fitted  # (N,) what is left over in all
         count = 3.0 * max(self.blocks, 1)
         changes = self._changes(np.array(old), squares, count)
-        own = slice(0, 3)
-        pulls = changes.pulls[..., own]
-        own_squares = changes.squares[..., own, own] + np.diag(LARGEST[own])
+        of_one = slice(0, 3)
+        pulls = changes.pulls[..., of_one]
+        own_squares = changes.squares[..., of_one, of_one] + np.diag(LARGEST[of_one])
         velocity = np.linalg.solve(own_squares, pulls[..., None])[..., 0]
         gain = (pulls * velocity).sum(axis=2)  # (G, N)
         gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
@@ -445,7 +445,8 @@ class DriftCheck:
         gains = self._gains_of_shift(changes, g, shift[g])
         i = int(gains.argmax())
         if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
-            return DriftFault(TOGETHER, tuple(range(len(self._names))))
+            all_robots = tuple(range(len(self._names)))
+            return DriftFault(TOGETHER, all_robots)
         return self._of_one(i, pulls[g, i] * velocity[g, i])
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
@@ -453,10 +454,10 @@ class DriftCheck:
         `squares` (N,) of `count` residuals are left over in all."""
         since = self._sums - old
         mixed = since[..., KNOWN, MOTION]
-        left = since[..., MOTION, MOTION] - mixed.swapaxes(2, 3) @ self._spread @ mixed
+        unexplained = since[..., MOTION, MOTION] - mixed.swapaxes(2, 3) @ self._spread @ mixed
         pulls = since[..., MOTION, RESIDUAL] - (self._fit[:, None] @ mixed)[..., 0, :]
         noise = np.maximum(1.0, squares / count)[:, None]
-        return Changes(left, pulls, noise)
+        return Changes(unexplained, pulls, noise)
 
     def _shift_of_all(self, changes: Changes) -> tuple[Floats, Floats]:
         """Return the motion of the picture (G, 4) since each moment that explains most of all

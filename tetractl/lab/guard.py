@@ -184,8 +184,8 @@ class Guard:
     def lost(self) -> dict[int, int]:
         """The lost robots and when each was last seen [ns], the longest ago first."""
         lost = {i: robot.lost_ns for i, robot in enumerate(self._robots)}
-        seen = [(ns, i) for i, ns in lost.items() if ns is not None]
-        return {i: ns for ns, i in sorted(seen)}
+        by_time = [(ns, i) for i, ns in lost.items() if ns is not None]
+        return {i: ns for ns, i in sorted(by_time)}
 
     @property
     def moved(self) -> dict[int, str]:
@@ -363,7 +363,8 @@ class Guard:
         if failure:
             self.abort(failure)
         recently_damaged = self._stream.damage.recent(now_ns, damaged)
-        poses = tuple(self._pose_now(i) for i in range(len(self._robots)))
+        robots = range(len(self._robots))
+        poses = tuple(self._pose_now(i) for i in robots)
         if self._in_run:
             return self._rule_run(self._situation(now_ns, recently_damaged), poses, now_ns)
         return Ruling(self.state, self._nobody(), poses, self.reason, ())

@@ -228,11 +228,13 @@ def driven(pose: Pose, way: float) -> Pose:
 def too_close(coming: Sequence[Coming], rules: GuardRules) -> Iterator[Finding]:
     """Yield an abort for each two robots that come nearer than the least distance."""
     for i, robot in enumerate(coming):
-        for other in coming[:i]:
-            now = distance(robot.now, other.now)
-            then = distance(robot.then, other.then)
+        for neighbour in coming[:i]:
+            now = distance(robot.now, neighbour.now)
+            then = distance(robot.then, neighbour.then)
             if then <= now and then * rules.mm < rules.limits.separation_mm:
-                yield Abort(f"{other.name} and {robot.name} are too close: {now * rules.mm:.0f} mm")
+                yield Abort(
+                    f"{neighbour.name} and {robot.name} are too close: {now * rules.mm:.0f} mm"
+                )
 
 
 def distance(first: Pose, second: Pose) -> float:

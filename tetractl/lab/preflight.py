@@ -136,7 +136,7 @@ def inspect(rig: Rig) -> Preflight:
     """Check some camera frames, both devices and the robots' answers, without moving a robot."""
     statuses = rig.actuator.poll(1.0)
     outdated = rig.guard.dropped
-    seen = _watch(rig)
+    watched = _watch(rig)
     outdated = rig.guard.dropped - outdated
     camera = rig.camera.check()
     actuator = rig.actuator.check()
@@ -144,10 +144,10 @@ def inspect(rig: Rig) -> Preflight:
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.frame.fault:
         problems.append(newest.frame.fault)
-    if not seen:
+    if not watched:
         problems.append(rig.guard.why_no_frame(rig.silent_ns()))
-    latency_ms = _latency_ms(seen)
-    comes_hz = rate_hz(seen)
+    latency_ms = _latency_ms(watched)
+    comes_hz = rate_hz(watched)
     own_hz = rig.setup.sight.rate_hz
     slow = comes_hz is not None and comes_hz < 0.8 * own_hz
     warnings = [f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}"] if slow else []
@@ -227,13 +227,13 @@ def _watch(rig: Rig) -> list[CameraFrame]:
             heard = clock.now()
         elif clock.now() - heard > silence:
             break
-    seen, _ = frames.since(first)
-    return [accepted.frame for accepted in seen]
+    frames_since, _ = frames.since(first)
+    return [accepted.frame for accepted in frames_since]
 
 
-def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:
+def _latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
     """Return the median and greatest age of frames on arrival [ms]; None if ages are not known."""
-    ages = sorted(frame.received_ns - frame.sampled_ns for frame in seen)
+    ages = sorted(frame.received_ns - frame.sampled_ns for frame in frames)
     if not ages or not ages[-1]:
         return None
     return ages[len(ages) // 2] / 1e6, ages[-1] / 1e6

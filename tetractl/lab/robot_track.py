@@ -65,8 +65,8 @@ class RobotTrack:
 
     def tracked(self, newest_ns: int) -> bool:
         """Return whether the robot may move, as far as its pose is concerned."""
-        seen = self.poses.last is not None
-        return seen and not self.lost and not self.hidden(newest_ns)
+        has_pose = self.poses.last is not None
+        return has_pose and not self.lost and not self.hidden(newest_ns)
 
     def hidden(self, newest_ns: int) -> bool:
         """Return whether no pose was accepted for so long that the robot must stop."""

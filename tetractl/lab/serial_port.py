@@ -195,8 +195,8 @@ def holder(port: str) -> int | None:
     other than Linux.
     """
     with suppress(OSError):
-        at = Path(port).stat()
-        device = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
+        status = Path(port).stat()
+        device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
         for line in Path("/proc/locks").read_text().splitlines():
             words = line.split()  # 1: FLOCK ADVISORY WRITE pid device start end
             if words[1] == "FLOCK" and words[5] == device:

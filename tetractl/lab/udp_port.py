@@ -115,12 +115,12 @@ class UdpPort(SerialPort):
                 f"{self._lock}, the lock of {self._name}: {why}", "remove it: it is not tetractl's"
             ) from None
 
-    def _listen(self, own: int) -> None:
+    def _listen(self, port: int) -> None:
         """Read from a port of this computer, 0 for any; AbortError if another program does."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(0.05)
         try:
-            self._socket.bind(("", own))
+            self._socket.bind(("", port))
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
             raise AbortError(why, "does another program listen at this port?") from None
@@ -147,12 +147,12 @@ class UdpPort(SerialPort):
                 raise self._fail(f"cannot be reached: {error.strerror or error}") from None
             return self._clock.now()
 
-    def _send(self, own: socket.socket, data: bytes) -> None:
+    def _send(self, sender: socket.socket, data: bytes) -> None:
         """Send a datagram; again, if the system reports that an earlier one found no listener, as
         while a robot starts."""
         for _ in range(REFUSALS_MAX):
             with suppress(ConnectionRefusedError):
-                own.sendto(data, self._to)
+                sender.sendto(data, self._to)
                 return
 
     def set_baud(self, baud: int) -> None:

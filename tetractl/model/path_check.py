@@ -121,17 +121,17 @@ def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdic
     `path` (M, N, 2 or more) begins with x and y; samples for which `known` (M, N) is False
     are ignored.
     """
-    whole = PathCheck.of(setup)
+    path_check = PathCheck.of(setup)
     for robot in range(path.shape[1]):
         samples = path[known[:, robot], robot]
         if len(samples):
-            check = PathCheck(whole.obstacles, setup.arena, 1)
+            check = PathCheck(path_check.obstacles, setup.arena, 1)
             for begin in range(0, len(samples), SAMPLES_AT_A_TIME):
                 block = samples[begin : begin + SAMPLES_AT_A_TIME]
                 check.add(block[:, :1], block[:, 1:2])
-            whole.entered[robot] = check.entered[0]
-            whole.clearance[robot] = check.clearance[0]
-            whole.edge[robot] = check.edge[0]
+            path_check.entered[robot] = check.entered[0]
+            path_check.clearance[robot] = check.clearance[0]
+            path_check.edge[robot] = check.edge[0]
     tracked = np.where(known[..., None], path[..., :2], np.nan)
-    whole.apart = separations(tracked[..., 0].T, tracked[..., 1].T)
-    return whole.verdict(final)
+    path_check.apart = separations(tracked[..., 0].T, tracked[..., 1].T)
+    return path_check.verdict(final)

@@ -110,7 +110,8 @@ class Swimmers:
 
     def copy(self) -> Self:
         """Return an independent copy of the cells."""
-        return replace(self, **{name: values.copy() for name, values in vars(self).items()})
+        copies = {name: values.copy() for name, values in vars(self).items()}
+        return replace(self, **copies)
 
     def joined(self, others: "Swimmers") -> "Swimmers":
         """Return these cells followed by others."""

@@ -49,15 +49,15 @@ class SimCamera:
     def expose(self, times_ns: Times, truth: Floats) -> None:
         """Expose the next F frames at the times (F,) [ns], with the robots at x, y, heading `truth`
         (F, 3, N)."""
-        shown = truth
+        measured = truth
         if self._noise.any():
-            shown = truth + self._noise * self._random.standard_normal(truth.shape)
+            measured = truth + self._noise * self._random.standard_normal(truth.shape)
         exposed_ns = times_ns.tolist()
         # all arrivals first: disturbances draw in this order, which is part of the result
         arrivals_ns = [self._arrival_ns(time_ns) for time_ns in exposed_ns]
         for k, arrival_ns in enumerate(arrivals_ns):
             true_poses = Poses(*truth[k])
-            poses = true_poses if shown is truth else Poses(*shown[k])
+            poses = true_poses if measured is truth else Poses(*measured[k])
             tracked = self._all_tracked
             if self._measuring:
                 poses, tracked = self._measured(poses, exposed_ns[k])
@@ -110,6 +110,6 @@ class SimCamera:
         if not (np.abs(poses.array()[tracked]) <= POSE_MAX).all():
             raise WrongValueError(self, "a disturbance", "a measured pose that no log can hold")
         if self._last_shown is not None and not tracked.all():
-            kept = np.where(tracked[:, None], poses.array(), self._last_shown.array())
-            poses = Poses.of(kept)
+            shown_array = np.where(tracked[:, None], poses.array(), self._last_shown.array())
+            poses = Poses.of(shown_array)
         return poses, tracked

@@ -64,7 +64,7 @@ class Transit:
         for due_ns in sorted(set(self._last_ns)):
             due_now = np.array(self._last_ns) == due_ns
             part = replace(command, due_ns=due_ns, reached=command.reached & due_now)
-            insort(self._in_flight, part, key=lambda other: other.due_ns)
+            insort(self._in_flight, part, key=lambda queued: queued.due_ns)
 
 
 class Watchdogs:

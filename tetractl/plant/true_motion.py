@@ -55,7 +55,9 @@ class MotionDisturbances:
         self._a = a
         self._speed = speed
         # by the id of a disturbance that varies: the robots that it holds still at present, (N,)
-        self._held = {id(one): np.zeros(a.size, dtype=np.bool_) for one in self._varying}
+        self._held = {
+            id(disturbance): np.zeros(a.size, dtype=np.bool_) for disturbance in self._varying
+        }
         self._acted_ns = -1  # the time up to which they have acted
         self.rates = (a, speed)
         """The present a and speed, (N,) each."""

@@ -86,22 +86,22 @@ def run_batch(
         return store.place(*task.key)
 
     with closing(executor.run(tasks, ready)) as ended:
-        for task, found in ended:
+        for task, ended_by in ended:
             result = failure = None
             report.left -= 1
-            if isinstance(found, OtherCodeError):
+            if isinstance(ended_by, OtherCodeError):
                 executor.end()
-                raise found
-            if isinstance(found, Finished):
+                raise ended_by
+            if isinstance(ended_by, Finished):
                 store.add(*task.key)
-                report.results[task.key] = result = found.result
-                spent_s += found.wall_s
+                report.results[task.key] = result = ended_by.result
+                spent_s += ended_by.wall_s
                 timed += 1
                 if result.outcome is Outcome.ABORTED:
                     failure = f"aborted: {result.reason}"
             else:
-                report.errors[task.key] = found
-                failure = _one_line(found)
+                report.errors[task.key] = ended_by
+                failure = _one_line(ended_by)
             if failure is not None and fail_fast:
                 executor.end()
             left_s = spent_s / timed * report.left / executor.workers if timed else None
@@ -113,4 +113,5 @@ def _one_line(error: Exception) -> str:
     """Return an error's message in one line, after the class of an unexpected error."""
     if isinstance(error, TetractlError):
         return " ".join(error.message.split())
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    words = str(error).split()
+    return f"{type(error).__name__}: {' '.join(words)}"

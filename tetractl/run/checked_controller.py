@@ -52,32 +52,32 @@ class CheckedController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Return the decision; WrongValueError for one that cannot be sent and logged."""
-        found: Any = self.controller.plan(observation, last_command, earlier)
+        decision: Any = self.controller.plan(observation, last_command, earlier)
         try:
-            return self._checked(found)
+            return self._checked(decision)
         except ValueError as error:
-            text = f"a {type(found).__name__} that cannot be used: {error}"
+            text = f"a {type(decision).__name__} that cannot be used: {error}"
             who = f"controller '{self._section.type}'"
             raise WrongValueError(self._section, who, text) from None
 
-    def _checked(self, found: Any) -> Plan | Outcome | End:
-        if isinstance(found, Outcome):
-            return _outcome(found)
-        if not isinstance(found, Plan | End):
+    def _checked(self, decision: Any) -> Plan | Outcome | End:
+        if isinstance(decision, Outcome):
+            return _outcome(decision)
+        if not isinstance(decision, Plan | End):
             raise ValueError("it is not a Plan, an Outcome or an End")
-        made: Plan | End = found
+        checked: Plan | End = decision
         if not self._ours:
-            made = _made(Plan if isinstance(found, Plan) else End, found)
-        if isinstance(made, Plan):
-            check_plan(made, len(self._setup.names))
-            _check_integers(made)
-            if not 0 <= made.chosen < len(made.searches):
-                raise ValueError(f"chosen is {made.chosen} of {len(made.searches)} searches")
-            if not (0 <= made.leg <= len(self._setup.legs) and 0 <= made.generator < 1 << 64):
-                raise ValueError(f"leg is {made.leg}, generator is {made.generator}")
-        if not 0 <= made.delay_ns <= round(self._setup.period_s * SECOND):
-            raise ValueError(f"delay_ns is {made.delay_ns}, not within a control period")
-        return made
+            checked = _made(Plan if isinstance(decision, Plan) else End, decision)
+        if isinstance(checked, Plan):
+            check_plan(checked, len(self._setup.names))
+            _check_integers(checked)
+            if not 0 <= checked.chosen < len(checked.searches):
+                raise ValueError(f"chosen is {checked.chosen} of {len(checked.searches)} searches")
+            if not (0 <= checked.leg <= len(self._setup.legs) and 0 <= checked.generator < 1 << 64):
+                raise ValueError(f"leg is {checked.leg}, generator is {checked.generator}")
+        if not 0 <= checked.delay_ns <= round(self._setup.period_s * SECOND):
+            raise ValueError(f"delay_ns is {checked.delay_ns}, not within a control period")
+        return checked
 
 
 def _check_integers(plan: Plan) -> None:
@@ -94,27 +94,27 @@ class _FieldError(ValueError):
     pass
 
 
-def _made(kind: type[Any], given: object) -> Any:
-    """Return a record of class `kind` with the values of the fields of `given`, converted."""
-    found: dict[str, Any] = {}
+def _made(kind: type[Any], source: object) -> Any:
+    """Return a record of class `kind` with the values of the fields of `source`, converted."""
+    values: dict[str, Any] = {}
     for name, hint in _hints(kind).items():
         try:
-            found[name] = _CONVERT[hint](getattr(given, name))
+            values[name] = _CONVERT[hint](getattr(source, name))
         except _FieldError:
             raise
         except Exception as error:  # objects of any class may raise anything
             raise _FieldError(f"{name}: {text_of(error)}") from None
-    return kind(**found)
+    return kind(**values)
 
 
 _hints = cache(get_type_hints)
 
 
 def _array(value: Any) -> Floats:
-    found = np.asarray(value)
-    if found.size > NUMBERS_MAX:
-        raise ValueError(f"{found.size} numbers")
-    return found.astype(np.float64, casting="same_kind")  # not of text, objects, complex numbers
+    array = np.asarray(value)
+    if array.size > NUMBERS_MAX:
+        raise ValueError(f"{array.size} numbers")
+    return array.astype(np.float64, casting="same_kind")  # not of text, objects, complex numbers
 
 
 def _outcome(value: Any) -> Outcome:
@@ -139,7 +139,7 @@ _CONVERT: Mapping[Any, Callable[[Any], Any]] = {
     Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
     Floats | None: _or_none(_array), float | None: _or_none(float),
     StopReason | str: lambda text: StopReason.read(printable(text, STOP_REASON_MAX)),
-    tuple[Search, ...]: lambda found: tuple(_made(Search, one) for one in found),
-    Estimate | None: _or_none(lambda known: _made(Estimate, known)),
+    tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),
+    Estimate | None: _or_none(lambda estimate: _made(Estimate, estimate)),
     Turn | Stop | FieldOff | None: _instead,
 }  # fmt: skip

@@ -20,6 +20,7 @@ from tetractl.run.task import Finished, Task, log_path, run_task
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
 COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]
 TASK_S = 2.0  # duration of a Dask task [s]; a scheduler handles some hundred tasks per second
+LEAST_S = 1e-6  # least mean time of a trial by which the duration is divided [s]
 TASK_TRIALS_MAX = 200  # largest number of trials in a Dask task, whose logs are returned together
 
 
@@ -115,16 +116,16 @@ class Cluster:
                 if not self._connected:
                     raise self._gone() from None
                 continue
-            given = running.pop(future)
-            found = self._found(given, future)
-            if found is None:
-                alone.extend(task for task, _ in given)
+            submitted = running.pop(future)
+            outcomes = self._found(submitted, future)
+            if outcomes is None:
+                alone.extend(task for task, _ in submitted)
                 continue
-            for (task, _), one in zip(given, found, strict=True):
-                if isinstance(one, Finished):
-                    wall_s += one.wall_s
+            for (task, _), outcome in zip(submitted, outcomes, strict=True):
+                if isinstance(outcome, Finished):
+                    wall_s += outcome.wall_s
                     count += 1
-                yield task, one
+                yield task, outcome
         if self._connected:
             self._client.cancel(list(running))
 
@@ -143,30 +144,30 @@ class Cluster:
         )
 
     def _found(
-        self, given: Sequence[tuple[Task, Path]], future: Any
+        self, submitted: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
         """Save the logs of a Dask task; return each trial's result or error. Return None if the
         task has several trials and every worker that ran it was lost."""
         from distributed import KilledWorker
 
-        found: list[tuple[Finished | Exception, bytes | None]] = []
+        outcomes: list[tuple[Finished | Exception, bytes | None]] = []
         try:  # Dask cancels all tasks when the connection to the scheduler is lost
             error = future.exception()
             if error is None:
-                found = future.result()
+                outcomes = future.result()
         except (OSError, CancelledError):
             raise self._gone() from None
         if isinstance(error, KilledWorker):
-            if len(given) > 1:
+            if len(submitted) > 1:
                 return None
             error = AbortError("the trial was lost: every worker that ran it has ended")
         if error is not None:
-            return [error for _ in given]
+            return [error for _ in submitted]
         future.release()
-        for (task, folder), (_, log) in zip(given, found, strict=True):
+        for (task, folder), (_, log) in zip(submitted, outcomes, strict=True):
             if log is not None:
                 save_whole(log_path(folder, task.trial), log)
-        return [one for one, _ in found]
+        return [outcome for outcome, _ in outcomes]
 
 
 def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
@@ -177,7 +178,8 @@ def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
     """
     if mean_s is None:
         return 1
-    return max(min(int(TASK_S / max(mean_s, 1e-6)), TASK_TRIALS_MAX, waiting // window), 1)
+    in_time = int(TASK_S / max(mean_s, LEAST_S))
+    return max(min(in_time, TASK_TRIALS_MAX, waiting // window), 1)
 
 
 def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:
@@ -188,8 +190,8 @@ def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | Non
 def _run(task: Task) -> tuple[Finished | Exception, bytes | None]:
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
-            found = run_task(task, Path(name), Interrupt())
+            outcome = run_task(task, Path(name), Interrupt())
         except Exception as error:  # returned with the trial's log, if there is one
-            found = error
+            outcome = error
         path = log_path(Path(name), task.trial)
-        return found, path.read_bytes() if path.exists() else None
+        return outcome, path.read_bytes() if path.exists() else None

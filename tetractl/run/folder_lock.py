@@ -59,15 +59,15 @@ def _acquire(path: Path) -> int:
             if not _is(path, file):  # the last owner has removed the file in the meantime
                 os.close(file)
                 continue
-            left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
-            if left and not left.startswith(f"{socket.gethostname()} "):
-                raise _in_use(path, left, "; if that run has ended, remove the file " + LOCK_FILE)
+            owner = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
+            if owner and not owner.startswith(f"{socket.gethostname()} "):
+                raise _in_use(path, owner, "; if that run has ended, remove the file " + LOCK_FILE)
             os.ftruncate(file, 0)
             os.pwrite(file, _owner().encode(errors="replace"), 0)
         except BlockingIOError:
-            left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
+            owner = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
             os.close(file)
-            raise _in_use(path, left) from None
+            raise _in_use(path, owner) from None
         except BaseException:
             os.close(file)
             raise

@@ -186,9 +186,9 @@ def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
     before: dict[int, Handler] = {}
     for number, handler in handlers.items():
         now = signal.getsignal(number)
-        kept = number == getattr(signal, "SIGHUP", None) and now == signal.SIG_IGN
+        stays = number == getattr(signal, "SIGHUP", None) and now == signal.SIG_IGN
         if number not in (signal.SIGINT, signal.SIGTERM):
-            kept |= callable(now) and now.__module__ != __name__
-        if not kept and now is not None and handler is not None:
+            stays |= callable(now) and now.__module__ != __name__
+        if not stays and now is not None and handler is not None:
             before[number] = signal.signal(number, handler)
     return before

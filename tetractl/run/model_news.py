@@ -32,13 +32,13 @@ def stated_delay(experiment: Experiment) -> StatedDelay:
     return StatedDelay(experiment.controller.dead_time, has_latency)
 
 
-def other_delay(known: Estimate, stated: StatedDelay) -> str:
+def other_delay(estimate: Estimate, stated: StatedDelay) -> str:
     """Return in words that commands act later or earlier than a spec states, by more than standard
     deviations explain; "" if they do not or it is not known."""
-    now_s = known.dead_time
-    if now_s is None or known.dead_time_std is None:
+    now_s = estimate.dead_time
+    if now_s is None or estimate.dead_time_std is None:
         return ""
-    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE * known.dead_time_std):
+    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE * estimate.dead_time_std):
         return ""
     text = (
         f"commands act {now_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
@@ -50,38 +50,40 @@ def other_delay(known: Estimate, stated: StatedDelay) -> str:
     return f"{text}, or lab.camera.latency too {way}?"
 
 
-def turning(known: Estimate, i: int) -> str:
+def turning(estimate: Estimate, i: int) -> str:
     """Return what is known of how robot i turns beyond its rate a, "" for nothing."""
-    found = list[str]()
-    side = known.side
-    std = known.side_std
-    most = known.saturation
+    parts = list[str]()
+    side = estimate.side
+    std = estimate.side_std
+    most = estimate.saturation
     if side is not None and std is not None and abs(side[i]) > SURE * std[i]:
         way = "left" if side[i] > 0 else "right"
-        found.append(f"turns {100 * math.expm1(2 * abs(side[i])):.0f} % faster to the {way}")
+        parts.append(f"turns {100 * math.expm1(2 * abs(side[i])):.0f} % faster to the {way}")
     if most is not None and side is not None and most[i] < 1:
-        fastest = known.a[i] * math.exp(abs(side[i])) * most[i]
-        found.append(f"turns at {fastest:.2g} rad/s at most")
-    return ", ".join(found)
+        fastest = estimate.a[i] * math.exp(abs(side[i])) * most[i]
+        parts.append(f"turns at {fastest:.2g} rad/s at most")
+    return ", ".join(parts)
 
 
-def learnt(known: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
+def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     """Yield in words what is estimated otherwise than `before`, by more than standard deviations
     explain."""
-    now = known.dead_time
+    now = estimate.dead_time
     was = before.dead_time
     if now is not None and was is not None:
-        std = math.hypot(known.dead_time_std or 0.0, before.dead_time_std or 0.0)
+        std = math.hypot(estimate.dead_time_std or 0.0, before.dead_time_std or 0.0)
         if abs(now - was) > SURE * std:
             yield f"commands act {now:.3f} s after they are sent, not {was:.3f} s"
     for i, name in enumerate(setup.names):
         for what, unit in ("a", "rad/s"), ("speed", f"{setup.unit}/s"):
             (new, std), (old, old_std) = (
-                (getattr(one, what)[i], getattr(one, f"{what}_std")[i]) for one in (known, before)
+                (getattr(values, what)[i], getattr(values, f"{what}_std")[i])
+                for values in (estimate, before)
             )
             if abs(new - old) > SURE * math.hypot(std, old_std):
                 yield f"{what} of {name} is {new:.3g} {unit}, not {old:.3g}"
-        if (turns := turning(known, i)) and turns != turning(before, i):
+        turns = turning(estimate, i)
+        if turns and turns != turning(before, i):
             yield f"{name} {turns}"
 
 
@@ -98,24 +100,30 @@ class ModelNews:
     _delay_said: bool = False  # whether the dead time was said to differ from the stated one
     _stood: set[str] = field(default_factory=set)  # who has stood
 
-    def of(self, known: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
+    def of(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield level and text of what is news in an estimate."""
-        for name in known.standing(setup.names):
+        for name in estimate.standing(setup.names):
             if name in self._stood:
                 continue
             self._stood.add(name)
             yield "info", f"{name} stands although it is sent a direction"
-        if unfit := known.unfit(setup.names):
-            self._before = self._before or known
+        unfit = estimate.unfit(setup.names)
+        if unfit:
+            self._before = self._before or estimate
             self._unfit_ns = now_ns
-            if new := unfit - self._said:
+            new = unfit - self._said
+            if new:
                 self._said |= new
                 yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
-            if self.stated and not self._delay_said and (text := other_delay(known, self.stated)):
+            if (
+                self.stated
+                and not self._delay_said
+                and (text := other_delay(estimate, self.stated))
+            ):
                 self._delay_said = True
                 yield "warning", text
         elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:
-            found = "; ".join(learnt(known, self._before, setup)) or "with the same values"
+            changes = "; ".join(learnt(estimate, self._before, setup)) or "with the same values"
             self._said = set()
             self._before = None
-            yield "info", f"the model fits again: {found}"
+            yield "info", f"the model fits again: {changes}"

@@ -208,8 +208,8 @@ class OpenTrial:
         if not self._directions:
             raise UsageError("no direction was sent", "step the trial first")
         section = self._spec.experiment.controller
-        given = section.model_copy(update={"directions": self.directions})
-        return with_seed(with_controller(self._spec, given), self._seed)
+        with_directions = section.model_copy(update={"directions": self.directions})
+        return with_seed(with_controller(self._spec, with_directions), self._seed)
 
     def save(self, folder: str | Path) -> Path:
         """Write the log of the trial to a folder and return its path.

@@ -241,7 +241,8 @@ def _alike_text(alike: Setup, least: str) -> str:
     them = _listed(others)
     robots = len(alike.names)
     spread = float(np.ptp(alike.a) / alike.a.mean())
-    turned = float(np.abs(wrap(alike.starts.heading - alike.starts.heading[0])).max())
+    headings = alike.starts.heading
+    turned = float(np.abs(wrap(headings - headings[0])).max())
     if spread == 0 and turned < SAME_HEADING_RAD:
         return (
             f"is that of {first}, and so is the start heading: {them} can only move "
@@ -256,22 +257,22 @@ def _alike_text(alike: Setup, least: str) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     """Return names as "a, b and c", those after the second as "2 more" if there are many."""
-    shown = list(names)
+    listed = list(names)
     if len(names) > NAMED + 1:
-        shown = [*names[:NAMED], f"{len(names) - NAMED} more"]
-    if len(shown) == 1:
-        return shown[0]
-    return f"{', '.join(shown[:-1])} and {shown[-1]}"
+        listed = [*names[:NAMED], f"{len(names) - NAMED} more"]
+    if len(listed) == 1:
+        return listed[0]
+    return f"{', '.join(listed[:-1])} and {listed[-1]}"
 
 
 def out_of_reach(context: CheckContext) -> Findings:
     """Targets that a robot cannot reach in a trial, even along a straight line."""
-    for i, left in enumerate(reach(context.setup, context.longest_s)):
-        if left > context.tolerance:
+    for i, too_few in enumerate(reach(context.setup, context.longest_s)):
+        if too_few > context.tolerance:
             yield warning(
                 ("robots", i, "target"),
                 f"is {context.to_target(i)} away; in the {context.longest_s:.4g} s of a trial the "
-                f"robot drives {context.driven(i, context.longest_s)}, {left:.4g} too few",
+                f"robot drives {context.driven(i, context.longest_s)}, {too_few:.4g} too few",
                 f"raise controller.{context.limit}, or bring the target nearer",
             )
 
@@ -280,14 +281,14 @@ def beyond_the_plan(context: CheckContext) -> Findings:
     """Targets that a robot can reach in a trial, but not in the longest plan: the furthest."""
     if context.plan_s == math.inf:
         return
-    left = reach(context.setup, context.plan_s)
-    far = (left > context.tolerance) & (
+    too_few = reach(context.setup, context.plan_s)
+    far = (too_few > context.tolerance) & (
         reach(context.setup, context.longest_s) <= context.tolerance
     )
     if not far.any():
         return
     needed_s = {
-        i: float(left[i] / context.setup.speed[i]) + context.plan_s
+        i: float(too_few[i] / context.setup.speed[i]) + context.plan_s
         for i in np.flatnonzero(far).tolist()
     }
     i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
@@ -295,7 +296,7 @@ def beyond_the_plan(context: CheckContext) -> Findings:
         ("controller", "horizon_max"),
         f"{context.setup.names[i]} is {context.to_target(i)} from its target; in "
         f"{round(context.plan_s / context.signal_s)} signals, {context.plan_s:.4g} s, it drives "
-        f"{context.driven(i, context.plan_s)}, {left[i]:.4g} too few",
+        f"{context.driven(i, context.plan_s)}, {too_few[i]:.4g} too few",
         f"set it to more than {math.ceil(needed_s[i] / context.signal_s)}",
     )
 
@@ -391,12 +392,13 @@ def too_close(context: CheckContext) -> Findings:
             continue
         least_mm = part.limits.separation_mm
         for field, nearest in (("start", nearest_starts), ("target", nearest_targets)):
-            for i, other in nearest(context.setup):
-                if other.distance < least_mm * per_mm:
+            for i, neighbour in nearest(context.setup):
+                if neighbour.distance < least_mm * per_mm:
                     yield warning(
                         ("robots", i, field),
-                        f"is {other.distance / per_mm:.4g} mm from the {field} of {other.name}; "
-                        f"the lab aborts when robots come nearer than {least_mm:.4g} mm",
+                        f"is {neighbour.distance / per_mm:.4g} mm from the {field} of "
+                        f"{neighbour.name}; the lab aborts when robots come nearer than "
+                        f"{least_mm:.4g} mm",
                         f"move them apart, or lower {section}.limits.separation_mm",
                     )
 
@@ -405,10 +407,10 @@ def same_place(context: CheckContext) -> Findings:
     """The first two equal starts, and the first two targets where robots overlap."""
     body = 2 * context.collision.radius if context.collision else 0.0
     for field, nearest in (("start", nearest_starts), ("target", nearest_targets)):
-        for i, other in nearest(context.setup):
-            if other.distance == 0 or other.distance < body:
-                place = f"is {other.distance:.4g} {context.unit} from the {field} of {other.name}"
-                text = f"{place}: both cannot stand there"
+        for i, neighbour in nearest(context.setup):
+            if neighbour.distance == 0 or neighbour.distance < body:
+                gap = context.length_text(neighbour.distance)
+                text = f"is {gap} from the {field} of {neighbour.name}: both cannot stand there"
                 yield warning(("robots", i, field), text, "move one of them")
                 break
 

@@ -92,8 +92,8 @@ class BatchFolder:
         """Raise UsageError for a trial of another spec or seed."""
         experiment = result.experiment
         if self.experiment.open:  # each trial chose its own robots
-            asked = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
-            experiment = experiment.model_copy(update=asked)
+            spec_robots = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
+            experiment = experiment.model_copy(update=spec_robots)
         if arm_hash(experiment) != self.hash:
             raise UsageError(
                 f"{result.log}: was run with another spec or seed",
@@ -205,7 +205,7 @@ class RecordStore:
             stated = json.loads(path.read_bytes())
             identity = stated["of"]
             record = stated["record"]
-            whole = record.keys() >= set(self._fields)
+            is_whole = record.keys() >= set(self._fields)
         except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError):
             return None
         if identity != self._identity:
@@ -213,7 +213,7 @@ class RecordStore:
                 "give another --out: a folder has records of one spec, with its --set, and one seed"
             )
             raise UsageError(f"{path}: is of another spec, seed or settings", hint)
-        return record if whole else None
+        return record if is_whole else None
 
     def add(self, number: int, record: Mapping[str, Any]) -> None:
         """Write a record; LogError if that fails."""

@@ -120,7 +120,8 @@ def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
 
 def code_of(experiment: Experiment) -> str:
     """Return the hash of the code that runs the trials of an experiment on this machine."""
-    return trial_code(tuple(sorted(packages(experiment).items())))
+    versions = packages(experiment)
+    return trial_code(tuple(sorted(versions.items())))
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:

@@ -27,14 +27,14 @@ def limits(experiment: Experiment) -> dict[str, str]:
     unit = experiment.units.length
     longest = control.time_limit
     fastest = max(robot.speed for robot in experiment.robots)
-    found = {
+    limits = {
         "control period": f"{control.period:g} s",
         "duration of a trial": f"at most {longest:g} s after the first command",
         "path of a robot": f"at most {fastest * longest:g} {unit}",
     } | control.bounds()
     if isinstance(control.first_plan, Square):
-        found["before step 0"] = f"a square of {4 * control.first_plan.side:g} s"
-    return found | experiment.plant.bounds()
+        limits["before step 0"] = f"a square of {4 * control.first_plan.side:g} s"
+    return limits | experiment.plant.bounds()
 
 
 def check(experiment: Experiment) -> None:
@@ -71,6 +71,8 @@ def check(experiment: Experiment) -> None:
 
 def directions(headings: Floats) -> Iterator[float]:
     """Yield the four directions of a lap [rad] for robots with start headings (N,) [rad]."""
-    start = math.atan2(np.sin(headings).mean(), np.cos(headings).mean())
+    sine = np.sin(headings).mean()
+    cosine = np.cos(headings).mean()
+    start = math.atan2(sine, cosine)
     for side in range(1, 5):
         yield math.remainder(start + side * math.pi / 2, 2 * math.pi)

@@ -188,8 +188,8 @@ def _choose(bank, shared, i, count, best, tried, chosen):
             end += 1
         same_group = bank.group[top, i] == bank.group[best, i]
         gap = _reached(bank, top, i, tried) - _reached(bank, best, i, tried)
-        own = same_group or not abs(gap) < GRID.same_tried
-        if first >= 0 and own:
+        stays_apart = same_group or not abs(gap) < GRID.same_tried
+        if first >= 0 and stays_apart:
             from_filter = max(begin, min(first, top - 1))
             to_filter = min(end - 1, max(last, top + 1))
             for b in range(from_filter, to_filter + 1):

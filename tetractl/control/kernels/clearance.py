@@ -79,11 +79,11 @@ def crosses(rows, walls, x0, y0, x1, y1):
 
 
 @compiled(**ENTRY)
-def gaps(rows, walls, x, y, found):
+def gaps(rows, walls, x, y, distances):
     """Write the distance of each point x, y (P,) to each obstacle to found (O, P)."""
-    for o in range(found.shape[0]):
+    for o in range(distances.shape[0]):
         for n in range(x.size):
-            found[o, n] = _gap(rows, walls, o, x[n], y[n])
+            distances[o, n] = _gap(rows, walls, o, x[n], y[n])
 
 
 @compiled(**ENTRY)

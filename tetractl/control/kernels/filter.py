@@ -193,9 +193,9 @@ def _hypotheses(bank, b, i):
 
 
 @compiled(**INLINE_FAST)
-def _equal(pose, other):
+def _equal(pose, before):
     """Return whether two poses (3,) are equal."""
-    return pose[X] == other[X] and pose[Y] == other[Y] and pose[HEADING] == other[HEADING]
+    return pose[X] == before[X] and pose[Y] == before[Y] and pose[HEADING] == before[HEADING]
 
 
 @compiled(**INLINE_FAST)
@@ -329,14 +329,14 @@ def _ln_odds(hypotheses, u):
     if hypotheses.ln_weight[stuck] > best:
         return math.nan
     follows = 0.0
-    other = 0.0
+    follows_other = 0.0
     for s in range(stuck):
         probability = math.exp(hypotheses.ln_weight[s] - best)
         if hypotheses.direction[s] == u:
             follows += probability
         else:
-            other += probability
-    return math.log(follows / other) if follows > 0 and other > 0 else math.nan
+            follows_other += probability
+    return math.log(follows / follows_other) if follows > 0 and follows_other > 0 else math.nan
 
 
 # ---- a command acts: hypotheses branch ----

@@ -156,9 +156,9 @@ def _lagging(z, rest, rest_slopes, goal, parameters, lag, t):
     by_chord_x = -dy  # the displacement turned by a quarter
     by_chord_y = dx
     stays = 0.5 * (1 + keep)
-    goes = 0.5 * (1 - keep)
+    half_lost = 0.5 * (1 - keep)
     by_heading = (by_chord_x * stays, by_chord_y * stays, keep)
-    by_u = (by_chord_x * goes, by_chord_y * goes, 1 - keep)
+    by_u = (by_chord_x * half_lost, by_chord_y * half_lost, 1 - keep)
     by_a = (by_chord_x * turn_half, by_chord_y * turn_half, turn)
     by_speed = (dx, dy, 0.0)
     by_side = scaled(by_a, rest_slopes[1])

@@ -380,7 +380,8 @@ class SharedScores(NamedTuple):
     def of_prior(cls, bank: Bank) -> Self:
         """Return what the filters say if the prior is certain: the dead time is that of the first
         filter, and there is no other."""
-        return cls(bank.score.copy(), bank.dead_time_s[0].copy(), np.zeros(bank.score.shape[1]))
+        robots = bank.score.shape[1]
+        return cls(bank.score.copy(), bank.dead_time_s[0].copy(), std_s=np.zeros(robots))
 
 
 class NextFilters(NamedTuple):
@@ -400,8 +401,12 @@ class NextFilters(NamedTuple):
         """Return room for `size` filters of each robot, whose dead times are `step_s` (N,) apart
         now [s]."""
         shape = (size, len(step_s))
-        rows = np.empty(shape, np.int64)
-        return cls(rows, dead_time_s=np.empty(shape), score=np.empty(shape), step_s=step_s.copy())
+        return cls(
+            rows=np.empty(shape, np.int64),
+            dead_time_s=np.empty(shape),
+            score=np.empty(shape),
+            step_s=step_s.copy(),
+        )
 
     def taken_from(self, bank: Bank) -> Bank:
         """Return the bank of these filters, each with the dead time and the score that it takes. If

@@ -49,11 +49,11 @@ def flat(problem: Problem) -> Flat:
     count = len(parameters)
     left_factor = np.exp(parameters[:, 2])  # of side
     drift = problem.drift
-    both = np.concatenate([parameters[:, :2], parameters[:, :2]])
-    both[:count, 0] *= left_factor
-    both[count:, 0] /= left_factor
-    rest = kind.of(both, times[1])
-    first = rest if times[0] == times[1] else kind.of(both, times[0])
+    twice = np.concatenate([parameters[:, :2], parameters[:, :2]])
+    twice[:count, 0] *= left_factor
+    twice[count:, 0] /= left_factor
+    rest = kind.of(twice, times[1])
+    first = rest if times[0] == times[1] else kind.of(twice, times[0])
     displaced = np.empty((6, 0))
     if problem.bias is not None or problem.flow is not None:
         displaced = np.concatenate([drift[:2], drift[2:] * times[0], drift[2:] * times[1]])

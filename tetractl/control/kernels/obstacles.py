@@ -155,9 +155,9 @@ def count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits):
                 hy = (y[i, n] - y0[n]) / 2.0
                 mx = x0[n] + hx - mid_x
                 my = y0[n] + hy - mid_y
-                beside = max(abs(mx) - abs(hx) - half_x, abs(my) - abs(hy) - half_y)
+                off_box = max(abs(mx) - abs(hx) - half_x, abs(my) - abs(hy) - half_y)
                 across = abs(hx * my - hy * mx) - (half_x * abs(hy) + half_y * abs(hx))
-                near[n] = max(beside, across)
+                near[n] = max(off_box, across)
                 in_box += 1.0 if near[n] <= 0 else 0.0
         else:
             for n in range(gap.size):

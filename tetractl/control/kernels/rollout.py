@@ -56,20 +56,20 @@ def aligned(shape: tuple[int, ...]) -> Floats:
 def lay_out(problem: Problem, particles: int) -> Rollout:
     """Prepare a problem for rollouts of a number of particles at once; every call returns the same
     arrays. The scratch arrays are those of all problems of this shape in this thread."""
-    of = flat(problem)
+    flattened = flat(problem)
     return Rollout(
-        start=of.turned,
+        start=flattened.turned,
         target=np.ascontiguousarray(problem.targets.T),
-        first=of.first,
-        rest=of.rest,
-        parameters=of.parameters,
+        first=flattened.first,
+        rest=flattened.rest,
+        parameters=flattened.parameters,
         periods=np.array([problem.first_period, problem.period]),
         rows=problem.obstacles.rows,
         walls=problem.obstacles.walls,
         weight=float(problem.obstacle_weight),
         swept=problem.swept,
         separation=float(problem.separation),
-        drift=of.displaced,
+        drift=flattened.displaced,
         **_scratch(get_ident(), problem.a.size, particles),
     )
 

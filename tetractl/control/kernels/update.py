@@ -43,9 +43,9 @@ def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
             draw = drawn(key, (z * length + j) * particles + n)
             r1 = float(np.int32(draw >> S33))
             r2 = float(np.int32(draw & LOW_31))
-            own = c1 * r1 * (u_lb[j, n] - u[j, n])
-            common = c2 * r2 * (u_gb[j] - u[j, n])
-            velocity = inertia * v[j, n] + own + common  # (14)
+            to_own_best = c1 * r1 * (u_lb[j, n] - u[j, n])
+            to_common_best = c2 * r2 * (u_gb[j] - u[j, n])
+            velocity = inertia * v[j, n] + to_own_best + to_common_best  # (14)
             velocity = max(LOWER - UPPER, min(velocity, UPPER - LOWER))  # (15)
             v[j, n] = velocity
             u[j, n] = max(LOWER, min(u[j, n] + velocity, UPPER))  # (16), (17)

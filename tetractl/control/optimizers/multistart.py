@@ -163,13 +163,15 @@ class _PolishedProgress(Progress):
             if how != self.kernels.UNDER_WAY:
                 self.ended = ENDED[how]
                 return
-            begun = int(self.arrays.counts[self.kernels.POLISH_EVALUATIONS])
+            begun_evaluations = int(self.arrays.counts[self.kernels.POLISH_EVALUATIONS])
             # the evaluations with which the search would end now, so that a rerun of the search can
             # end at the same look; a polish under way is evaluated once more
-            if self.limits.expired(self.evaluations + begun + 1 if begun else self.evaluations):
+            if self.limits.expired(
+                self.evaluations + begun_evaluations + 1 if begun_evaluations else self.evaluations
+            ):
                 break
         self.ended = StopReason.DEADLINE
-        if begun:
+        if begun_evaluations:
             self._cut_short(key, rounds)
 
     def _cut_short(self, key: int, rounds: int) -> None:

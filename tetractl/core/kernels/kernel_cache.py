@@ -63,8 +63,9 @@ def folder() -> Path | None:
     Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
     name = f"kernels-{digest((), compiler_settings())}"
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        chosen = Path(given).absolute() / name
+    stated = os.environ.get("NUMBA_CACHE_DIR")
+    if stated:
+        chosen = Path(stated).absolute() / name
         why = claim(chosen)
         if why is None:
             return chosen
@@ -123,8 +124,8 @@ class KernelCache:
         target_context.refresh()
         system = target_context.codegen().magic_tuple()
         places = ((self._place, system), (shipped(), (system[0], LEVEL, "")))
-        found = (self._load(place, self._key(sig, code), target_context) for place, code in places)
-        return next((code for code in found if code is not None), None)
+        loaded = (self._load(place, self._key(sig, code), target_context) for place, code in places)
+        return next((code for code in loaded if code is not None), None)
 
     def _load(self, place: Path | None, key: tuple[Any, ...], target_context: Any) -> Any:
         if place is None:
@@ -134,8 +135,8 @@ class KernelCache:
             stored = path.read_bytes() if place == SHIPPED else read_own(path)
             if hashlib.sha256(stored[_SUM:]).digest() != stored[:_SUM]:
                 raise ValueError("its checksum does not match")
-            kept, payload = pickle.loads(stored[_SUM:])
-            if kept == key:
+            stored_key, payload = pickle.loads(stored[_SUM:])
+            if stored_key == key:
                 return _rebuild(target_context, *payload)
         except FileNotFoundError:
             pass

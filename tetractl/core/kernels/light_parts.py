@@ -16,7 +16,8 @@ TRIED = ((0, 61), (0, 68))
 
 def light(version: str) -> dict[str, Any]:
     """Return the option of `numba.njit` for kernels, none with a version that was not tried."""
-    release = tuple(int(part) for part in version.split(".")[:2] if part.isdigit())
+    parts = version.split(".")[:2]
+    release = tuple(int(part) for part in parts if part.isdigit())
     return {"pipeline_class": _light()} if TRIED[0] <= release <= TRIED[1] else {}
 
 
@@ -25,15 +26,15 @@ def _callers_first(library: Any) -> list[Any]:
 
     LLVM's linker leaves out a function that nothing calls yet.
     """
-    seen = set[Any]()
+    visited = set[Any]()
     order = list[Any]()
 
-    def visit(one: Any) -> None:
-        if one not in seen:
-            seen.add(one)
-            for called in () if one._finalized else reversed(one._linking_libraries):
+    def visit(part: Any) -> None:
+        if part not in visited:
+            visited.add(part)
+            for called in () if part._finalized else reversed(part._linking_libraries):
                 visit(called)
-            order.append(one)
+            order.append(part)
 
     visit(library)
     return order[-2::-1]
@@ -64,7 +65,7 @@ def _light() -> type[Any]:
 
         def get_pointer_to_function(self, name: str) -> int:
             functions = self._final_module.functions
-            if self._finalized or any(one.name == name for one in functions):
+            if self._finalized or any(function.name == name for function in functions):
                 return super().get_pointer_to_function(name)
             return 0  # what Python cannot call
 

@@ -23,9 +23,11 @@ def digest(function: Callable[..., Any], sig: Any) -> str:
     """
     files = set[Path]()
     constants = list[str]()
-    for one, named in _reached(function):
+    for reached, named in _reached(function):
         overloads = (value for _, value in named if isinstance(value, FunctionType))
-        files.update(*map(_own_file, (one, *overloads)))  # an overload's code is in the same file
+        files.update(
+            *map(_own_file, (reached, *overloads))
+        )  # an overload's code is in the same file
         constants += [f"{name} = {_frozen(value)}" for name, value in named]
     for kind in _classes(sig if isinstance(sig, tuple) else sig.args):
         files.update(_module_files(kind.__module__))
@@ -37,25 +39,25 @@ Named = list[tuple[str, Any]]
 
 def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named]]:
     """Yield a plain function and each that is compiled into it, once, with what they name."""
-    seen = set[FunctionType]()
-    left = [function]
-    while left:
-        one = left.pop()
-        if not isinstance(one, FunctionType) or one in seen:
+    visited = set[FunctionType]()
+    to_visit = [function]
+    while to_visit:
+        member = to_visit.pop()
+        if not isinstance(member, FunctionType) or member in visited:
             continue
-        seen.add(one)
-        named = list(_named(one))
-        yield one, named
+        visited.add(member)
+        named = list(_named(member))
+        yield member, named
         values = [value for _, value in named]
         for overload in (value for value in values if isinstance(value, FunctionType)):
             values = [*values, *overload.__globals__.values()]
-        left += [value.py_func for value in values if is_jitted(value)]
+        to_visit += [value.py_func for value in values if is_jitted(value)]
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """Yield name and value of all that a function's code names outside itself."""
     held = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    yield from ((name, one.cell_contents) for name, one in held)
+    yield from ((name, cell.cell_contents) for name, cell in held)
     names = sorted(_names(function.__code__))
     for name in names:
         if name in function.__globals__:
@@ -75,7 +77,7 @@ def _frozen(value: Any) -> str:
 
 
 def _names(code: CodeType) -> set[str]:
-    inner = (one for one in code.co_consts if isinstance(one, CodeType))
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*map(_names, inner))
 
 

@@ -127,7 +127,9 @@ def _separator(header: str, row: str) -> str:
     """Return the separator that makes the most entries of a header; blanks, if none makes two of
     it and blanks make as many of the row below."""
     best = max(SEPARATORS, key=lambda separator: len(_entries(header, separator)))
-    if len(_entries(header, best)) == 1 and 1 < len(header.split()) == len(row.split()):
+    words = len(header.split())
+    entries = len(_entries(header, best))
+    if entries == 1 and 1 < words == len(row.split()):
         return BLANKS
     return best
 

@@ -99,7 +99,8 @@ class NumberColumn:
 def name_and_unit(header: str) -> tuple[str, str]:
     """Return the name of a column in lower case and its unit, "" if it states none."""
     text = re.sub(r"[ _]+", "_", header.strip().lower())
-    if match := _BRACKETS.fullmatch(text):
+    match = _BRACKETS.fullmatch(text)
+    if match:
         unit = match[2].replace("/", "_")
         return match[1], _UNITS.get(unit, unit)
     for unit in sorted(_UNITS, key=len, reverse=True):
@@ -120,15 +121,15 @@ def find_column(
     """Return the column with one of some names in one of some units, None if no column has such a
     name; UsageError if all that do are in other units, or state none.
     """
-    found = {header: name_and_unit(header) for header in headers}
-    matching = {header: unit for header, (name, unit) in found.items() if name in names}
+    quantities = {header: name_and_unit(header) for header in headers}
+    matching = {header: unit for header, (name, unit) in quantities.items() if name in names}
     for header, unit in matching.items():
         if unit in units:
             largest = TIME_MAX if units is SECONDS else NUMBER_MAX
             return NumberColumn(header, units[unit], largest)
     for header, unit in matching.items():
         said = f"is in {printable(unit)}" if unit else "states no unit"
-        named = " or ".join(f"{found[header][0]}_{one}" for one in list(units)[:2])
+        named = " or ".join(f"{quantities[header][0]}_{accepted}" for accepted in list(units)[:2])
         raise UsageError(f"{path}: column {printable(header)} {said}", f"name it {named}")
     return None
 

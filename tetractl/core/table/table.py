@@ -25,14 +25,16 @@ def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
     """
     scale = abs(scale)
     size = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
-    return fixed(min(max(2 - size, int(size < 3)), finest))
+    least = 1 if size < 3 else 0
+    return fixed(min(max(2 - size, least), finest))
 
 
 def digits(value: float) -> str:
     """Return a number as text with three significant digits."""
     if value <= 0 or not math.isfinite(value):
         return fixed(0)(value)
-    return fixed(min(max(2 - math.floor(math.log10(value)), 0), 9))(value)
+    decimals = 2 - math.floor(math.log10(value))
+    return fixed(min(max(decimals, 0), 9))(value)
 
 
 def plural(noun: str, count: int) -> str:
@@ -96,11 +98,21 @@ class Column:
         """The values for a data file: None in place of NaN."""
         return [None if value != value else value for value in self.listed]
 
+    @classmethod
+    def of_records(cls, key: str, records: Iterable[Mapping[str, Any]]) -> Self:
+        """Return the column of a key: None for a record that lacks it."""
+        return cls(key, [record.get(key) for record in records])
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no text says anything."""
+        return all(text in ("", NONE) for text in self.texts)
+
     @property
     def listed(self) -> Sequence[Any]:
         """The values as Python's."""
-        given = self.values  # `isinstance(given, Array)` takes as long as a hundred values
-        return given if isinstance(given, list | tuple) else given.tolist()
+        values = self.values  # `isinstance(given, Array)` takes as long as a hundred values
+        return values if isinstance(values, list | tuple) else values.tolist()
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +134,14 @@ class Table:
         columns = [
             Column(name, entries, words=True) for name, entries in zip(header, values, strict=True)
         ]
-        filled = (one for one in columns[1:] if any(text not in ("", NONE) for text in one.texts))
+        filled = [column for column in columns[1:] if not column.is_empty]
         return cls(title, (columns[0], *filled))
 
     @classmethod
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
         """Return a table with a row per record; if a record lacks a key, its value is unknown."""
         keys = dict.fromkeys(key for record in records for key in record)
-        return cls(title, tuple(Column(key, [one.get(key) for one in records]) for key in keys))
+        return cls(title, tuple(Column.of_records(key, records) for key in keys))
 
     @property
     def header(self) -> list[str]:

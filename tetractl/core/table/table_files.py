@@ -56,7 +56,9 @@ def _cells(values: Sequence[Any]) -> list[str]:
             return "true" if value else "false"
         if isinstance(value, float):
             # digits as in JSON, 0.00001 instead of 1e-05, at twice the speed of repr
-            return to_json(value).decode() if math.isfinite(value) else str(value)
+            if not math.isfinite(value):
+                return str(value)
+            return to_json(value).decode()
         if isinstance(value, str):
             return _word(value)
         return str(value)

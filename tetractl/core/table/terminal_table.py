@@ -47,15 +47,15 @@ def _print(table: Table, console: "Console") -> None:
     from rich.console import Console
     from rich.text import Text
 
-    shown = _fitting(table, console) if console.is_terminal else table
-    drawn = _drawn(shown, console.is_terminal)
+    fitted = _fitting(table, console) if console.is_terminal else table
+    drawn = _drawn(fitted, console.is_terminal)
     if not console.is_terminal:
         console = Console(file=console.file, width=10_000, color_system=None)
         console.width = max(WIDTH, _least_width(drawn, console))
     console.print(Text(printable(table.title), style="bold"), soft_wrap=not console.is_terminal)
     console.print(drawn)
-    kept = {column.heading for column in shown.columns}
-    left_out = [column.heading for column in table.columns if column.heading not in kept]
+    headings = {column.heading for column in fitted.columns}
+    left_out = [column.heading for column in table.columns if column.heading not in headings]
     notes = [f"too narrow for: {', '.join(left_out)}"] if left_out else []
     for line in [*notes, *table.note.splitlines()]:
         console.print(Text(printable(line)), soft_wrap=not console.is_terminal)
@@ -91,19 +91,20 @@ def _drawn(table: Table, terminal: bool) -> "RichTable":
     drawn = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
     for i, column in enumerate(table.columns):
         texts = [column.heading, *column.texts]
-        whole = not column.words or (i == 0 and not terminal)
-        if whole:
+        unbroken = not column.words or (i == 0 and not terminal)
+        if unbroken:
             least = max(Text(text).cell_len for text in texts)
         else:
             words = [word for text in texts for word in text.split()]
             least = max((Text(word).cell_len for word in words), default=0)
-            least = max(least, min(16, max(Text(text).cell_len for text in texts)))
+            longest = max(Text(text).cell_len for text in texts)
+            least = max(least, min(16, longest))
         drawn.add_column(
             Text(column.heading),
             justify="left" if column.words or i == 0 else "right",
             overflow="fold",
-            no_wrap=whole,
-            min_width=least if whole or not terminal else None,
+            no_wrap=unbroken,
+            min_width=least if unbroken or not terminal else None,
         )
     for row in table.rows:
         drawn.add_row(*(Text(printable(entry)) for entry in row))
@@ -138,7 +139,8 @@ def latex(tables: Sequence[Table]) -> str:
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
     for table in tables:
         notes = [table.title, *table.note.splitlines()]
-        parts.append(f"% {printable(' '.join(notes).strip())}")
+        comment = " ".join(notes).strip()
+        parts.append(f"% {printable(comment)}")
         header, *rows = (
             " & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)
         )
@@ -165,7 +167,8 @@ def _escaped(text: str) -> str:
     """Return text with LaTeX's special characters escaped, and a first "[", which would belong to
     the end of the row above; a path may break after each part.
     """
-    text = re.sub(r"^\[", "{[}", printable(text).strip().translate(_SPECIAL))
+    text = printable(text).strip().translate(_SPECIAL)
+    text = re.sub(r"^\[", "{[}", text)
     text = _UM.sub(r"$\\mu$m", _MINUS.sub("$-$", text))
     return text.replace("/", r"/\allowbreak{}")
 
@@ -179,16 +182,14 @@ def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str
 
 def _html(table: Table, links: Mapping[str, str]) -> str:
     def named(text: str) -> str:
-        shown = escape(text)
-        return f'<a href="{escape(links[text])}">{shown}</a>' if text in links else shown
+        escaped = escape(text)
+        return f'<a href="{escape(links[text])}">{escaped}</a>' if text in links else escaped
 
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
-    rows = "".join(
-        f'<tr><th scope="row">{named(first)}</th>'
-        + "".join(f"<td>{escape(entry)}</td>" for entry in entries)
-        + "</tr>"
-        for first, *entries in table.rows
-    )
+    rows = ""
+    for first, *entries in table.rows:
+        cells = "".join(f"<td>{escape(entry)}</td>" for entry in entries)
+        rows += f'<tr><th scope="row">{named(first)}</th>{cells}</tr>'
     kind = ' class="words"' if table.words else ""
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
     lines = "<br>".join(map(escape, table.note.splitlines()))

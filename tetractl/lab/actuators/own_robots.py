@@ -69,17 +69,19 @@ class OwnRobots(WheeledActuator):
         self, section: OwnSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
-        own = [robot.radius_mm for robot in self.robots]
+        stated_radii_mm = [robot.radius_mm for robot in self.robots]
         make = ports or open_port
-        self.radii = radii_mm(setup, own)
+        self.radii = radii_mm(setup, stated_radii_mm)
         self.links = OwnLinks(
             make(robot.address, BAUD, robot.name, clock, lambda *_: None, HINT)
             for robot in self.robots
         )
-        gains = np.array([(one.left_gain, one.right_gain) for one in self.robots]).T
+        gains = np.array([(robot.left_gain, robot.right_gain) for robot in self.robots]).T
         self._gain = gains * section.unit_mm
         wheels = drivetrains(self._gain, section.speed_max_mm_s / section.unit_mm)
-        commands = WheelCommands(setup, clock, own, wheels, round(section.delay * SECOND))
+        commands = WheelCommands(
+            setup, clock, stated_radii_mm, wheels, round(section.delay * SECOND)
+        )
         super().__init__(setup, self.links, lambda _: [], commands, section.rate, 0.0)
 
     @abstractmethod

@@ -76,6 +76,6 @@ class OwnSection(ActuatorSection):
         unit = self.speed_max_mm_s / self.unit_mm / 127
         return unit, int(unit * limit)
 
-    def measured(self, found: Found) -> dict[str, Any]:
+    def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and gains."""
-        return found.gains(self.unit_mm)
+        return calibrated.gains(self.unit_mm)

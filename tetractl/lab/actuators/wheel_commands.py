@@ -77,7 +77,8 @@ def polled(
     wanted = set(indices)
     sequences = set[int]()
     wait_ns = (max(indices) + 2) * slot_ms * MILLISECOND + SECOND // 10
-    for _ in range(max(1, min(TRIES, round(timeout_s * SECOND) // wait_ns))):
+    tries_in_time = round(timeout_s * SECOND) // wait_ns
+    for _ in range(max(1, min(TRIES, tries_in_time))):
         poll = ask()
         sequences.add(poll.sequence)
         until = poll.sent_ns + wait_ns
@@ -133,11 +134,11 @@ class WheelCommands:
         return speed / self.mm, turning
 
 
-def radii_mm(setup: Setup, own: Sequence[float | None]) -> Floats:
+def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
     """Return the distances (N,) from robots' wheels to their centres [mm], by default the spec's;
     NaN for those of which neither is given."""
     radius = math.nan if setup.wheel_radius is None else setup.wheel_radius * setup.metres / MM
-    return np.array([radius if one is None else one for one in own])
+    return np.array([radius if stated is None else stated for stated in stated_mm])
 
 
 class RobotLink(Protocol):
@@ -223,8 +224,8 @@ class WheeledActuator(ABC):
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state."""
-        found = zip(self.names, self._ask(timeout_s), strict=True)
-        return [robot_status(name, reply, self._warn_v) for name, reply in found]
+        replies = zip(self.names, self._ask(timeout_s), strict=True)
+        return [robot_status(name, reply, self._warn_v) for name, reply in replies]
 
     def _transmission(
         self, sent_ns: int, action: Action, speeds: Floats, moving: tuple[bool, ...]

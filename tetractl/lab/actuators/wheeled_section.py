@@ -37,8 +37,8 @@ class Found:
                 "change its motor's wires, or the robot's program",
             )
         gains = {"left_gain": self.left.gain_mm, "right_gain": self.right.gain_mm}
-        own = {name: round(gain / unit_mm, 4) for name, gain in gains.items()}
-        return {"radius_mm": self.radius_mm, **own}
+        in_outputs = {name: round(gain / unit_mm, 4) for name, gain in gains.items()}
+        return {"radius_mm": self.radius_mm, **in_outputs}
 
     def __str__(self) -> str:
         return (
@@ -68,6 +68,6 @@ class WheeledSection(Protocol):
         `limit` of them."""
         ...
 
-    def measured(self, found: Found) -> dict[str, Any]:
+    def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's fields in the section; AbortError if it cannot state what was found."""
         ...

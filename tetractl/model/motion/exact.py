@@ -131,10 +131,10 @@ def odd_multiples(count: int) -> tuple[Floats, Floats]:
 
     Both are (count, count), a row for each n, lowest coefficient first.
     """
-    one = np.zeros(count)  # the polynomial 1, that of n = 1
-    one[0] = 1.0
-    sines = _recurrence(one, -one)
-    cosines = _recurrence(one, one)
+    unit = np.zeros(count)  # the polynomial 1, that of n = 1
+    unit[0] = 1.0
+    sines = _recurrence(unit, -unit)
+    cosines = _recurrence(unit, unit)
     return sines, cosines
 
 

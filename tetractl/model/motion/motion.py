@@ -144,7 +144,8 @@ class PlainLanes(NamedTuple):
     @classmethod
     def of(cls, parameters: Floats, t: float) -> Self:
         """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
-        return cls(np.column_stack([parameters, np.full(len(parameters), t)]))
+        times = np.full(len(parameters), t)
+        return cls(np.column_stack([parameters, times]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,9 @@ def _doubled_area(vertices: Floats) -> float:
     """Return twice the signed area of a polygon (M, 2), positive if it is anticlockwise."""
     x, y = (vertices - vertices[0]).T
     with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is not finite
-        return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        x_next = np.roll(x, -1)
+        y_next = np.roll(y, -1)
+        return float(np.sum(x * y_next - x_next * y))
 
 
 def _text(point: Point) -> str:

@@ -45,7 +45,7 @@ class M3piActuator(WheeledActuator):
         return self._transmission(sent_ns, Stop(), still, (False,) * count)
 
     def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
-        sent_ns = self._radio.drive([(one, two) for one, two in outputs.T.tolist()])
+        sent_ns = self._radio.drive([(left, right) for left, right in outputs.T.tolist()])
         return self._transmission(sent_ns, action, self.drivetrains.speeds(outputs), moving)
 
 

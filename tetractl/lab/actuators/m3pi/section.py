@@ -103,11 +103,16 @@ class M3piSection(XbeeSection, ActuatorSection):
         """Return the wheel count for a 127th of full speed, and a robot's largest one."""
         return 1.0, min(limit, self.robot(name).limit)
 
-    def measured(self, found: Found) -> dict[str, Any]:
+    def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and wheels."""
-        left = found.left._asdict()
-        right = found.right._asdict()
-        return {"radius_mm": found.radius_mm, "left": left, "right": right, "swap": found.swap}
+        left = calibrated.left._asdict()
+        right = calibrated.right._asdict()
+        return {
+            "radius_mm": calibrated.radius_mm,
+            "left": left,
+            "right": right,
+            "swap": calibrated.swap,
+        }
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
         """Stop every robot in radio range until it is switched off and on; return a summary.

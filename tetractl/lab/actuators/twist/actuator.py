@@ -25,11 +25,13 @@ class TwistActuator(WheeledActuator):
         self.section = section
         self.link = TwistLink(*section.wiring(setup.names), clock, ports)
         robots = [entry(section.robots, name) for name in setup.names]
-        own = [robot.radius_mm for robot in robots]
-        self._radius = radii_mm(setup, own)
+        stated_radii_mm = [robot.radius_mm for robot in robots]
+        self._radius = radii_mm(setup, stated_radii_mm)
         self._gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
         wheels = drivetrains(self._gain, section.speed_max_mm_s)
-        commands = WheelCommands(setup, clock, own, wheels, round(section.delay * SECOND))
+        commands = WheelCommands(
+            setup, clock, stated_radii_mm, wheels, round(section.delay * SECOND)
+        )
         rest = section.rate, section.battery_warn
         super().__init__(setup, self.link, self.link.poll, commands, *rest)
 
@@ -46,7 +48,7 @@ class TwistActuator(WheeledActuator):
     def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
         speeds = outputs.astype(float)
         pairs = speeds if self.section.sends == "wheels" else self._twists(speeds)
-        sent_ns = self.link.drive([(int(one), int(two)) for one, two in pairs.T])
+        sent_ns = self.link.drive([(int(first), int(second)) for first, second in pairs.T])
         wheels = pairs if self.section.sends == "wheels" else self._wheels(pairs)
         return self._transmission(sent_ns, action, wheels * self._gain, moving)
 

@@ -101,10 +101,12 @@ class TwistLink:
         sent_ns = self._clock.now()
         error = None
         for name, port in self._ports.items():
-            own = tuple(
-                entry for entry, at in zip(entries, self._port_of, strict=False) if at == name
+            entries_here = tuple(
+                entry
+                for entry, port_name in zip(entries, self._port_of, strict=False)
+                if port_name == name
             )
-            command = LineCommand(self._kind, self._sequence, flags, own)
+            command = LineCommand(self._kind, self._sequence, flags, entries_here)
             try:
                 sent_ns = port.write(encode_command(command))
             except AbortError as failed:
@@ -116,7 +118,7 @@ class TwistLink:
     def _taker(self, port: str) -> Heard:
         """Return what takes the replies at a port, of the robots that are there."""
         places = zip(self._indices, self._port_of, strict=True)
-        here = {index for index, place in places if place == port}
+        indices_here = {index for index, place in places if place == port}
 
         def take(data: bytes, now: int) -> None:
             *lines, rest = (self._rest.get(port, b"") + data).split(b"\n")
@@ -124,7 +126,7 @@ class TwistLink:
             for line in lines:
                 with suppress(WireError):
                     reply = decode_reply(line)
-                    if reply.id in here:
+                    if reply.id in indices_here:
                         self._replies.append(reply)
 
         return take

@@ -38,7 +38,11 @@ class LineCommand:
 
 def encode_command(command: LineCommand) -> bytes:
     """Return the line of a command, with its end; WireError for numbers out of range."""
-    numbers = [command.sequence, int(command.flags), *(n for one in command.entries for n in one)]
+    numbers = [
+        command.sequence,
+        int(command.flags),
+        *(n for entry in command.entries for n in entry),
+    ]
     line = _sealed(" ".join([command.kind, *map(str, numbers)]))
     if decode_command(line[:-1]) != command:
         raise WireError(f"cannot be sent: {command}")
@@ -50,12 +54,16 @@ def decode_command(line: bytes) -> LineCommand:
     kind, *numbers = _numbers(line)
     if kind not in ("T", "W") or len(numbers) < 2 or len(numbers) % 3 != 2:
         raise WireError("not a command")
-    second = SPEED_MAX if kind == "W" else TURN_MAX
+    second_max = SPEED_MAX if kind == "W" else TURN_MAX
     sequence, flags, *rest = numbers
     entries = tuple(zip(rest[::3], rest[1::3], rest[2::3], strict=True))
-    for index, one, two in entries:
-        if not (0 <= index < ROBOTS_MAX and abs(one) <= SPEED_MAX and abs(two) <= second):
-            raise WireError(f"robot {index} cannot drive by {one} {two}")
+    for index, first_speed, second_speed in entries:
+        if not (
+            0 <= index < ROBOTS_MAX
+            and abs(first_speed) <= SPEED_MAX
+            and abs(second_speed) <= second_max
+        ):
+            raise WireError(f"robot {index} cannot drive by {first_speed} {second_speed}")
     if not 0 <= sequence <= 255:
         raise WireError(f"sequence {sequence} is not from 0 to 255")
     return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)

@@ -107,15 +107,15 @@ class TwistSection(ActuatorSection):
         """Return a 127th of the largest wheel speed, and `limit` of them [mm/s]."""
         return self.speed_max_mm_s / 127, int(self.speed_max_mm_s * limit / 127)
 
-    def measured(self, found: Found) -> dict[str, Any]:
+    def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and gains."""
-        return found.gains(1.0)
+        return calibrated.gains(1.0)
 
     def index(self, name: str) -> int:
         """Return the number in lines of the robot with this name."""
-        at = next(i for i, robot in enumerate(self.robots) if robot.name == name)
-        own = self.robots[at].index
-        return at if own is None else own
+        place = next(i for i, robot in enumerate(self.robots) if robot.name == name)
+        stated = self.robots[place].index
+        return place if stated is None else stated
 
     def port_of(self, name: str) -> str:
         """Return the port of the robot with this name."""
@@ -128,11 +128,10 @@ class TwistSection(ActuatorSection):
     def wiring(self, names: Sequence[str]) -> tuple[Literal["T", "W"], list[int], list[str], int]:
         """Return kind of lines, numbers and ports of these robots, and baud rate, for a
         `TwistLink`."""
-        indices, ports = (
-            [self.index(name) for name in names],
-            [self.port_of(name) for name in names],
-        )
-        return "T" if self.sends == "twist" else "W", indices, ports, self.baud
+        kind: Literal["T", "W"] = "T" if self.sends == "twist" else "W"
+        indices = [self.index(name) for name in names]
+        ports = [self.port_of(name) for name in names]
+        return kind, indices, ports, self.baud
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
         """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;

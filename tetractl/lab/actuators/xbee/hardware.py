@@ -63,7 +63,7 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 
     If VR is empty, the protocol is known only for families with a single protocol.
     """
-    found = protocols(hardware)
-    if len(found) > 1 and not version:
+    candidates = protocols(hardware)
+    if len(candidates) > 1 and not version:
         return None
-    return found.get(version.hex().upper()[:1], found.get(""))
+    return candidates.get(version.hex().upper()[:1], candidates.get(""))

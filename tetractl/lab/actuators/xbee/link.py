@@ -62,10 +62,10 @@ class Link:
         self._frame_id = self._frame_id % 255 + 1
         self._answers.clear()
         self._port.write(frames.encode(frames.at_command(self._frame_id, command)))
-        asked = self._frame_id, command
+        awaited = self._frame_id, command
         # a module at 9600 baud answers within 30 ms
-        self._wait(lambda: any(answer[:2] == asked for answer in self._answers), 0.3)
-        return next((answer[2] for answer in self._answers if answer[:2] == asked), None)
+        self._wait(lambda: any(answer[:2] == awaited for answer in self._answers), 0.3)
+        return next((answer[2] for answer in self._answers if answer[:2] == awaited), None)
 
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""

@@ -105,8 +105,8 @@ class OptitrackCamera:
         """Send what is due and read what has come, without waiting; nothing unless open."""
         if self._sockets:
             self._chores()
-        for each in self._sockets:
-            self._read(each)
+        for endpoint in self._sockets:
+            self._read(endpoint)
 
     def wait_connected(self, timeout_s: float) -> None:
         """Wait for frames, clock, axes and names, at most `timeout_s` each.
@@ -142,8 +142,8 @@ class OptitrackCamera:
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
-        for each in self._sockets:
-            each.close()
+        for endpoint in self._sockets:
+            endpoint.close()
         self._sockets = []
 
     def check(self) -> Health:
@@ -188,17 +188,17 @@ class OptitrackCamera:
                 "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
             )
             data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-        for each in self._sockets:
-            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 18)
-            each.setblocking(False)
+        for endpoint in self._sockets:
+            endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 18)
+            endpoint.setblocking(False)
 
     def _receive(self) -> None:
         while not self._closing.is_set():
             try:
                 self._chores()
                 ready, _, _ = select.select(self._sockets, [], [], WAIT_S)
-                for each in ready:
-                    self._read(each)
+                for endpoint in ready:
+                    self._read(endpoint)
             except (OSError, ValueError) as error:
                 if self._closing.is_set():
                     return

@@ -14,15 +14,16 @@ SHOWN = 12  # largest number of rigid bodies listed in a message
 
 def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> AbortError:
     """Return the error for a server that did not answer CONNECT within `timeout_s`."""
-    at = f"{section.server}:{section.command_port}"
-    if (other := senders.most(frames=False)) is not None:
-        sender, _ = other
+    address = f"{section.server}:{section.command_port}"
+    most = senders.most(frames=False)
+    if most is not None:
+        sender, _ = most
         return AbortError(
-            f"no camera server answers at {at}, but one does from {sender} ({timeout_s:g} s)",
+            f"no camera server answers at {address}, but one does from {sender} ({timeout_s:g} s)",
             f"set lab.camera.server to {sender.host} and lab.camera.command_port to {sender.port}",
         )
     return AbortError(
-        f"no camera server answers at {at} ({timeout_s:g} s)",
+        f"no camera server answers at {address} ({timeout_s:g} s)",
         "is Motive running and streaming, is lab.camera.server its address, "
         "or does a firewall block UDP?",
     )
@@ -33,8 +34,9 @@ def no_frames(
 ) -> AbortError:
     """Return the error for a server that answers but sends no usable frame."""
     server = f"the camera server at {section.server}:{section.command_port} answers"
-    if (other := senders.most(frames=True)) is not None and not stream.counts.unread_frames:
-        sender, count = other
+    most = senders.most(frames=True)
+    if most is not None and not stream.counts.unread_frames:
+        sender, count = most
         fits = _reads_as(senders.refused_frame, stream)
         came = f"{count} frames came from {sender} in {timeout_s:g} s, which fit {fits}"
         if sender.host != section.server:
@@ -59,16 +61,16 @@ def no_frames(
 
 def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
-    own = stream.info.version
+    server_version = stream.info.version
     fits = _reads_as(stream.unread_frame, stream)
     came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which fit {fits}"
-    if stream.version != own:
+    if stream.version != server_version:
         return AbortError(
             f"{server}, but not in protocol {stream.version}, which lab.camera.version requests: "
             f"{came}",
-            f"leave lab.camera.version out: the server uses its own, {own}",
+            f"leave lab.camera.version out: the server uses its own, {server_version}",
         )
-    if own > natnet.NEWEST:
+    if server_version > natnet.NEWEST:
         hint = f"set lab.camera.transport to unicast and lab.camera.version to {natnet.NEWEST}"
     else:
         hint = (
@@ -76,7 +78,8 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
             "restart Motive"
         )
     return AbortError(
-        f"{server} and reports protocol {own}, but its frames cannot be read: {came}", hint
+        f"{server} and reports protocol {server_version}, but its frames cannot be read: {came}",
+        hint,
     )
 
 
@@ -84,8 +87,8 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     """Return, as text, a protocol version that fits a frame's layout; the server's own is tried
     first.
     """
-    own = [] if stream.info is None else [stream.info.version]
-    for version in (*own, *reversed(LAYOUTS)):
+    reported = [] if stream.info is None else [stream.info.version]
+    for version in (*reported, *reversed(LAYOUTS)):
         try:
             parse(frame, version)
         except WireError:
@@ -123,25 +126,26 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
     else:
         said = f"it does not answer when asked for its rigid bodies ({timeout_s:g} s)"
     wanted = ", ".join(f"'{r.body}'" for r in stream.robots if isinstance(r.body, str))
-    seen = ", ".join(map(str, stream.seen[:SHOWN])) or "none"
+    streamed = ", ".join(map(str, stream.seen[:SHOWN])) or "none"
     return AbortError(
         f"the names {wanted} are not known: the camera server streams, but {said}",
-        f"give ids in place of names, as lab.camera.robots.0.body; frames contain the ids {seen}",
+        "give ids in place of names, as lab.camera.robots.0.body; frames contain the ids "
+        f"{streamed}",
     )
 
 
 def bodies(stream: Stream) -> str:
     """Return a line that lists the rigid bodies that the server has named or streamed."""
     named = {} if stream.model is None else {number: name for name, number in stream.model.bodies}
-    every = tuple(dict.fromkeys((*named, *stream.seen)))
-    shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]
-    more = [f"{len(every) - SHOWN} more"] if len(every) > SHOWN else []
-    return "; ".join((*shown, *more)) or "none"
+    numbers = tuple(dict.fromkeys((*named, *stream.seen)))
+    listed = [_body(number, named.get(number), number in stream.seen) for number in numbers[:SHOWN]]
+    more = [f"{len(numbers) - SHOWN} more"] if len(numbers) > SHOWN else []
+    return "; ".join((*listed, *more)) or "none"
 
 
 def _body(number: int, name: str | None, streamed: bool) -> str:
-    known = f"id {number}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {number})"
-    return known if streamed else f"{known}, not streamed"
+    body = f"id {number}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {number})"
+    return body if streamed else f"{body}, not streamed"
 
 
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
@@ -161,17 +165,17 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
 
 def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRobot) -> str:
     body = robot.body
-    known = model.ids()
+    ids = model.ids()
     if isinstance(body, str):
         wanted = f"rigid body '{body}', wanted for {name}"
         taken = {robot.body for robot in stream.robots}
-        free = [printable(each, SHOWN_LENGTH) for each in known if each not in taken]
+        free = [printable(body_name, SHOWN_LENGTH) for body_name in ids if body_name not in taken]
         near = did_you_mean(body, free)
     else:
         wanted = f"rigid body of id {body}, wanted for {name}"
         closest = min(stream.seen, key=lambda number: abs(number - body), default=None)
         near = "" if closest is None else f"; the nearest id is {closest}"
-    if body in known or body in known.values():
+    if body in ids or body in ids.values():
         why = f"do not stream the {wanted}: switch it on in Motive"
     else:
         why = f"know no {wanted}{near}"

@@ -205,7 +205,7 @@ SKIPPED = {
 def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
     """Read the rigid bodies' names and ids; bodies inside skeletons are left out."""
     layout = layout_of(version)
-    known = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}  # of which the layout is known
+    readable = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}  # of which the layout is known
     cursor = Cursor(payload)
     bodies: list[tuple[str, int]] = []
     for _ in range(cursor.count(5)):
@@ -222,7 +222,7 @@ def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
             cursor.skip(4)
             for _ in range(cursor.count(21)):
                 _described(cursor, version)
-        elif kind in known:
+        elif kind in readable:
             before, names, after, listed = SKIPPED[kind]
             cursor.skip(before)
             for _ in range(names):

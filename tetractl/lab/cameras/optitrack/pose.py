@@ -69,15 +69,15 @@ class Placement:
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
         """Return a body's pose in the spec's coordinates, None if the body is not tracked."""
-        seen = planar_pose(body, up, heading_offset)
-        if seen is None:
+        planar = planar_pose(body, up, heading_offset)
+        if planar is None:
             return None
         cos = math.cos(self.rotation)
         sin = math.sin(self.rotation)
         return Pose(
-            self.x + self.scale * (cos * seen.x - sin * seen.y),
-            self.y + self.scale * (sin * seen.x + cos * seen.y),
-            math.remainder(seen.heading + self.rotation, math.tau),
-            None if seen.height is None else self.scale * seen.height,
-            seen.tilt,
+            self.x + self.scale * (cos * planar.x - sin * planar.y),
+            self.y + self.scale * (sin * planar.x + cos * planar.y),
+            math.remainder(planar.heading + self.rotation, math.tau),
+            None if planar.height is None else self.scale * planar.height,
+            planar.tilt,
         )

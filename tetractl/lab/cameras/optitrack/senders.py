@@ -61,5 +61,5 @@ class Senders:
         """Return the sender of the most refused frames (if not `frames`: answers) and their number;
         None if none was refused.
         """
-        found = self.refused.most_common()
-        return next((each for each in found if each[0].frames is frames), None)
+        senders = self.refused.most_common()
+        return next((sender for sender in senders if sender[0].frames is frames), None)

@@ -268,13 +268,13 @@ class Stream:
                 pass
 
     def _response(self, response: natnet.Response) -> None:
-        asked = self._asked
+        requests = self._asked
         self._asked = None
-        if asked == UP_AXIS and self.up is None:
+        if requests == UP_AXIS and self.up is None:
             self.up_answer = int(number_in(response, "i"))
             if self.up_answer in (UpAxis.Y, UpAxis.Z):
                 self.up = UpAxis(self.up_answer)
-        elif asked == UNITS:
+        elif requests == UNITS:
             unit_mm = number_in(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
                 raise WireError(f"a unit of length of {unit_mm:g} mm is not plausible")
@@ -337,14 +337,14 @@ class Stream:
         twins = self._twins
         for robot in self.robots:
             number = self.number(robot.body)
-            here = [body for body in frame.bodies if body.id == number]
+            with_number = [body for body in frame.bodies if body.id == number]
             others = [body for body in others if body.id != number]
-            if len(here) > 1:
-                twins = twins or f"a frame has {len(here)} rigid bodies of id {number}"
-            if len(here) != 1 or self.up is None:
+            if len(with_number) > 1:
+                twins = twins or f"a frame has {len(with_number)} rigid bodies of id {number}"
+            if len(with_number) != 1 or self.up is None:
                 poses.append(None)
             else:
-                poses.append(self._placement.pose(here[0], self.up, robot.heading_offset))
+                poses.append(self._placement.pose(with_number[0], self.up, robot.heading_offset))
         strangers = [self._placement.pose(body, self.up) for body in others if self.up]
         return CameraFrame(
             number=frame.number,

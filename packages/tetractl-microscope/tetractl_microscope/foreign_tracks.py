@@ -39,7 +39,7 @@ MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25
 POSE_COLUMNS = ("time_s", "x_um", "y_um", "heading_rad")
 HEADING_S = 0.3
 """Time over which a direction of motion is taken for a heading [s]. In 24 tracks of emulated cells
-a was 0.95 times the true one in the mean, and in 24 intervals; over 0.4 s, a turn of the helix,
+a was 0.96 times the true one in the mean, and in 24 intervals; over 0.4 s, a turn of the helix,
 0.88, and in 8; over 0.2 s the helix made it 0.8 to 1.7 times."""
 ROUNDING = 1e-6  # share of a window by which a time within it may seem outside
 
@@ -248,6 +248,8 @@ def _graph(path: Path) -> SpotTable:
     ids, edges = graph["node_ids"], graph["edge_ids"]
     if len(ids) > POSES_MAX:
         raise UsageError(f"{path}: has {len(ids)} nodes; at most {POSES_MAX} are read")
+    if not len(edges):
+        raise UsageError(f"{path}: has no edges, and so no tracks")
     order = np.argsort(ids)
     first, last = order[np.searchsorted(ids, edges, sorter=order)].T
     single = np.bincount(first, minlength=len(ids))[first] == 1

@@ -73,6 +73,14 @@ def test_a_graph_older_than_the_first_release_is_refused_with_its_version(within
     assert "as CSV" in str(error.value.hint)
 
 
+def test_a_graph_without_edges_has_no_tracks(tmp_path, monkeypatch):
+    """Regression: each spot was a robot, and none "is seen for 2 s"."""
+    monkeypatch.setitem(globals(), "NUMBER", K)  # no two spots follow one another
+    path = graph(tmp_path / "a.geff", {"t": TIME, "y": SPACE, "x": SPACE}, {"t": K, "y": Y, "x": X})
+    with pytest.raises(UsageError, match="has no edges"):
+        poses(path)
+
+
 def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_path):
     axes = {"a": {}, "b": {}, "c": {}}
     path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})

@@ -1,5 +1,5 @@
 """What `pylibCZIrw` does not read of a CZI file: the times of the pictures, in its attachment
-"TimeStamps", and the first index of each axis with the type of its pixels.
+"TimeStamps", and which planes there are, with the type of their pixels.
 
 Format: "CZI File Format Specification" of Carl Zeiss, 1.2. A segment begins with its identifier (16
 bytes), its allocated and its used length (8 bytes each). The header of the file states where the
@@ -11,7 +11,6 @@ the end, and 20 bytes of each axis. All numbers are little-endian.
 """
 
 import struct
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -34,13 +33,21 @@ PIXEL_TYPES = {
 """Names that the library has for types of pixels."""
 
 
-@dataclass(frozen=True, slots=True)
-class FirstPlane:
-    """The first index of each axis, such as "T", and the type of pixels of the first channel; None
-    if it is unknown."""
+PLANE_AXES = "TZC"
 
-    begins: Mapping[str, int]
+
+@dataclass(frozen=True, slots=True)
+class PlaneDirectory:
+    """The planes of a file: their indices along PLANE_AXES, and the type of pixels of the first
+    channel, None if it is unknown."""
+
+    planes: frozenset[tuple[int, ...]]
     pixels: str | None = None
+
+    def begin(self, axis: str) -> int:
+        """Return the first index of an axis, 0 without planes."""
+        along = PLANE_AXES.index(axis)
+        return min((plane[along] for plane in self.planes), default=0)
 
 
 def czi_times(path: Path) -> list[float] | None:
@@ -68,35 +75,33 @@ def _times(file: BinaryIO) -> list[float] | None:
     return None
 
 
-def czi_first(path: Path) -> FirstPlane:
-    """Return where the axes of a film begin; no axes if they cannot be read."""
+def czi_planes(path: Path) -> PlaneDirectory:
+    """Return the planes of a file; none if they cannot be read."""
     with path.open("rb") as file:
         try:
-            return _first(file)
+            return _planes(file)
         except (struct.error, OSError, ValueError):  # the file is damaged
-            return FirstPlane({})
+            return PlaneDirectory(frozenset())
 
 
-def _first(file: BinaryIO) -> FirstPlane:
+def _planes(file: BinaryIO) -> PlaneDirectory:
     (directory,) = _unpacked(file, SUBBLOCKS_AT, "<q")
     (count,) = _unpacked(file, directory + SEGMENT_B, "<i")
-    begins: dict[str, int] = {}
-    types: dict[int, int] = {}  # by channel
+    types: dict[tuple[int, ...], int] = {}  # of pixels, by plane
     place = directory + FIRST_SUBBLOCK_AT
     for _ in range(min(count, SUBBLOCKS_MAX)):
         _, pixels, axes = _unpacked(file, place, SUBBLOCK.format)
         place += SUBBLOCK.size
-        channel = 0
+        at: dict[str, int] = {}
         for _ in range(min(axes, AXES_MAX)):
-            name, begin = _unpacked(file, place, AXIS.format)
+            name, index = _unpacked(file, place, AXIS.format)
             place += AXIS.size
-            axis = name.rstrip(b"\0").decode("ascii")
-            if axis not in begins or begin < begins[axis]:
-                begins[axis] = begin
-            if axis == "C":
-                channel = begin
-        types.setdefault(channel, pixels)
-    return FirstPlane(begins, PIXEL_TYPES.get(types[min(types)]) if types else None)
+            at[name.rstrip(b"\0").decode("ascii")] = index
+        types.setdefault(tuple(at.get(axis, 0) for axis in PLANE_AXES), pixels)
+    if not types:
+        return PlaneDirectory(frozenset())
+    first = min(types, key=lambda plane: plane[PLANE_AXES.index("C")])
+    return PlaneDirectory(frozenset(types), PIXEL_TYPES.get(types[first]))
 
 
 def _unpacked(file: BinaryIO, place: int, form: str) -> tuple:

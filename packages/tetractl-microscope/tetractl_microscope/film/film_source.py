@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from tetractl.core.poses import Grey
-from tetractl_microscope.film.czi_file import czi_first, czi_times
+from tetractl_microscope.film.czi_file import PLANE_AXES, czi_planes, czi_times
 from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
@@ -234,16 +234,18 @@ def czi_film(path: Path) -> FilmSource:
 
     file: Any = CziReader(str(path))
     box = file.total_bounding_box
-    first = czi_first(path)  # the library counts all axes from 0, but reads by their own indices
-    begins = {axis: first.begins.get(axis, 0) for axis in "TZC" if axis in box}
+    stated = czi_planes(path)  # the library counts axes from 0, but reads by their own indices
+    begins = {axis: stated.begin(axis) for axis in PLANE_AXES if axis in box}
     lengths = [box[axis][1] - box[axis][0] for axis in begins]
     scenes = sorted(file.scenes_bounding_rectangle)
     scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
 
-    def read(index: int) -> np.ndarray:
+    def read(index: int) -> Raw:
         at = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
         plane = {axis: begin + int(at[axis]) for axis, begin in begins.items()}
-        pixels = file.read(plane=plane, scene=scene, pixel_type=first.pixels)
+        if stated.planes and tuple(plane.get(a, 0) for a in PLANE_AXES) not in stated.planes:
+            return None  # of one that is missing, the library makes a black picture
+        pixels = file.read(plane=plane, scene=scene, pixel_type=stated.pixels)
         return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
 
     xml = ElementTree.fromstring(file.raw_metadata)

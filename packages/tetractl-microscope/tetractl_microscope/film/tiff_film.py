@@ -34,9 +34,16 @@ def tiff_film(path: Path) -> FilmSource:
     """Open a TIFF file, and those that its tags name, as a film."""
     tif = TiffFile(path)
     several: Any = tif.series
+    if not several:
+        raise UsageError(f"{path}: is a TIFF file without pictures", "is it cut short?")
     which = int(np.argmax([len(one) for one in several]))  # a thumbnail may come first
     series = several[which]
     inside = len(series.keyframe.shape)
+    stated = int((tif.imagej_metadata or {}).get("images", 1))
+    has = math.prod(series.shape[:-inside])
+    if stated > has:
+        said = f"{path}: states {stated} pictures, and has {has} that can be found"
+        raise UsageError(said, "is it cut short?")
     planes: Any = series
     if series.is_truncated:  # ImageJ above 4 GB describes the first page only
         planes = memmap(path, mode="r").reshape(-1, *series.keyframe.shape)

@@ -6,6 +6,8 @@ import tifffile
 from support.needs_opencv import cv2
 from tetractl_microscope.film.pictures import open_film
 
+from tetractl.core.errors import UsageError
+
 pytestmark = pytest.mark.slow
 
 PICTURES = np.random.default_rng(1).integers(0, 255, (6, 48, 64)).astype(np.uint8)
@@ -117,3 +119,26 @@ def test_a_picture_in_which_zero_is_white_is_one_whatever_its_compression(tmp_pa
             data[at : at + 2] = bytes(2)
     path.write_bytes(data)
     assert np.array_equal([picture for _, picture in open_film(path, 30.0)], PICTURES)
+
+
+def test_a_plane_that_a_czi_file_does_not_have_is_no_picture(tmp_path):
+    """Regression: the library made black pictures of them, which were counted as seen."""
+    planes = [({"T": 2 * k}, {}, one) for k, one in enumerate(PICTURES)]
+    czi(tmp_path / "gaps.czi", planes)
+    found = open_film(tmp_path / "gaps.czi", 30.0)
+    numbers, pictures = zip(*found, strict=True)
+    assert numbers == tuple(range(0, 2 * len(PICTURES), 2))
+    assert np.array_equal(pictures, PICTURES)
+    assert found.damaged == len(PICTURES) - 1
+
+
+def test_a_tiff_file_that_is_cut_short_is_said_to_be(tmp_path):
+    """Regression: "is one picture, and no film"; "attempt to get argmax of an empty sequence"."""
+    tifffile.imwrite(tmp_path / "whole.tif", PICTURES, imagej=True)
+    data = (tmp_path / "whole.tif").read_bytes()
+    (tmp_path / "cut.tif").write_bytes(data[: len(data) * 3 // 4])
+    with pytest.raises(UsageError, match=f"states {len(PICTURES)} pictures, and has 1"):
+        open_film(tmp_path / "cut.tif", 30.0)
+    (tmp_path / "empty.tif").write_bytes(b"II*\0" + bytes(100))
+    with pytest.raises(UsageError, match="is a TIFF file without pictures"):
+        open_film(tmp_path / "empty.tif", 30.0)

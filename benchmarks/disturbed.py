@@ -25,7 +25,6 @@ from solverbench.problems import OURS, PAPER
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.control import filter as filters
 from tetractl.control.filter import FilterBank, Forecast
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import RecommendedMpc
@@ -159,10 +158,6 @@ class Heard:
 
     def restart(self, robots: Sequence[int]) -> None:
         pass
-
-    def heard(self) -> filters.Heard:
-        """Return that frames say nothing of commands: which were heard is known."""
-        return filters.Heard(np.empty(0), np.empty((0, len(self.banks))))
 
     def forecast(self, sent_ns: int) -> Forecast:
         forecasts = [bank.forecast(sent_ns) for bank in self.banks]

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.control.filter import FilterBank
-from tetractl.control.hearing import Hearing
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
@@ -45,7 +44,6 @@ class StateEstimator:
         self.period = round(period_s * SECOND)
         self.filter = FilterBank(prior, drive_first)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
-        self.hearing = Hearing()  # how many commands no robot hears
         self._last_sent: int | None = None
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
@@ -78,7 +76,6 @@ class StateEstimator:
         if self.left is not left_before and not self.left.any():
             raise ControlError("every robot is lost")
         self.filter.add_frames(observation, earlier)
-        self.hearing = self.hearing.after(self.filter.heard())
         self.filter.restart(replaced)
         forecast = self.filter.forecast(self.sends(observation))
         estimate = forecast.estimate

@@ -72,7 +72,6 @@ from tetractl.control.body_model import body_model, filter_model, with_saturatio
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     GRID,
-    LISTENED,
     Bank,
     CommonTimes,
     NextFilters,
@@ -112,16 +111,6 @@ class Forecast(NamedTuple):
     """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
     estimate: Estimate
     """What is known of the robots' motion."""
-
-
-class Heard(NamedTuple):
-    """What frames say of whether N robots heard C commands."""
-
-    sent_s: Floats
-    """(C,) times of sending [s]."""
-    ln_factors: Floats
-    """(C, N) ln of the factors by which the odds of this changed, from the moment when a command
-    acts until the next one acts; NaN if frames do not say, as it was no news for the robot."""
 
 
 class RunningFilters(NamedTuple):
@@ -216,19 +205,6 @@ class FilterBank:
         robots = np.arange(len(self.prior.a))
         slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
         return filters, robots, slots
-
-    def heard(self) -> Heard:
-        """Return what frames say of the latest commands after which another one acts on every
-        robot, up to half of LISTENED: the other half is for robots on which they act sooner."""
-        filters = self._likeliest_filters()
-        robots = np.arange(len(self.prior.a))
-        next_commands = self.bank.next_command[filters, robots]
-        end = int(next_commands.min()) - 1
-        commands = np.arange(max(0, end - LISTENED // 2), max(0, end))
-        ages = next_commands - 1 - commands[:, None]  # 1 for the command before the one that acts
-        latest = self.bank.ln_heard[filters, robots, np.maximum(LISTENED - ages, 0)]
-        ln_factors = np.where(ages <= LISTENED, latest, np.nan)
-        return Heard(self.commands.all.sent_s[commands], ln_factors)
 
     # ---- what becomes known ----
 

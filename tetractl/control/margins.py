@@ -6,10 +6,9 @@ robot,
 
     LOST_SHARE v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
 
-with its speed v, the time T for which robots follow a command, the dead time tau and the standard
-deviations sigma of the identified values. The first term is due to a lost command, the others to
-uncertain values. The centres of two robots keep a distance of the spec's separation plus twice that
-deviation.
+with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
+identified values. The first term is due to a lost command, the others to uncertain values. The
+centres of two robots keep a distance of the spec's separation plus twice that deviation.
 
 An adaptive margin does not always fit. If a robot or a target is nearer to an obstacle than that,
 no plan could keep it, and it is reduced to a little less (REDUCED) than the gap:

@@ -28,9 +28,7 @@ the method of its name.
     thread   on through a passage                  stay     in a hold: all are within its radius
     stop     in the coming period, if no plan      finish   if no plan can have a lower value,
              can have a lower value                         or none fits into the time left
-    keep     the signal, if all robots miss        (plans are searched)
-             many commands
-    (plans are searched)
+    (plans are searched)                           (plans are searched)
     go on    by the plan of least value that       turn     on the spot, if the plan of least value
              does not collide soon                          collides soon: other headings allow
     rest     if a plan from rest can have a                 other plans
@@ -416,13 +414,6 @@ class Mpc:
             return None
         return last.signals[1:] if held_periods == 0 else last.signals
 
-    @property
-    def _heard_s(self) -> float:
-        """The time in which robots hear a command [s]: a control period, or a signal's if they miss
-        many."""
-        periods = self.section.signal_periods if self.estimator.hearing.misses_many else 1
-        return self.section.period * periods
-
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""
         leg = self.progress.leg
@@ -458,9 +449,6 @@ class Mpc:
         stop = self._stop(step, warm, least_values.least)
         if stop is not None:
             return stop
-        same_signal = self._keep(step, warm)
-        if same_signal is not None:
-            return same_signal
         searched = self._search_under_way(step, warm)
         plan = self._go_on(searched, least_values.rest)
         if plan is not None:
@@ -578,19 +566,6 @@ class Mpc:
         if self.course.margins.enters_if_held(problem, held, seconds):
             return best_stop(problem, held, 0.0)
         return stop
-
-    def _keep(self, step: ControlStep, warm: Floats) -> Plan | None:
-        """Send the present signal again if many commands are missed by all robots.
-
-        Searched again in each period, the ones that get out would be meant for the rest of a signal
-        alone, and last for all of it. Where the signal leads a body into something another one
-        might not get out in time, so robots stop.
-        """
-        if self._held_periods() == 0 or not self.estimator.hearing.misses_many:
-            return None
-        if self.stands and self._collides_soon(step.problem, warm):
-            return self._standing(step.problem, State.RESTING)
-        return self._given(step.problem, warm, State.DRIVING)
 
     def _go_on(self, searched: Searched, least_of_rest: float) -> Plan | None:
         """Follow the plan of least value that does not collide soon, unless a rest can have a lower
@@ -826,14 +801,18 @@ class Mpc:
     def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `estimate`, None if certain."""
         grown, apart = self.course.margins.around(
-            problem, self.section.collision, self._heard_s, self.estimator.dead_time_s, estimate
+            problem,
+            self.section.collision,
+            self.section.period,
+            self.estimator.dead_time_s,
+            estimate,
         )
         return replace(problem, obstacles=grown, separation=apart)
 
     def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters something before a stop can act, which the next step may
         send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
-        seconds = self._heard_s + LATE * self.estimator.dead_time_s
+        seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])
         return self.course.margins.enters_if_held(problem, directions, seconds)
 

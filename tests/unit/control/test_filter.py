@@ -13,7 +13,6 @@ from support.paths import ROOT
 
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import FilterBank
-from tetractl.control.hearing import MUCH_MISSED
 from tetractl.control.kernels import filter as kernel
 from tetractl.control.kernels.filter_state import (
     FLOW_X,
@@ -287,28 +286,6 @@ def test_lost_commands_and_noise_do_not_lead_the_estimate_astray(rate):
     assert estimate.dead_time == pytest.approx(0.14, abs=0.01)
     assert estimate.a == pytest.approx(plant.a, rel=0.06)
     assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
-
-
-class OneOfFour(Disturbance):
-    """Of four commands only the last one is heard, by all robots."""
-
-    count = 0
-
-    def sent(self, command):
-        self.count += 1
-        return replace(command, reached=command.reached & (self.count % 4 == 0))
-
-
-def test_commands_that_no_robot_hears_are_counted():
-    settings = [*NOISY, "wheels.watchdog=null", "plant.dead_time=0.11"]
-    _, _, estimator = drive(settings, 8, 20, disturbance=OneOfFour())
-    assert estimator.hearing.misses_many
-
-
-def test_commands_that_each_robot_misses_by_itself_are_hardly_counted():
-    settings = [*NOISY, "wheels.watchdog=null", "plant.dead_time=0.11", "plant.lost_commands=0.3"]
-    _, _, estimator = drive(settings, 8, 20)
-    assert estimator.hearing.missed < MUCH_MISSED / 2
 
 
 def test_a_lost_command_is_seen_by_how_a_robot_turns():

@@ -15,7 +15,6 @@ from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.fixed_sequence import given_plan
-from tetractl.control.hearing import Hearing
 from tetractl.control.lengths import SPREAD, VAIN
 from tetractl.control.margins import Margins
 from tetractl.control.mpc import LATE, RESTED_S, ControlStep
@@ -286,36 +285,6 @@ def test_robots_that_receive_nothing_drive_on_until_the_silence_or_their_watchdo
 ):
     """A silence that begins just after a command has lasted a period when the next one is due."""
     assert asked_margins(5, watchdog_s).seconds == {seconds}
-
-
-@pytest.mark.parametrize(
-    ("missed", "steps", "kept"), [(1.0, 1, True), (0.1, 1, False), (1.0, 2, False)]
-)
-def test_a_signal_is_sent_again_while_no_robot_hears_many_commands(missed, steps, kept):
-    controller, search = driving({5: 0.0, 4: 0.0}, steps=steps, signal_periods=2)
-    controller.estimator.hearing = Hearing(missed=missed)
-    assert controller.progress.last is not None
-    signals = controller.progress.last.signals
-    plan = step(controller)
-    assert (lengths(search) == []) is kept
-    assert np.array_equal(plan.signals, signals) is kept
-
-
-def test_robots_stop_where_a_signal_that_is_kept_leads_a_body_into_something():
-    controller, poses = beside_a_wall(5, signal_periods=2)
-    controller.estimator.hearing = Hearing(missed=1.0)
-    plan = step(controller, poses)
-    assert plan.state is State.RESTING
-    assert len(plan.searches) == 1  # nothing was searched
-
-
-@pytest.mark.parametrize(("missed", "stands"), [(0.0, False), (1.0, True)])
-def test_robots_stop_so_early_that_a_stop_heard_a_signal_later_is_in_time(missed, stands):
-    """Regression: where one command of four got out bodies left the arena."""
-    controller, poses = beside_a_wall(60, signal_periods=2)  # 1.7 control periods, 0.8 signals
-    controller.estimator.hearing = Hearing(missed=missed)
-    plan = step(controller, poses)
-    assert plan.pauses is stands
 
 
 def beside_a_wall(gap, stop=True, radius=0.0, left=1, **fields):

@@ -110,8 +110,6 @@ def _follow_last(bank, model, commands, b, i, time_s):
     if number == 0:
         return
     bank.next_command[b, i] = number
-    bank.ln_odds_before[b, i] = math.nan
-    bank.ln_heard[b, i] = math.nan
     for s in range(bank.ln_weight.shape[2] - 1):
         bank.direction[b, i, s] = commands.directions[number - 1]
         bank.until_s[b, i, s] = commands.sent_s[number - 1] + model.watchdog_s + dead_time_s
@@ -246,26 +244,12 @@ def _predict(bank, model, commands, b, i, since_s, until_s, step_s, scratch):
                 _predict_one(hypotheses, s, model, i, noise_scale, now_s, next_s, scratch)
         now_s = next_s
         if acts:
-            _act(bank, model, commands, b, i, now_s, step_s)
-
-
-@compiled(**INLINE_FAST)
-def _act(bank, model, commands, b, i, now_s, step_s):
-    """Let the next command act: hypotheses branch, and what frames said of the command before is
-    noted: the odds that the robot heard it, now, over those when it began to act."""
-    hypotheses = _hypotheses(bank, b, i)
-    command = bank.next_command[b, i]
-    u = commands.directions[command]
-    u_before = commands.directions[command - 1] if command > 0 else math.nan
-    ln_factor = _ln_odds(hypotheses, u_before) - bank.ln_odds_before[b, i]
-    _append(bank.ln_heard[b, i], ln_factor)
-    is_news = _is_news(hypotheses, u)
-    if model.branch_all:
-        _branch_all(hypotheses, model, i, u, now_s, step_s)
-    else:
-        _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
-    bank.ln_odds_before[b, i] = _ln_odds(hypotheses, u) if is_news else math.nan
-    bank.next_command[b, i] += 1
+            u = commands.directions[bank.next_command[b, i]]
+            if model.branch_all:
+                _branch_all(hypotheses, model, i, u, now_s, step_s)
+            else:
+                _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
+            bank.next_command[b, i] += 1
 
 
 @compiled(**INLINE_FAST)
@@ -300,43 +284,6 @@ def _least_likely(ln, count):
         if ln[s] < ln[least]:
             least = s
     return least
-
-
-# ---- what frames say of whether a robot heard a command ----
-
-
-@compiled(**INLINE_FAST)
-def _append(ln_heard, ln_factor):
-    """Append a number to the latest ones (LISTENED,); the first of them is dropped."""
-    for k in range(ln_heard.size - 1):
-        ln_heard[k] = ln_heard[k + 1]
-    ln_heard[ln_heard.size - 1] = ln_factor
-
-
-@compiled(**INLINE_FAST)
-def _is_news(hypotheses, u):
-    """Return whether u [rad] is not the direction that the robot most probably follows."""
-    driving = hypotheses.ln_weight.size - 1
-    return hypotheses.direction[likeliest(hypotheses.ln_weight, driving)] != u
-
-
-@compiled(**INLINE_FAST)
-def _ln_odds(hypotheses, u):
-    """Return ln of the odds that the robot follows u [rad] rather than what it was sent before; NaN
-    if it can only do one of both, or most probably is stuck."""
-    stuck = hypotheses.ln_weight.size - 1
-    best = hypotheses.ln_weight[likeliest(hypotheses.ln_weight, stuck)]
-    if hypotheses.ln_weight[stuck] > best:
-        return math.nan
-    follows = 0.0
-    follows_other = 0.0
-    for s in range(stuck):
-        probability = math.exp(hypotheses.ln_weight[s] - best)
-        if hypotheses.direction[s] == u:
-            follows += probability
-        else:
-            follows_other += probability
-    return math.log(follows / follows_other) if follows > 0 and follows_other > 0 else math.nan
 
 
 # ---- a command acts: hypotheses branch ----

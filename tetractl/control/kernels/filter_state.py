@@ -77,9 +77,6 @@ LOG_FOLLOWS = 6
 """The same number for logs, where commands may follow each other sooner than the frames show
 whether a robot heard the one before: it may have heard any of them, and the likeliest are kept."""
 
-LISTENED = 8
-"""Number of latest commands of which a filter keeps what frames say of whether they were heard."""
-
 
 class Assumed(NamedTuple):
     """What the filter assumes of radio, robots and camera. Without another source, a value was
@@ -230,12 +227,6 @@ class Bank(NamedTuple):
     """(B, N) index of the command that acts next."""
     group: NDArray[np.int64]
     """(B, N) which value of `BodyModel.tried` the filter started from."""
-    ln_odds_before: Floats
-    """(B, N) ln of the odds that the robot heard the latest command that acts, before any frame
-    after it; NaN if the robot most probably followed this direction already: it was no news."""
-    ln_heard: Floats
-    """(B, N, LISTENED) ln of the factor by which frames changed these odds until the next command
-    acted, for the latest commands before the one that acts; NaN if they say nothing."""
 
     @classmethod
     def start(
@@ -274,8 +265,6 @@ class Bank(NamedTuple):
             score=np.zeros(per_filter),
             next_command=np.zeros(per_filter, dtype=np.int64),
             group=np.repeat(group[:, None], robots, axis=1),
-            ln_odds_before=np.full(per_filter, np.nan),
-            ln_heard=np.full((*per_filter, LISTENED), np.nan),
         )
 
     @classmethod

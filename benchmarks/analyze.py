@@ -40,8 +40,10 @@ def noise(a: float, walk: float, position: float, heading: float) -> str:
     return f"plant={{type: sim, {errors}, {measured}}}"
 
 
-BENCH, QUIET = noise(0.05, 0.03, 1, 0.01), noise(0.02, 0.01, 0.3, 0.003)
-ROUGH, CELLS = noise(0.1, 0.1, 3, 0.03), noise(0.1, 0.05, 5, 0.05)
+BENCH = noise(0.05, 0.03, 1, 0.01)
+QUIET = noise(0.02, 0.01, 0.3, 0.003)
+ROUGH = noise(0.1, 0.1, 3, 0.03)
+CELLS = noise(0.1, 0.05, 5, 0.05)
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ def main() -> None:
     instances = benchmark() if asked.benchmark else INSTANCES
     head = ("instance", "unit", "without feedback", "predicted", "mean of trials", "95 % interval")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
-    predicted, measured = [], []
+    predicted = []
+    measured = []
     for one in instances:
         progress(one.name)
         spec = one.experiment()

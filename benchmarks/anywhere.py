@@ -41,7 +41,9 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval
 
 ARENA_MM = 2400.0
-EDGE_MM, BETWEEN_MM, CLEAR_MM = 150.0, 250.0, 200.0
+EDGE_MM = 150.0
+BETWEEN_MM = 250.0
+CLEAR_MM = 200.0
 SOLVED_MM = 0.01 * ARENA_MM  # a robot
 ACCEPT_MM = 5.0  # a robot
 CONTROLLER = ("controller.horizon_max=200", "controller.time_limit=160.05")
@@ -50,8 +52,10 @@ SIZES = (2, 3, 4, 5, 6)
 
 def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
     """Return one random instance as an experiment."""
-    rng, count = np.random.default_rng([seed, number]), SIZES[number % len(SIZES)]
-    starts, targets = scattered(rng, count), scattered(rng, count)
+    rng = np.random.default_rng([seed, number])
+    count = SIZES[number % len(SIZES)]
+    starts = scattered(rng, count)
+    targets = scattered(rng, count)
     base = load_experiment(OURS, *CONTROLLER, *(HURT if disturbed else ()))
     data = base.model_dump(mode="json", exclude={"lab", "scale", "reference"})
     data["arena"] = {"left": 0, "bottom": 0, "width": ARENA_MM, "height": ARENA_MM}
@@ -132,7 +136,10 @@ class Timed(Mpc):
 def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool) -> None:
     """Drive every instance once, and print a row for each number of robots."""
     solved: dict[int, list[bool]] = {size: [] for size in SIZES}
-    unsafe, predicted, measured, none = 0, [], [], 0
+    unsafe = 0
+    predicted = []
+    measured = []
+    none = 0
     spent: dict[int, list[float]] = {size: [] for size in SIZES}
     for number in numbers:
         progress(f"instance {number}")
@@ -185,7 +192,8 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
 def many(robots: int, seed: int) -> Problem:
     """Robots anywhere in 2 x 2 m; 1 m in one direction for all, and each 0.2 m or so by itself."""
     rng = np.random.default_rng([robots, seed])
-    speed, starts = rng.uniform(150, 200, robots), rng.uniform(0, 2000, (robots, 2))
+    speed = rng.uniform(150, 200, robots)
+    starts = rng.uniform(0, 2000, (robots, 2))
     bearing = rng.uniform(-np.pi, np.pi)
     shift = 1000 * np.array([np.cos(bearing), np.sin(bearing)])
     return Problem(
@@ -217,9 +225,12 @@ def first_plans(trials: int) -> None:
             ("does not", Multistart(rounds=2, grows=False)),
         ):
             optimizer.search(many(robots, trials), 10, None, 0, Limits())  # compile
-            solved, signals, seconds = 0, [], []
+            solved = 0
+            signals = []
+            seconds = []
             for seed in range(trials):
-                problem, begin = many(robots, seed), time.thread_time()
+                problem = many(robots, seed)
+                begin = time.thread_time()
                 searcher = Searcher(optimizer, problem, seed)
                 searcher.spread(least_length(problem), 400, good)
                 seconds.append(time.thread_time() - begin)

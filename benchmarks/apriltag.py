@@ -67,7 +67,8 @@ def renderer(size: tuple[int, int], tilt: float = 0.35, **optics: object) -> Ren
 def scattered(rng: np.random.Generator) -> Poses:
     """Random poses in the arena, robots 150 mm apart at least."""
     while True:
-        x, y = rng.uniform(500, 2100, 3), rng.uniform(350, 2150, 3)
+        x = rng.uniform(500, 2100, 3)
+        y = rng.uniform(350, 2150, 3)
         if np.hypot(x - np.roll(x, 1), y - np.roll(y, 1)).min() > 150:
             return Poses(x, y, rng.uniform(-math.pi, math.pi, 3))
 
@@ -92,14 +93,18 @@ def errors(
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Errors [mm] and [mrad], the share of robots found, the smallest tag [px]."""
     rng = np.random.default_rng(2)
-    off, turned, small = [], [], math.inf
+    off = []
+    turned = []
+    small = math.inf
     for _ in range(pictures):
         poses = scattered(rng)
-        way, turn = rng.uniform(-math.pi, math.pi, 3), rng.uniform(-3, 3, 3)
+        way = rng.uniform(-math.pi, math.pi, 3)
+        turn = rng.uniform(-3, 3, 3)
 
         def at(t_ns: int, poses=poses, way=way, turn=turn) -> Poses:
             t = 1e-9 * t_ns * moving
-            x, y = poses.x + 200 * t * np.cos(way), poses.y + 200 * t * np.sin(way)
+            x = poses.x + 200 * t * np.cos(way)
+            y = poses.y + 200 * t * np.sin(way)
             return Poses(x, y, poses.heading + turn * t)
 
         seen = tracker.see(sent(drawn.picture(at, 0)))
@@ -173,7 +178,8 @@ def corners(scale: float) -> None:
     table("picture", "corners by", "error, rms px", "time of a picture, ms")
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for size in SIZES:
-        drawn, rng = renderer(size), np.random.default_rng(3)
+        drawn = renderer(size)
+        rng = np.random.default_rng(3)
         shots = [
             (poses := scattered(rng), drawn.picture(lambda t, p=poses: p, 0))
             for _ in range(round(60 * scale))
@@ -184,7 +190,8 @@ def corners(scale: float) -> None:
                 cv2.aruco, f"CORNER_REFINE_{name}", cv2.aruco.CORNER_REFINE_NONE
             )
             detector = cv2.aruco.ArucoDetector(family, parameters)
-            off, took = [], []
+            off = []
+            took = []
             for truth, picture in shots:
                 began = time.perf_counter()
                 found, numbers, _ = detector.detectMarkers(picture)
@@ -260,7 +267,8 @@ def speed(scale: float) -> None:
         "render, ms",
     )
     for size in SIZES:
-        drawn, rng = renderer(size), np.random.default_rng(4)
+        drawn = renderer(size)
+        rng = np.random.default_rng(4)
         for threads in (2, 1):
             cv2.setNumThreads(threads)
             tracker = Tracker(section(), NAMES, MM)
@@ -313,7 +321,8 @@ class Watch:
     """Called after each frame: notes when that was and when its picture had arrived [ns]."""
 
     def __init__(self, wanted: int) -> None:
-        self.clock, self.wanted = MonotonicClock(), wanted
+        self.clock = MonotonicClock()
+        self.wanted = wanted
         self.camera: AprilTagCamera | None = None
         self.seen: list[tuple[int, int]] = []
         self.enough = threading.Event()

@@ -82,7 +82,9 @@ class Row:
 def run(spec: Experiment, trial: int) -> Row:
     """Run one trial in virtual time."""
     key, seed = trial_seeds(spec.trials.seed, trial)
-    clock, nowhere, kept = VirtualClock(), PlantInfo("", True, 0.0, {}), Kept()
+    clock = VirtualClock()
+    nowhere = PlantInfo("", True, 0.0, {})
+    kept = Kept()
     result = Trial(
         start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
         plant=spec.plant.build(spec.setup, clock, seed, LabSupervision()),
@@ -92,7 +94,8 @@ def run(spec: Experiment, trial: int) -> Row:
         observers=[kept],
         interrupt=Interrupt(),
     ).run()
-    verdict, radius = result.verdict, spec.controller.collision.radius
+    verdict = result.verdict
+    radius = spec.controller.collision.radius
     least = min(verdict.edge), min(verdict.clearance), min(verdict.apart)
     touched = min(least[0], least[1], least[2] - radius) < radius
     traced = list(trace(spec, trial, kept)) if touched else []
@@ -114,8 +117,10 @@ def _outcome(result: Result) -> str:
 def trace(spec: Experiment, trial: int, kept: Kept) -> Iterator[tuple[bool, str]]:
     """Yield, for each control step in which a body touches something more than before, whether the
     controller expected that, and a line of a table."""
-    setup, names = spec.setup, spec.setup.names
-    radius, delay = spec.controller.collision.radius, round(spec.plant.dead_time * SECOND)
+    setup = spec.setup
+    names = spec.setup.names
+    radius = spec.controller.collision.radius
+    delay = round(spec.plant.dead_time * SECOND)
     at = np.array([sample.observation.sampled_ns for sample in kept.samples])
     path = np.array([sample.truth.array() for sample in kept.samples])
     region = Obstacles.of(setup.obstacles, 0.0, setup.arena)
@@ -135,7 +140,8 @@ def trace(spec: Experiment, trial: int, kept: Kept) -> Iterator[tuple[bool, str]
         if not len(inside):
             continue
         true = room(path[inside, :, 0], path[inside, :, 1])
-        plan, known = step.plan, step.plan.estimate
+        plan = step.plan
+        known = step.plan.estimate
         x, y, heading = plan.path[0].T
         drives = not plan.pauses
         period = spec.controller.period * MOMENTS[:, None] * drives
@@ -144,7 +150,9 @@ def trace(spec: Experiment, trial: int, kept: Kept) -> Iterator[tuple[bool, str]
         ahead = exact(x, y, heading, u, a, speed, period)
         planned = room(ahead[0], ahead[1])
         for i, name in enumerate(who):
-            now, least, expected = true[0, i], true[:, i].min(), planned[:, i].min()
+            now = true[0, i]
+            least = true[:, i].min()
+            expected = planned[:, i].min()
             if least >= min(0.0, now) - 1e-3:
                 continue
             knew = bool(expected < min(0.0, planned[0, i]) - SURE_MM)
@@ -181,7 +189,8 @@ HEAD = (
 
 def report(rate: int, rows: list[Row], radius: float, earlier: dict[int, float]) -> None:
     """Print what a rate's trials show, as Markdown."""
-    n, errors = len(rows), np.array([row.error for row in rows])
+    n = len(rows)
+    errors = np.array([row.error for row in rows])
     counts = {
         "body over an edge": sum(row.edge < radius for row in rows),
         "body in an obstacle": sum(row.obstacle < radius for row in rows),
@@ -204,7 +213,8 @@ def report(rate: int, rows: list[Row], radius: float, earlier: dict[int, float])
         before = np.array([earlier[row.trial] for row in both])
         more = np.array([row.error for row in both]) - before
         found = paired_t(more)
-        low, high = found.ci95.low, found.ci95.high
+        low = found.ci95.low
+        high = found.ci95.high
         print(f"\nMinus the other version, {len(both)} pairs, {(more == 0).sum()} of them equal: ")
         print(f"{found.value:.2f} mm [{low:.2f}, {high:.2f}]; there ", end="")
         print(f"{(before > LARGE_MM).sum()} were above {LARGE_MM:g} mm.")

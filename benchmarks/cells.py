@@ -64,19 +64,26 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     for name in ("speed", "length", "width", "helix_um", "helix_hz", "bias", "phase", "heading"):
         getattr(cells, name)[1] = getattr(cells, name)[0]
     cells.bias[:] = 0.0
-    bank, deviation = HelixFilter(True), np.tile((0.86, 0.86, 0.04), (2, 1))
+    bank = HelixFilter(True)
+    deviation = np.tile((0.86, 0.86, 0.04), (2, 1))
     rows = np.array([bank.add(0.0, 0.0, cells.heading[i], cells.speed[i]) for i in range(2)])
     tracks = [
         CellTrack(i, [], int(rows[i]), i, long=cells.length[i], wide=cells.width[i]) for i in (0, 1)
     ]
     names = Names(bank, 52.3, splits=False)
-    direction, left, frame, merged = 0.0, 0.0, 0, False
+    direction = 0.0
+    left = 0.0
+    frame = 0
+    merged = False
     for k in range(round((10.0 + limit) / STEP_S)):
         t = k * STEP_S
         if left <= 0:
-            direction, left = random.uniform(-math.pi, math.pi), random.uniform(0.3, 1.2)
+            direction = random.uniform(-math.pi, math.pi)
+            left = random.uniform(0.3, 1.2)
         if not merged and t >= 10.0:  # at one place with one heading
-            cells.x[:], cells.y[:], cells.heading[1] = 0.0, 0.0, cells.heading[0]
+            cells.x[:] = 0.0
+            cells.y[:] = 0.0
+            cells.heading[1] = cells.heading[0]
             cells.phase[1] = cells.phase[0]
             bank.mean[rows, :2] = 0.0
             bank.mean[rows, 2] = cells.heading[0]

@@ -46,13 +46,15 @@ class Witness:
     """Which true cell each robot is at each control step, by its place; an observer."""
 
     def __init__(self, dish: VirtualLab) -> None:
-        self.dish, self.who = dish, []
+        self.dish = dish
+        self.who = []
 
     def on_start(self, start: Start) -> None:
         self.setup = start.setup
 
     def on_step(self, step: Step) -> None:
-        cells, poses = self.dish.cells, step.observation.poses
+        cells = self.dish.cells
+        poses = step.observation.poses
         gaps = np.hypot(poses.x[:, None] - cells.x, poses.y[:, None] - cells.y)
         self.who.append(tuple(gaps.argmin(axis=1).tolist()))
 
@@ -76,7 +78,10 @@ def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
 
 def trials(count: int) -> None:
     """A trial counts as swapped where a robot is another cell at its end than at its beginning."""
-    seen, simulated, swapped, failed = [], [], 0, []
+    seen = []
+    simulated = []
+    swapped = 0
+    failed = []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         interrupt = Interrupt(lambda number: None)
         with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
@@ -120,7 +125,8 @@ def survey(count: int) -> None:
     is the least among the first choices with the estimates and with perfect knowledge. That of
     perfect knowledge, by other random numbers, shows what ratio the number of plans allows.
     """
-    ratios, floors = [], []
+    ratios = []
+    floors = []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         noise = Noise.of(load_spec(DISH).experiment.plant)
         with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
@@ -133,7 +139,8 @@ def survey(count: int) -> None:
             ranked(experiment, cells, noise, PLANS),
             ranked(reseeded(experiment, seed + 10_000), list(known.values()), noise, PLANS),
         ]
-        test, errors = reseeded(experiment, seed + 20_000), {}
+        test = reseeded(experiment, seed + 20_000)
+        errors = {}
         for one in (one for some in choices for one in some):
             true = tuple(known[cell.number] for cell in one.cells)
             if numbers(true) not in errors:

@@ -201,7 +201,8 @@ def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Resu
     results = []
     for trial in range(trials):
         key, seed = trial_seeds(spec.trials.seed, trial)
-        clock, nowhere = VirtualClock(), PlantInfo("", True, 0.0, {})
+        clock = VirtualClock()
+        nowhere = PlantInfo("", True, 0.0, {})
         plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
         results.append(
             Trial(
@@ -290,7 +291,8 @@ def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
     for name, results in found.items():
         both = np.array([(one.duration_s, one.total_error) for one in results])
         time_s, error = distributions(both.T)
-        x, y = time_s.mean, error.mean
+        x = time_s.mean
+        y = error.mean
         wide = [[x - time_s.ci95.low], [time_s.ci95.high - x]]
         high = [[y - error.ci95.low], [error.ci95.high - y]]
         axes.errorbar(x, y, high, wide, fmt="o", color="C0", capsize=2)
@@ -307,11 +309,13 @@ class World:
         self, bench: str | None, rate_hz: int, dead_time_s: float, plain: Sequence[str] = WORLD
     ) -> None:
         self.plain = plain
-        self.bench, self.rate = bench, RATES[rate_hz]
+        self.bench = bench
+        self.rate = RATES[rate_hz]
         self.dead_time_s = dead_time_s
 
     def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
-        rate, settings = () if slow else self.rate, [self._filled(one) for one in settings]
+        rate = () if slow else self.rate
+        settings = [self._filled(one) for one in settings]
         if self.bench is None:
             return load_experiment(file, *self.plain, *rate, *settings)
         if file == OURS:

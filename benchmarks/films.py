@@ -34,7 +34,8 @@ from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.settings import SETTINGS
 from filmworld.truth import FilmTruth, write_film
 
-RENDERERS, LEVELS = ("first", "second"), ("easy", "normal", "hard")
+RENDERERS = ("first", "second")
+LEVELS = ("easy", "normal", "hard")
 
 
 def rendered(cache: Path, renderer: str, level: str, seed: int) -> Path:

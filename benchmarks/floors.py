@@ -104,7 +104,8 @@ def at(time_s: float, floor: np.ndarray) -> str:
 
 def rows(name: str, world: World, settings: Sequence[str], trials: int) -> None:
     """Print a world's lines of the table in Markdown, one for each accepted error."""
-    known, spec = partial(seeing, world.dead_time_s), world.spec(OURS, settings)
+    known = partial(seeing, world.dead_time_s)
+    spec = world.spec(OURS, settings)
     ours, floor = (curve(spec, trials, build) for build in (as_specified, known))
     reached = points(floor)
     for accepted, mine, seen, time_s in zip(ACCEPTED_MM, ours, floor, points(ours)[0], strict=True):
@@ -112,7 +113,8 @@ def rows(name: str, world: World, settings: Sequence[str], trials: int) -> None:
         for group in (mine, seen):
             both = np.array([(one.total_error, one.duration_s) for one in group])
             (error, time) = distributions(both.T)
-            low, high = error.ci95.low, error.ci95.high
+            low = error.ci95.low
+            high = error.ci95.high
             cells += [f"{error.mean:.1f} [{low:.1f}, {high:.1f}]", f"{time.mean:.1f}"]
         print(f"| {' | '.join([*cells, at(time_s, reached)])} |", flush=True)
         name = ""

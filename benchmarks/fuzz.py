@@ -58,7 +58,8 @@ class Fuzz:
         self.runs = 0
         self.crashes: dict[str, str] = {}  # by place, so that one bug counts once
         self.slowest = (0.0, 0)  # seconds, bytes
-        self._run, self._keep = run, keep
+        self._run = run
+        self._keep = keep
         self._until = time.perf_counter() + seconds
         self._armed = 0.0
 
@@ -152,7 +153,8 @@ def main() -> int:
             continue
         found = json.loads(done.stdout.splitlines()[-1])
         seconds, size = found["slowest"]
-        slowest, memory = f"{seconds * 1e3:.0f} ms, {size} bytes", f"{found['memory'] / 1e3:.0f} MB"
+        slowest = f"{seconds * 1e3:.0f} ms, {size} bytes"
+        memory = f"{found['memory'] / 1e3:.0f} MB"
         print(f"| {name} | {found['runs']} | {len(found['crashes'])} | {slowest} | {memory} |")
         for place, message in found["crashes"].items():
             print(f"\n{place}: {message}\n\n{done.stderr}")

@@ -181,7 +181,9 @@ def culprits() -> None:
     one robot drove, on average and at most.
     """
     for kind, size, who, what, right in CULPRITS:
-        offs, ways, named = [0.0], list[float](), dict.fromkeys(NAMED, 0)
+        offs = [0.0]
+        ways = list[float]()
+        named = dict.fromkeys(NAMED, 0)
         for k in range(PLAYS):
             robots = (k % 3,) if who == (0,) else who
             at_s = 0.0 if kind == NUMBERS else 0.6 + 0.7 * k
@@ -262,9 +264,13 @@ def batches(first: int, last: int) -> None:
         print(f"batch {batch}, trial {trial}: {what}{result.summary}; {said} rad/s", flush=True)
         return ResultSummary(f"{trial}", spec, 0, trial, Origin.EMULATED, result, False, None)
 
-    stopped, alone, found, n = Counter(), Counter(), Counter(), last - first
+    stopped = Counter()
+    alone = Counter()
+    found = Counter()
+    n = last - first
     for batch in range(first, last):
-        honest, k = [run(batch, trial) for trial in range(BATCH)], batch % BATCH
+        honest = [run(batch, trial) for trial in range(BATCH)]
+        k = batch % BATCH
         found[0.0] += len(turned_otherwise(honest))
         for rate in TURNS:
             false = run(batch, k, rate)
@@ -295,7 +301,8 @@ parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
 
 if __name__ == "__main__":
     options = parser.parse_args()
-    PLAYS, RATE_HZ = options.plays, options.rate
+    PLAYS = options.plays
+    RATE_HZ = options.rate
     if options.alarms:
         alarms(options.first, options.first + options.alarms)
     elif options.batches:

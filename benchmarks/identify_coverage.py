@@ -32,10 +32,14 @@ from tetractl.results.estimate import proportion_interval
 from tetractl.run.task import trial_seeds
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
-SPEC, BENCH = EXPERIMENTS / "three_m3pi.yaml", EXPERIMENTS / "three_m3pi_bench.yaml"
+SPEC = EXPERIMENTS / "three_m3pi.yaml"
+BENCH = EXPERIMENTS / "three_m3pi_bench.yaml"
 RADIO_S = 0.0077  # mean delay of the bench's radio [s]
-STEPS, PERIOD = 50, 0.2
-POSITION, HEADING, WALK = 0.5, 0.01, 0.03
+STEPS = 50
+PERIOD = 0.2
+POSITION = 0.5
+HEADING = 0.01
+WALK = 0.03
 NOISE = [
     f"plant.measurement_noise={{position: {POSITION}, heading: {HEADING}}}",
     f"plant.heading_noise={WALK}",
@@ -148,7 +152,8 @@ def _print(total: dict[str, list[bool]]) -> None:
     print("share of 95 % intervals that contain the true value (simulated logs)")
     for name, hits in total.items():
         share = proportion_interval(sum(hits), len(hits))
-        low, high = 100 * share.low, 100 * share.high
+        low = 100 * share.low
+        high = 100 * share.high
         print(
             f"  {name:16} {100 * np.mean(hits):5.1f} %  ({low:.1f} to {high:.1f}; n = {len(hits)})"
         )

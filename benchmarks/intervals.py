@@ -30,7 +30,8 @@ from tetractl.view.figures.batch import band
 
 SIZES = (5, 8, 20, 50)
 SPREAD = 0.35  # deviation of the normal errors around 1: none is negative in practice
-BCA_SETS, RESAMPLES = 500, 999
+BCA_SETS = 500
+RESAMPLES = 999
 ALARM = 0.05  # p below which a test finds a difference
 
 

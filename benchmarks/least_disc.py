@@ -16,23 +16,33 @@ import math
 import numpy as np
 
 ACTIONS = np.linspace(-math.pi, math.pi, 48, endpoint=False)
-PARTS, BEYOND, KEPT = 8, 2.5, 0.998
-HOLD_S, SHARE = 35.0, 0.95
+PARTS = 8
+BEYOND = 2.5
+KEPT = 0.998
+HOLD_S = 35.0
+SHARE = 0.95
 
 
 def moved(x, y, period):
     """Return the targets (PARTS, A, ...) in the view of a robot after parts of a period, one for
     each action, for targets x, y (...); lengths in v / a, times in 1 / a."""
     u = ACTIONS.reshape(-1, *[1] * np.ndim(x))
-    heading, at_x, at_y, found, fine = 0.0 * u, 0.0 * u, 0.0 * u, [], 4
+    heading = 0.0 * u
+    at_x = 0.0 * u
+    at_y = 0.0 * u
+    found = []
+    fine = 4
     dt = period / PARTS / fine
     for _ in range(PARTS):
         for _ in range(fine):
             half = heading + dt / 2 * np.sin(u - heading)
-            at_x, at_y = at_x + dt * np.cos(half), at_y + dt * np.sin(half)
+            at_x = at_x + dt * np.cos(half)
+            at_y = at_y + dt * np.sin(half)
             heading = heading + dt * np.sin(u - half)
-        gap_x, gap_y = x - at_x, y - at_y
-        c, s = np.cos(heading), np.sin(heading)
+        gap_x = x - at_x
+        gap_y = y - at_y
+        c = np.cos(heading)
+        s = np.sin(heading)
         found.append((c * gap_x + s * gap_y, c * gap_y - s * gap_x))
     return found
 
@@ -41,11 +51,15 @@ class Policy:
     """The value of every state for a disc of radius R, and the choice by it."""
 
     def __init__(self, radius, period, sigma, steps):
-        self.period, self.radius, self.step = period, radius, BEYOND / steps
-        self.rows, self.columns = steps + 1, 3 * steps // 2
+        self.period = period
+        self.radius = radius
+        self.step = BEYOND / steps
+        self.rows = steps + 1
+        self.columns = 3 * steps // 2
         r = np.arange(self.rows) * self.step
         phi = np.arange(self.columns) * math.tau / self.columns
-        x, y = r[:, None] * np.cos(phi), r[:, None] * np.sin(phi)
+        x = r[:, None] * np.cos(phi)
+        y = r[:, None] * np.sin(phi)
         found = moved(x, y, period)
         within = [(np.hypot(*one) <= radius + 1e-9).astype(np.float32) for one in found]
         reward = (1 - KEPT) * np.mean(within, axis=0)
@@ -73,10 +87,14 @@ class Policy:
         """Return indices and weights (4, ...) of the grid's points around points (...)."""
         i = np.minimum(np.hypot(x, y) / self.step, self.rows - 1.001)
         j = np.arctan2(y, x) % math.tau / math.tau * self.columns
-        row, column = i.astype(np.int32), j.astype(np.int32)
-        i, j = (i - row).astype(np.float32), (j - column).astype(np.float32)
-        left, right = column % self.columns, (column + 1) % self.columns
-        low, high = row * self.columns, (row + 1) * self.columns
+        row = i.astype(np.int32)
+        column = j.astype(np.int32)
+        i = (i - row).astype(np.float32)
+        j = (j - column).astype(np.float32)
+        left = column % self.columns
+        right = (column + 1) % self.columns
+        low = row * self.columns
+        high = (row + 1) * self.columns
         index = np.stack([low + left, low + right, high + left, high + right])
         return index, np.stack([(1 - i) * (1 - j), (1 - i) * j, i * (1 - j), i * j])
 
@@ -86,7 +104,9 @@ class Policy:
 
     def holds(self, trials, steps, sigma, rng):
         """Return the distances (steps PARTS, trials) from the target while it is held."""
-        x, y, seen = np.zeros(trials), np.full(trials, self.radius), []
+        x = np.zeros(trials)
+        y = np.full(trials, self.radius)
+        seen = []
         for k in range(steps + 40):
             found = np.array(moved(x, y, self.period))
             index, weight = self.corners(*found[-1])
@@ -103,7 +123,8 @@ class Policy:
 
 def main(a, speed, noise, period_s, trials, seed):
     """Print the table."""
-    sigma, floor = noise * math.sqrt(period_s), 2 * speed / a
+    sigma = noise * math.sqrt(period_s)
+    floor = 2 * speed / a
     print(
         f"2 v / a = {floor:.1f} um; heading noise {noise:g} rad/sqrt(s), control {period_s:g} s\n"
     )

@@ -94,7 +94,8 @@ def torn(folder: Path, scale: float) -> None:
     print("| damage | logs | no trial left in | chunks recovered of those complete | wrong | s |")
     print("|---|---|---|---|---|---|")
     for kind in ("truncated", "flipped"):
-        count, began = round(10_000 * scale), time.perf_counter()
+        count = round(10_000 * scale)
+        began = time.perf_counter()
         copies = getattr(original, kind)(count, random.Random(1))
         tally = fuzz(original, copies, folder / "copy.mcap")
         chunks = f"{tally.chunks_recovered} of {tally.chunks_complete}"
@@ -110,7 +111,8 @@ class Busy(MonotonicClock):
 
     def __init__(self) -> None:
         super().__init__()
-        self.woke, self.busy_ns = 0, []
+        self.woke = 0
+        self.busy_ns = []
 
     def sleep_until(self, when: int) -> None:
         self.busy_ns.append(self.now() - self.woke)
@@ -122,7 +124,8 @@ class Planning:
     """A controller that is timed."""
 
     def __init__(self, controller) -> None:
-        self.controller, self.ns = controller, []
+        self.controller = controller
+        self.ns = []
 
     def plan(self, observation, last_command=None, earlier=()):
         before = time.perf_counter_ns()
@@ -134,7 +137,8 @@ class Planning:
 def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarray, int]:
     """Run a trial on the wall clock; ns the loop worked a step without planning, and its steps."""
     key, seed = trial_seeds(1, 0)
-    clock, planning = Busy(), Planning(build_controller(spec.experiment, key))
+    clock = Busy()
+    planning = Planning(build_controller(spec.experiment, key))
     start = start_of(spec, 0, PlantInfo("", True, 0, {}), EPOCH_NS)
     plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     stand = spec.experiment.controller.first_plan
@@ -333,7 +337,8 @@ def broken(folder: Path) -> str:
 
 
 def slow(folder: Path) -> str:
-    library, found = shim(folder), []
+    library = shim(folder)
+    found = []
     for name, env in (("plain", {}), ("slow", {"LD_PRELOAD": library, "SHIM_SLOW_MS": "700"})):
         path = folder / f"{name}.mcap"
         trial = RealTime(path, **env)
@@ -393,7 +398,8 @@ class Watch:
     """Notes memory as a trial goes on."""
 
     def __init__(self, every: int) -> None:
-        self.every, self.seen = every, []
+        self.every = every
+        self.seen = []
 
     def on_start(self, start) -> None: ...
     def on_samples(self, samples) -> None: ...
@@ -407,9 +413,11 @@ class Watch:
 
 
 def soak(folder: Path, scale: float) -> None:
-    spec, count = parse_spec(SMALL, "small.yaml"), max(20, round(1000 * scale))
+    spec = parse_spec(SMALL, "small.yaml")
+    count = max(20, round(1000 * scale))
     warm_up(spec.experiment, print)
-    missed, marks = 0, []
+    missed = 0
+    marks = []
     for i in range(count):
         run_trial(spec, folder, i, (), Interrupt())
         missed += missing_frames(log_path(folder, i))
@@ -425,7 +433,8 @@ def long(folder: Path, scale: float) -> None:
     steps = round(hours * 3600 / 0.2)
     spec = parse_spec(ENDLESS, "far.yaml", [f"controller.steps_max={steps}"])
     warm_up(spec.experiment, print)
-    watch, began = Watch(max(1, steps // 4)), time.perf_counter()
+    watch = Watch(max(1, steps // 4))
+    began = time.perf_counter()
     result = run_trial(spec, folder, 0, (watch,), Interrupt())
     assert result.steps == steps + 1, result.reason
     seconds = time.perf_counter() - began

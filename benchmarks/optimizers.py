@@ -33,14 +33,17 @@ def main() -> None:
 
 def _figures(optimizer: OptimizerSection, problem: Problem, seeds: int) -> str:
     optimizer.search(problem, LENGTH, None, 0, Limits())  # compile
-    costs, evaluations, times = [], [], []
+    costs = []
+    evaluations = []
+    times = []
     for key in range(seeds):
         begin = time.perf_counter()
         found = optimizer.search(problem, LENGTH, None, key, Limits())
         times.append((time.perf_counter() - begin) * 1e3)
         costs.append(found.cost)
         evaluations.append(found.evaluations)
-    median, worst = np.median(costs), np.max(costs)
+    median = np.median(costs)
+    worst = np.max(costs)
     return f"{median:.3g} | {worst:.3g} | {np.median(evaluations):.0f} | {np.median(times):.1f}"
 
 

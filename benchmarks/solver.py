@@ -43,7 +43,8 @@ def main() -> None:
     wanted = [part.strip() for part in chosen.only.split(",")]
     if unknown := [part for part in wanted if part not in parts]:
         parser.error(f"--only: no part {unknown[0]}; there are {', '.join(parts)}")
-    began, reports = load(), []
+    began = load()
+    reports = []
     for part in wanted:
         progress(f"({part}) ...")
         reports.append(parts[part]())

@@ -29,8 +29,10 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.plant.direct import DirectDrive
 
-SIGNALS, TRIALS = 96, 1000
-LEAST, BAND = 0.01, 3.0
+SIGNALS = 96
+TRIALS = 1000
+LEAST = 0.01
+BAND = 3.0
 KINDS = "exact", "euler", "arc"
 
 
@@ -53,7 +55,8 @@ class Seen:
 
 def ends(setup, motion, seed):
     """Return the ends (TRIALS, N, 2), over the speed, to which the plant drives the robots."""
-    rng, count = np.random.default_rng(seed), len(setup.a)
+    rng = np.random.default_rng(seed)
+    count = len(setup.a)
     held_s = 1 / math.exp(sum(map(math.log, setup.a)) / count)
     parts = 1 if motion == "exact" else math.ceil(4 * max(setup.a) * held_s)
     every = np.zeros((3, TRIALS, count))
@@ -99,7 +102,8 @@ def drawn(rng, near):
     """Return a random set of robots and its motion; `near`: two differ by very little."""
     count = int(rng.integers(2 if near else 1, 7))
     a = np.exp(rng.uniform(math.log(2), math.log(8), count))
-    speed, heading = rng.uniform(50, 400, count), rng.uniform(-math.pi, math.pi, count)
+    speed = rng.uniform(50, 400, count)
+    heading = rng.uniform(-math.pi, math.pi, count)
     kind = rng.integers(4)
     some = rng.permutation(count)[: int(rng.integers(2, count + 1))] if count > 1 else []
     if near:
@@ -108,7 +112,8 @@ def drawn(rng, near):
         turn = by * rng.choice([-1, 1])
         a[j], heading[j] = (a[i] * (1 + by), heading[i]) if kind < 2 else (a[i], heading[i] + turn)
     elif kind < 2:
-        a[some], heading[some] = a[some[:1]], heading[some[:1]]
+        a[some] = a[some[:1]]
+        heading[some] = heading[some[:1]]
     elif kind == 2 and count > 1:
         speed[some[:1]] = 0.0
     return setup_of(a, speed, heading), str(rng.choice(KINDS))
@@ -146,7 +151,9 @@ def right(setup, motion, verdict, seen, seed):
 
 def main(sets, seed):
     """Print the table."""
-    rng, rows, seconds = np.random.default_rng(seed), [], 0.0
+    rng = np.random.default_rng(seed)
+    rows = []
+    seconds = 0.0
     while len(rows) < sets:
         near = len(rows) % 2 == 1
         setup, motion = drawn(rng, near)

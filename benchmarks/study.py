@@ -62,7 +62,8 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "study.yaml"
         file.write_text(f"name: rate\nbase: {spec}\ntrials: {{count: {trials}, seed: 1}}\n")
-        loaded, clocked = load_study(file), Clocked()
+        loaded = load_study(file)
+        clocked = Clocked()
         store = loaded.store(Path(name) / "out")
         with store.opened():
             tasks, _ = lacking(loaded, store, Logs.parse(logs), False)
@@ -100,7 +101,8 @@ def main() -> None:
             f" first plan {_span(first_ms, 1)} ms on average"
         )
     for logs in ("whole logs", "brief logs"):
-        one, two = found[f"1 process, {logs}"], found[f"2 processes, {logs}"]
+        one = found[f"1 process, {logs}"]
+        two = found[f"2 processes, {logs}"]
         gains = [b.rate / a.rate for a, b in zip(one, two, strict=True)]
         print(f"2 processes against 1, {logs}: {_span(gains, 2)}x")
 

@@ -58,7 +58,9 @@ class Timed:
     """A controller with the processor time of each plan for moving robots [ms]."""
 
     def __init__(self, controller: Controller) -> None:
-        self.controller, self.moving, self.ms = controller, False, list[float]()
+        self.controller = controller
+        self.moving = False
+        self.ms = list[float]()
 
     def plan(
         self,
@@ -91,7 +93,9 @@ def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
     name, slow, _ = world.partition("-5hz")
     spec = WORLDS[name].spec(5 if slow else 20, seed, trial, settings)
     key, seeds = trial_seeds(spec.trials.seed, trial)
-    clock, nowhere, kept = VirtualClock(), PlantInfo("", True, 0.0, {}), Noted()
+    clock = VirtualClock()
+    nowhere = PlantInfo("", True, 0.0, {})
+    kept = Noted()
     plant = spec.plant.build(spec.setup, clock, seeds, LabSupervision())
     controller = Timed(build_controller(spec, key))
     result = Trial(
@@ -104,10 +108,12 @@ def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
         interrupt=Interrupt(),
     ).run()
     assert isinstance(plant, SimPlant)
-    truth, verdict = true(plant), result.verdict
+    truth = true(plant)
+    verdict = result.verdict
     radius = spec.controller.body_radius
     gaps = min(verdict.edge), min(verdict.clearance), min(verdict.apart) - radius
-    errors, period_s = np.array(result.robot_errors)[truth["lives"]], spec.setup.period_s
+    errors = np.array(result.robot_errors)[truth["lives"]]
+    period_s = spec.setup.period_s
     return {
         "seed": seed,
         "trial": trial,
@@ -171,7 +177,8 @@ def held(known: Estimate | None, truth: Truth) -> Row:
             row |= {f"{name}_of": 0, f"{name}_held": 0, f"{name}_squares": 0.0}
             continue
         lives = truth["lives"] if value.ndim else np.True_
-        off, std = (value - truth[name])[lives], std[lives]
+        off = (value - truth[name])[lives]
+        std = std[lives]
         inside = int((np.abs(off) <= 1.96 * std).sum())  # what is known for sure has no deviation
         squares = float(((off[std > 0] / std[std > 0]) ** 2).sum())
         row |= {f"{name}_of": off.size, f"{name}_held": inside, f"{name}_squares": squares}
@@ -207,10 +214,12 @@ def line(name: str, rows: list[Row]) -> str:
     of = {key: np.array([row[key] for row in rows]) for key in rows[0] if key != TOLD}
     (error,) = distributions(of["error"][None])
     gaps = [of[f"{what}_mm"] for what in ("edge", "obstacle", "apart")]
-    quiet, missed = of["misfit"] == 0, np.zeros(len(rows), dtype=np.bool_)
+    quiet = of["misfit"] == 0
+    missed = np.zeros(len(rows), dtype=np.bool_)
     shares = []
     for what in QUANTITIES:
-        inside, every = of[f"{what}_held"], of[f"{what}_of"]
+        inside = of[f"{what}_held"]
+        every = of[f"{what}_of"]
         missed |= inside < every
         rms = np.sqrt(of[f"{what}_squares"][quiet].sum() / max(every[quiet].sum(), 1))
         shares.append(f"{inside[quiet].sum():.0f} of {every[quiet].sum():.0f}; {rms:.2f}")
@@ -247,7 +256,8 @@ def compare(found: dict[str, list[Row]], folder: Path) -> None:
     print("|---|---|---|---|---|---|---|")
     for key, one in tested.items():
         more, (now, before) = np.subtract(*pairs[key].T), pairs[key].mean(axis=0)
-        half, verdict = 0.0, "equal"
+        half = 0.0
+        verdict = "equal"
         if key in levels:
             reach = stats.t.ppf(1 - levels[key] / 2, len(more) - 1)
             half = reach * more.std(ddof=1) / np.sqrt(len(more))
@@ -271,7 +281,8 @@ def main() -> None:
     asked = parser.parse_args()
     print(f"Simulated, seed {asked.seed}. {load()}.\n")
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
-    numbers, found = range(asked.first, asked.first + asked.trials), dict[str, list[Row]]()
+    numbers = range(asked.first, asked.first + asked.trials)
+    found = dict[str, list[Row]]()
     with get_context("spawn").Pool(asked.jobs) as pool:
         for name in asked.world:
             progress(name)

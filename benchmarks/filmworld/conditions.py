@@ -7,7 +7,9 @@ import numpy as np
 
 from .optics import Optics
 
-SIDE_PX, UM_PX, RATE_HZ = 1024, 2.3, 30.0
+SIDE_PX = 1024
+UM_PX = 2.3
+RATE_HZ = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +56,14 @@ class Conditions:
         }
         share = {"easy": 0.0, "normal": 0.5, "hard": 0.75}[level]
         names = list(looks)
-        plain, haloed = names[2:4], [*names[:2], names[4]]
+        plain = names[2:4]
+        haloed = [*names[:2], names[4]]
         look = str(random.choice(haloed if random.random() < share else plain))
         body, halo, edge = looks[look]
         dark_field = look in ("bright", "bright, dark halo")
         light = random.uniform(60, 110) if dark_field else random.uniform(120, 190)
-        angle, size = random.uniform(-np.pi, np.pi), float(level == "hard") * 18.0
+        angle = random.uniform(-np.pi, np.pi)
+        size = float(level == "hard") * 18.0
         contrast = {
             "easy": random.uniform(40, 80) / light,
             "normal": random.uniform(30, 70) / light,
@@ -69,9 +73,11 @@ class Conditions:
         noise = {"easy": (2.0, 4.0), "normal": (3.0, 6.0), "hard": (7.0, 8.0)}[level]
         noise = random.uniform(*noise)
         if level == "hard" and random.random() < 0.4:
-            contrast, noise = 0.17, 8.0
+            contrast = 0.17
+            noise = 8.0
         seconds = float(random.uniform(10, 12)) if level != "easy" else 10.0
-        hard, easy = level == "hard", level == "easy"
+        hard = level == "hard"
+        easy = level == "easy"
         return cls(
             seconds=round(seconds * RATE_HZ) / RATE_HZ,
             optics=Optics(

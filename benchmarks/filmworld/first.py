@@ -25,8 +25,10 @@ from tetractl.model.swimmers import Bodies, Swimmers
 
 from .truth import FilmTruth
 
-SIDE_PX, UM_PX = 1024, 2.3
-CELLS, STRANGERS = 20, 4
+SIDE_PX = 1024
+UM_PX = 2.3
+CELLS = 20
+STRANGERS = 4
 BRIGHT_FIELD = 150.0  # grey level of the medium
 
 
@@ -41,7 +43,8 @@ class PulsingSwimmers(Swimmers):
 
     def swim(self, field, seconds, random, drift=(0.0, 0.0), walls=None) -> None:
         beat = math.sqrt(2) * self.pulse * np.sin(2 * math.pi * self.pulse_hz * self.age)
-        self.speed, self.age = self.base * (1 + beat), self.age + seconds
+        self.speed = self.base * (1 + beat)
+        self.age = self.age + seconds
         super().swim(field, seconds, random, drift, walls)
 
     def joined(self, others: Swimmers) -> "PulsingSwimmers":
@@ -107,7 +110,8 @@ class WideFilm(SyntheticFilm):
     def drawn(cls, seed: int, level: str) -> "WideFilm":
         at = ("easy", "normal", "hard").index(level)
         random = np.random.default_rng([seed, 1, at])
-        hard, easy = level == "hard", level == "easy"
+        hard = level == "hard"
+        easy = level == "easy"
         seconds = 10.0 if easy else round(random.uniform(10, 12) * 30) / 30
         cells = PulsingSwimmers(
             **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
@@ -143,10 +147,12 @@ class WideFilm(SyntheticFilm):
         random = np.random.default_rng([self.seed, 7])
         # the JPEG comes later, at the quality of the whole film
         painter = WidePainter(replace(self.look, quality=None), self.seed)
-        painter.halo, painter.hollow = self.halo, self.hollow
+        painter.halo = self.halo
+        painter.hollow = self.hollow
         painter.own = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.15, 64))
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
-        focus, knocked = 0.0, False
+        focus = 0.0
+        knocked = False
         for t in self.times:
             focus += -focus / 60 + self.wander_um * math.sqrt(2 / 60) * random.standard_normal()
             if t > self.knock_s and not knocked:
@@ -165,7 +171,8 @@ class WideFilm(SyntheticFilm):
         states = [self._at(t) for t in self.times]
         resting = np.array([state.resting for state in states])
         speed = np.array([state.speed for state in states]) * ~resting
-        a, parent = self.cells.a.copy(), np.full(len(self.cells), -1)
+        a = self.cells.a.copy()
+        parent = np.full(len(self.cells), -1)
         if self.script.events:
             parent[-1] = self._mother
             a[self._mother] = math.nan  # it changes
@@ -203,13 +210,16 @@ def first_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], 
 
 def _look(random: np.random.Generator, level: str) -> PictureLook:
     at = ("easy", "normal", "hard").index(level)
-    span, bright = SIDE_PX * UM_PX, bool(random.random() < 0.5)
+    span = SIDE_PX * UM_PX
+    bright = bool(random.random() < 0.5)
     light = random.uniform(60, 110) if bright else random.uniform(120, 190)
     contrast = (random.uniform(40, 80), random.uniform(30, 70), random.uniform(0.17, 0.2) * light)
     noise = (random.uniform(2, 4), random.uniform(3, 6), random.uniform(7, 8))
-    contrast, noise = contrast[at], noise[at]
+    contrast = contrast[at]
+    noise = noise[at]
     if level == "hard" and random.random() < 0.5:
-        contrast, noise = 0.17 * light, 8.0
+        contrast = 0.17 * light
+        noise = 8.0
     specks = [_speck(random, span, at) for _ in range((4, 30, 36)[at])]
     specks += [_lookalike(random, span, at) for _ in range((0, 3, 16)[at])]
     if at:

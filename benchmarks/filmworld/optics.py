@@ -36,7 +36,8 @@ class Shape:
         cls, random: np.random.Generator, length: float, width: float, texture: float, spread: float
     ) -> "Shape":
         t = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-        egg, bend = random.uniform(0.02, 0.3), random.normal(0, 0.04)
+        egg = random.uniform(0.02, 0.3)
+        bend = random.normal(0, 0.04)
         x = 0.5 * np.cos(t)
         y = 0.5 * width / length * np.sin(t) * (1 - egg * np.cos(t)) + bend * (np.cos(t) ** 2 - 0.5)
         waves = sum(random.normal(0, 0.008) * np.cos(n * t + random.uniform(0, 6)) for n in (2, 3))
@@ -81,14 +82,17 @@ class Optics:
         """
         x, y, z, turn, flat, roll = pose
         half = math.ceil((shape.length / 2 + REACH_UM) / self.um_px)
-        column, row = x / self.um_px, self.side_px - y / self.um_px
-        left, top = math.floor(column) - half, math.floor(row) - half
+        column = x / self.um_px
+        row = self.side_px - y / self.um_px
+        left = math.floor(column) - half
+        top = math.floor(row) - half
         side = 2 * half + 1
         if left >= self.side_px or top >= self.side_px or left + side <= 0 or top + side <= 0:
             return
         fine = FINE / self.um_px  # subpixels a um
         middle = np.array([(column - left) * FINE - 0.5, (row - top) * FINE - 0.5])
-        cos, sin = math.cos(turn), math.sin(turn)
+        cos = math.cos(turn)
+        sin = math.sin(turn)
         basis = np.array([[cos, -sin], [-sin, -cos]])  # rows run down
         scale = np.array([max(flat, shape.width / shape.length), 1.0]) * shape.length * fine
         outline = shape.outline.copy()

@@ -37,7 +37,8 @@ def track(folder: Path, um_px: float, setting: Setting) -> Shown:
         numbers[int(cell.cell)] = {
             name: (float(one.low), float(one.high)) for name, one in said.items() if one is not None
         }
-    frame, name = table[:, 0].astype(int), table[:, 1].astype(int)
+    frame = table[:, 0].astype(int)
+    name = table[:, 1].astype(int)
     sure = table[:, 6] > 0
     return Shown(frame, name, *table[:, 2:6].T, sure, numbers=numbers, cpu_s=spent)
 

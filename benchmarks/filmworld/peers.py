@@ -22,7 +22,8 @@ SIGMAS = 5.0  # threshold over the robust noise of the blurred difference
 AREA_UM2 = 250.0, 6000.0  # of a detection
 RANGE_UM = 32.0  # way between two pictures: 960 um/s at 30 Hz
 MISSED = 2  # pictures for which a cell may be missed
-SHORTEST, MOVED_UM = 15, 80.0  # pictures and way of a track that is kept
+SHORTEST = 15  # least pictures of a track that counts
+MOVED_UM = 80.0  # least way of one
 
 
 @cache
@@ -30,7 +31,8 @@ def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
     """Return frame, x, y (down) [px] of what differs from the film's median, and the processor time
     [s] of finding it.
     """
-    began, pictures = cpu_s(), []
+    began = cpu_s()
+    pictures = []
     reader = cv2.VideoCapture(str(film))
     while (read := reader.read())[0]:
         pictures.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))

@@ -80,7 +80,8 @@ class FilmScore:
 def score_film(name: str, truth: FilmTruth, shown: Shown) -> FilmScore:
     """Return how well a film's rows agree with its truth."""
     owner = owners(truth, shown)
-    view, nearest = truth.view, _nearest(truth)
+    view = truth.view
+    nearest = _nearest(truth)
     score = FilmScore(name, pictures=len(truth.times), cpu_s=shown.cpu_s)
     true = owner >= 0
     inside = np.zeros(len(owner), bool)
@@ -100,7 +101,8 @@ def score_film(name: str, truth: FilmTruth, shown: Shown) -> FilmScore:
     score.wrong = _wrong(truth, shown, owner, free)
     first = dict(zip(shown.name[true][::-1].tolist(), owner[true][::-1].tolist(), strict=True))
     right = true & (owner == np.array([first.get(name, -1) for name in shown.name.tolist()]))
-    score.right, score.covered = int(right.sum()), int((right & shown.sure).sum())
+    score.right = int(right.sum())
+    score.covered = int((right & shown.sure).sum())
     _intervals(score, truth, shown, owner)
     score.lives = _lives(truth, shown)
     score.views = _views(truth)
@@ -140,7 +142,8 @@ def _nearest(truth: FilmTruth) -> np.ndarray:
     found = np.full(truth.x.shape, np.inf)
     for k in range(len(truth.times)):
         there = np.flatnonzero(np.isfinite(truth.x[k]))
-        x, y = truth.x[k, there], truth.y[k, there]
+        x = truth.x[k, there]
+        y = truth.y[k, there]
         gaps = np.hypot(x[:, None] - x, y[:, None] - y)
         np.fill_diagonal(gaps, np.inf)
         found[k, there] = gaps.min(axis=1, initial=np.inf)
@@ -148,8 +151,10 @@ def _nearest(truth: FilmTruth) -> np.ndarray:
 
 
 def _errors(score: FilmScore, truth: FilmTruth, shown: Shown, owner, rows) -> None:
-    k, i = shown.frame[rows], owner[rows]
-    dx, dy = shown.x[rows] - truth.x[k, i], shown.y[rows] - truth.y[k, i]
+    k = shown.frame[rows]
+    i = owner[rows]
+    dx = shown.x[rows] - truth.x[k, i]
+    dy = shown.y[rows] - truth.y[k, i]
     along = dx * np.cos(truth.axis[k, i]) + dy * np.sin(truth.axis[k, i])
     aside = dy * np.cos(truth.axis[k, i]) - dx * np.sin(truth.axis[k, i])
     score.near = len(rows)
@@ -158,10 +163,12 @@ def _errors(score: FilmScore, truth: FilmTruth, shown: Shown, owner, rows) -> No
     score.place2_less = float((off**2 + aside**2).sum())
     axis = (shown.axis[rows] - truth.axis[k, i] + np.pi / 2) % np.pi - np.pi / 2
     axis = axis[np.isfinite(axis)]
-    score.axis2, score.axes = float((axis**2).sum()), len(axis)
+    score.axis2 = float((axis**2).sum())
+    score.axes = len(axis)
     heading = (shown.heading[rows] - truth.heading[k, i] + np.pi) % (2 * np.pi) - np.pi
     heading = heading[np.isfinite(heading) & ~truth.resting[k, i]]
-    score.heading2, score.headings = float((heading**2).sum()), len(heading)
+    score.heading2 = float((heading**2).sum())
+    score.headings = len(heading)
 
 
 def _named(shown: Shown, owner, inside) -> int:
@@ -178,9 +185,12 @@ def _renamed(truth: FilmTruth, shown: Shown, owner, free) -> int:
     """Return how often a cell that stays in view gets a name that no cell had before."""
     last: dict[int, tuple[int, int]] = {}
     known: set[int] = set()
-    count, view = 0, truth.view
+    count = 0
+    view = truth.view
     for row in free:
-        i, name, k = int(owner[row]), int(shown.name[row]), int(shown.frame[row])
+        i = int(owner[row])
+        name = int(shown.name[row])
+        k = int(shown.frame[row])
         before = last.get(i)
         if before is not None and before[0] != name and name not in known:
             gone = (~view[before[1] : k, i]).sum()

@@ -14,7 +14,8 @@ from .optics import Optics, Shape, bubble
 from .swim import NEARBY_UM, STEPS_S, Fauna, Swum, swim
 from .truth import FilmTruth
 
-CELLS, STRANGERS = 20, 4
+CELLS = 20
+STRANGERS = 4
 NOISE_SPARE_PX = 64
 FOCUS_UM = 4.0  # step of the focus in which debris at rest is drawn
 TRIES = 60  # attempts to let two neighbours cross in view
@@ -57,7 +58,8 @@ class _World:
         """Place the cells so that neighbours cross in view; one that leaves on one side is
         followed by a new individual on the other.
         """
-        side, count = SIDE_PX * UM_PX, len(fauna.speed)
+        side = SIDE_PX * UM_PX
+        count = len(fauna.speed)
         wide = side + 2 * NEARBY_UM
         flat = swum.place[:, :, :2]
         steps = len(flat)
@@ -70,7 +72,11 @@ class _World:
                 if (meet > 60).all() and (meet < side - 60).all():
                     shift[i] = meet + NEARBY_UM - flat[at, i] + random.normal(0, 6, 2)
                     break
-        slots, shifts, spans, parents, shapes = [], [], [], [], []
+        slots = []
+        shifts = []
+        spans = []
+        parents = []
+        shapes = []
 
         def add(i: int, by: np.ndarray, first: int, end: int, parent: int, shrink: float) -> None:
             slots.append(i)
@@ -78,7 +84,8 @@ class _World:
             spans.append((first, end))
             parents.append(parent)
             size = shrink * random.normal(1, 0.0 if first == 0 else 0.08)
-            long, wide = fauna.length[i] * np.clip(size, 0.6, 1.2), fauna.width[i]
+            long = fauna.length[i] * np.clip(size, 0.6, 1.2)
+            wide = fauna.width[i]
             shapes.append(Shape.drawn(random, long, wide, made.texture, made.spread))
 
         for i in range(count):
@@ -110,7 +117,10 @@ class _World:
         other = int(np.argmin(np.where(self.fauna.a > 0, np.abs(off - 0.6), 100.0)))
         ways = own, other
         ends = int(self.span[mother, 1]), len(self.swum.place)
-        slots, shifts, spans, parents = [], [], [], []
+        slots = []
+        shifts = []
+        spans = []
+        parents = []
         for way, end, apart in zip(ways, ends, (1.0, -1.0), strict=True):
             th = self.swum.heading[half, own] + math.pi / 2
             step = apart * 6.0 * np.array([math.cos(th), math.sin(th)])
@@ -162,9 +172,11 @@ class _World:
 
     def pictures(self, random, moments: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the pictures at the given times [s]."""
-        made, side = self.made, SIDE_PX
+        made = self.made
+        side = SIDE_PX
         grain = random.standard_normal((side + NOISE_SPARE_PX,) * 2).astype(np.float32) * made.noise
-        focus, flicker = 0.0, 0.0
+        focus = 0.0
+        flicker = 0.0
         debris = _Debris.drawn(random, made)
         stills = {}  # by the focus, to which a film comes back
         for t in moments.tolist():
@@ -193,7 +205,8 @@ class _World:
 
     def _stamp(self, field, i: int, step: int, knock: np.ndarray, focus: float) -> None:
         slot = self.slot[i]
-        place, along = self.swum.place[step, slot], self.swum.along[step, slot]
+        place = self.swum.place[step, slot]
+        along = self.swum.along[step, slot]
         side = self.swum.side[step, slot]
         ahead = self.swum.speed[step, slot] * self.made.exposure_s
         turn = math.atan2(along[1], along[0])
@@ -215,15 +228,18 @@ class _Debris:
 
     @classmethod
     def drawn(cls, random, made: Conditions) -> "_Debris":
-        side, count = SIDE_PX * UM_PX, made.specks + made.lookalikes
-        shapes, drift = [], np.zeros((count, 3))
+        side = SIDE_PX * UM_PX
+        count = made.specks + made.lookalikes
+        shapes = []
+        drift = np.zeros((count, 3))
         for i in range(count):
             alike = i < made.lookalikes
             long = random.normal(52, 8) if alike else random.uniform(5, 40)
             wide = long * (random.uniform(0.42, 0.6) if alike else random.uniform(0.4, 1.0))
             shapes.append(Shape.drawn(random, max(long, 5.0), max(wide, 4.0), made.texture, 0.3))
             if made.speck_um_s and (random.random() < 0.5 if alike else random.random() < 0.3):
-                speed, way = random.uniform(5, made.speck_um_s), random.uniform(-np.pi, np.pi)
+                speed = random.uniform(5, made.speck_um_s)
+                way = random.uniform(-np.pi, np.pi)
                 turn = random.normal(0, 0.3)
                 drift[i] = speed * math.cos(way), speed * math.sin(way), turn
         pose = np.column_stack(

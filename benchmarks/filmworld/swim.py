@@ -84,7 +84,8 @@ def swim(
     and the time for which it rests. A cell backs away now and then, `backs` times a second, and
     then turns by an angle of its own (an avoiding reaction).
     """
-    count, dt = len(fauna.speed), 1 / STEPS_S
+    count = len(fauna.speed)
+    dt = 1 / STEPS_S
     steps = math.ceil(seconds * STEPS_S) + STEPS_S // 20
     turning = 2 * np.pi * fauna.hertz
     lean = np.arctan2(np.abs(turning) * fauna.radius, fauna.speed)
@@ -99,9 +100,12 @@ def swim(
     shown = [np.empty((steps + 1, count, 3)) for _ in range(3)]
     flat = [np.empty((steps + 1, count)) for _ in range(2)]
     resting = np.zeros((steps + 1, count), bool)
-    start, noise = random.uniform(0, 2 * np.pi, count), np.zeros(count)
+    start = random.uniform(0, 2 * np.pi, count)
+    noise = np.zeros(count)
     current = np.append(random.uniform(-4, 4, 2), 0.0)
-    left, swerve, depth = np.zeros(count), np.zeros(count), random.normal(0, 12, count)
+    left = np.zeros(count)
+    swerve = np.zeros(count)
+    depth = random.normal(0, 12, count)
     for k in range(steps + 1):
         t = k * dt
         axis = np.einsum("nij,nj->ni", frame, own)
@@ -112,12 +116,15 @@ def swim(
         beat = 1 + 1.3 * fauna.pulse * np.sin(2 * np.pi * fauna.pulse_hz * t + start) + noise
         going = np.ones(count)
         if rest is not None and rest[1] <= t < rest[2]:
-            going[rest[0]], resting[k, rest[0]] = 0.0, True
+            going[rest[0]] = 0.0
+            resting[k, rest[0]] = True
         backing = left > 0
         ahead = fauna.speed * beat * going * np.where(backing, -0.6, 1.0)
-        shown[0][k], shown[1][k] = place, np.einsum("nij,nj->ni", frame, body)
+        shown[0][k] = place
+        shown[1][k] = np.einsum("nij,nj->ni", frame, body)
         shown[2][k] = frame[:, :, 2]
-        flat[0][k], flat[1][k] = heading, ahead
+        flat[0][k] = heading
+        flat[1][k] = ahead
         begins = (random.random(count) < backs * dt) & ~backing & (going > 0)
         left = np.where(begins, random.uniform(0.2, 0.5, count), left - dt)
         swerve = np.where(begins, random.normal(0, 4.0, count), swerve)
@@ -140,7 +147,8 @@ def _start_frames(random: np.random.Generator, lean: np.ndarray) -> np.ndarray:
     """Return frames (N, 3, 3), whose columns are the bodies' axes, with w level."""
     frames = []
     for angle in lean:
-        th, roll = random.uniform(-np.pi, np.pi), random.uniform(-np.pi, np.pi)
+        th = random.uniform(-np.pi, np.pi)
+        roll = random.uniform(-np.pi, np.pi)
         w = np.array([math.cos(th), math.sin(th), 0.0])
         left = np.array([-math.sin(th), math.cos(th), 0.0])
         out = math.cos(roll) * left + math.sin(roll) * np.array([0.0, 0.0, 1.0])
@@ -156,5 +164,6 @@ def _turned(frame: np.ndarray, by: np.ndarray) -> np.ndarray:
     x, y, z = (by / np.maximum(angle, 1e-12)[:, None]).T
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3, 3)
-    sine, rest = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
+    sine = np.sin(angle)[:, None, None]
+    rest = (1 - np.cos(angle))[:, None, None]
     return frame + (sine * cross + rest * (cross @ cross)) @ frame

@@ -113,7 +113,8 @@ def write_mjpeg(
         inner = chunk(b"LIST", b"strl" + chunk(b"strh", stream) + chunk(b"strf", shape))
         return chunk(b"LIST", b"hdrl" + chunk(b"avih", main) + inner)
 
-    index, place = [], 4
+    index = []
+    place = 4
     with path.open("wb") as file:
         file.write(b"RIFF\0\0\0\0AVI " + headers(0))
         start = file.tell()

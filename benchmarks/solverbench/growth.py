@@ -42,7 +42,8 @@ def growth(settings: Settings, plot: Path | None) -> Report:
             RED,
         ),
     ]
-    rows, drawn = [], []
+    rows = []
+    drawn = []
     for name, sizes, case, color in series:
         progress(f"(d) growth with {name}")
         times = np.array([_iteration(*case(size), settings) for size in sizes])

@@ -177,7 +177,8 @@ def replace_control(spec: Experiment, **fields: object) -> Experiment:
 def _budgets(report: Report, settings: Settings) -> None:
     """Whole control steps and whole sweeps of the compiled swarm, with the budget fully spent."""
     rows = []
-    euler, count = printed(), settings.repeats * 5
+    euler = printed()
+    count = settings.repeats * 5
     models = [("Euler", euler), ("exact", replace(euler, motion="exact"))]
     models.append(("exact, swept, walls", recommended()))
     for name, problem in models:
@@ -203,7 +204,8 @@ def _budgets(report: Report, settings: Settings) -> None:
 
 def _frame(report: Report, figure: str, clock: Times, processor: Times) -> None:
     """Note whether the p99 of some steps, by the clock, fits into a frame of the camera."""
-    p99, used = np.quantile(clock, 0.99) * 1e3, np.quantile(processor, 0.99) * 1e3
+    p99 = np.quantile(clock, 0.99) * 1e3
+    used = np.quantile(processor, 0.99) * 1e3
     text = f"{p99:.2f} ms by the clock, {used:.2f} ms of processor time"
     report.bar(figure, f"<= {FRAME_MS} ms", text, p99 <= FRAME_MS)
 
@@ -211,9 +213,11 @@ def _frame(report: Report, figure: str, clock: Times, processor: Times) -> None:
 def _timed(work: Callable[[int], None], count: int) -> tuple[list[float], list[float]]:
     """Times by the clock and by the thread's processor time [s]."""
     work(0)
-    wall, used = [], []
+    wall = []
+    used = []
     for i in range(count):
-        begin, used_before = time.perf_counter(), time.thread_time()
+        begin = time.perf_counter()
+        used_before = time.thread_time()
         work(i)
         wall.append(time.perf_counter() - begin)
         used.append(time.thread_time() - used_before)

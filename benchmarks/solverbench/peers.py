@@ -43,7 +43,8 @@ class Meter:
     """Evaluates J of one problem and length, and ends the race."""
 
     def __init__(self, problem: Problem, length: int, cap_s: float) -> None:
-        self.problem, self.length = problem, length
+        self.problem = problem
+        self.length = length
         self.course = lay_out(problem, PARTICLES)
         self.best = np.inf
         self.begin = time.process_time()
@@ -86,7 +87,8 @@ def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> 
 
 def _ours(optimizer: OptimizerSection, restarts: int = 10**9) -> Peer:
     def run(meter: Meter, seed: int) -> NoReturn:
-        problem, length = meter.problem, meter.length
+        problem = meter.problem
+        length = meter.length
         for again in range(1 + restarts):
             key = mix(seed, again)
             found = optimizer.search(problem, length, None, key, Limits(expired=meter.expired))

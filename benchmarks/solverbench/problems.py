@@ -14,9 +14,13 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
-PAPER, OURS = "three_m3pi_paper.yaml", "three_m3pi.yaml"
-PARTICLES, SIGNALS, ITERATIONS = 128, 41, 100
-LENGTH, LONGEST = 44, 51
+PAPER = "three_m3pi_paper.yaml"
+OURS = "three_m3pi.yaml"
+PARTICLES = 128
+SIGNALS = 41
+ITERATIONS = 100
+LENGTH = 44
+LONGEST = 51
 SWARM = Pso(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
 
 
@@ -41,8 +45,10 @@ def recommended() -> Problem:
 
 def random_robots(robots: int) -> Problem:
     """The printed problem for any number of robots, all different."""
-    rng, base = np.random.default_rng(robots), printed()
-    x, y = rng.uniform(600, 2000, robots), rng.uniform(400, 2100, robots)
+    rng = np.random.default_rng(robots)
+    base = printed()
+    x = rng.uniform(600, 2000, robots)
+    y = rng.uniform(400, 2100, robots)
     return replace(
         base,
         poses=Poses(x, y, np.zeros(robots)),
@@ -59,10 +65,14 @@ Cost = Callable[[Floats], Floats]
 def plain_cost(problem: Problem) -> Cost:
     """J of the printed problem as one writes it in NumPy: arrays (P, N), one step after another."""
     assert problem.motion == "euler" and not problem.swept
-    t, a, v, weight = problem.period, problem.a, problem.speed, problem.obstacle_weight
+    t = problem.period
+    a = problem.a
+    v = problem.speed
+    weight = problem.obstacle_weight
     (box,) = problem.obstacles.shapes
     left, bottom, right, top = box.box
-    poses, targets = problem.poses, problem.targets
+    poses = problem.poses
+    targets = problem.targets
 
     def cost(signals: Floats) -> Floats:
         shape = (len(signals), len(a))
@@ -83,10 +93,13 @@ def plain_cost(problem: Problem) -> Cost:
 def tuned_cost(problem: Problem) -> Cost:
     """The same, tuned: particles contiguous, sums in place, constants taken out of the loop."""
     assert problem.motion == "euler" and not problem.swept
-    turn, step = problem.a[:, None] * problem.period, problem.speed[:, None] * problem.period
+    turn = problem.a[:, None] * problem.period
+    step = problem.speed[:, None] * problem.period
     (box,) = problem.obstacles.shapes
     left, bottom, right, top = box.box
-    start, target, weight = problem.poses, problem.targets[:, :, None], problem.obstacle_weight
+    start = problem.poses
+    target = problem.targets[:, :, None]
+    weight = problem.obstacle_weight
 
     def cost(signals: Floats) -> Floats:
         shape = (len(step), len(signals))

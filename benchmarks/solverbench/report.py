@@ -120,5 +120,7 @@ def least(work: Callable[[], object], repeats: int) -> float:
 def spread(times: Sequence[float] | np.ndarray) -> str:
     """p50 / p99 / max of some times [s], in ms."""
     values = np.asarray(times) * 1e3
-    p50, p99, top = np.median(values), np.quantile(values, 0.99), values.max()
+    p50 = np.median(values)
+    p99 = np.quantile(values, 0.99)
+    top = values.max()
     return f"{p50:.2f} / {p99:.2f} / {top:.2f}"

@@ -23,7 +23,8 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
     def run(meter: Meter, seed: int) -> NoReturn:
         from tetractl_ipopt import promising
 
-        rng, problem = np.random.default_rng(seed), meter.problem
+        rng = np.random.default_rng(seed)
+        problem = meter.problem
         programme = shooter(problem, meter.length, cap_s)
         while True:
             (start,) = promising(problem, meter.length, rng, 1)

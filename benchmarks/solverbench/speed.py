@@ -33,8 +33,10 @@ def iteration(settings: Settings) -> Report:
         f"{PARTICLES} particles, {SIGNALS} signals, 3 robots, one obstacle, Euler, one thread; "
         f"ours and the peer timed in turn, {load()}."
     )
-    problem, count = printed(), settings.repeats * 2
-    search, rows = _Iterations(problem), []
+    problem = printed()
+    count = settings.repeats * 2
+    search = _Iterations(problem)
+    rows = []
 
     def add(name: str, peer: Callable[[int], object], bar: tuple[str, float] | None = None) -> None:
         pair = in_pairs(lambda: search.run(SHORT), lambda: peer(2), count)
@@ -91,7 +93,8 @@ def _pyswarms(cost: Callable) -> Callable[[int], object]:
 
 
 def _by_kernel(problem: Problem) -> Callable:
-    course, total = lay_out(problem, PARTICLES), np.empty(PARTICLES)
+    course = lay_out(problem, PARTICLES)
+    total = np.empty(PARTICLES)
 
     def cost(signals: np.ndarray) -> np.ndarray:
         costs(course, np.ascontiguousarray(signals.T), total)
@@ -109,7 +112,8 @@ def floor(settings: Settings) -> Report:
     rng = np.random.default_rng(0)
     signals = rng.uniform(-np.pi, np.pi, (SIGNALS, PARTICLES))
     total = np.empty(PARTICLES)
-    course, other = lay_out(euler, PARTICLES), lay_out(exact, PARTICLES)
+    course = lay_out(euler, PARTICLES)
+    other = lay_out(exact, PARTICLES)
     q = rng.uniform(0, 0.5, PARTICLES * 3)
     count = settings.repeats * 20
     roll = lambda: costs(course, signals, total)  # noqa: E731
@@ -120,7 +124,8 @@ def floor(settings: Settings) -> Report:
     walls = in_pairs(
         lambda: costs(swept[0], signals, total), lambda: costs(swept[1], signals, total), count
     )
-    one, two = _Iterations(euler), _Iterations(exact)
+    one = _Iterations(euler)
+    two = _Iterations(exact)
     searches = in_pairs(lambda: one.run(SHORT), lambda: two.run(SHORT), settings.repeats * 5)
     ns = 1e9 / ROBOT_STEPS
     table = [
@@ -171,10 +176,8 @@ def _arithmetic(q, rows, times):
     for _ in range(times):
         for n in range(q.size):
             z = q[n]
-            left, right = (
-                polynomial(_A, z) * polynomial(_B, z),
-                polynomial(_C, z) * polynomial(_D, z),
-            )
+            left = polynomial(_A, z) * polynomial(_B, z)
+            right = polynomial(_C, z) * polynomial(_D, z)
             out[n] = left * right * (polynomial(_E, z) * polynomial(_F, z)) + z
         q[0] = 0.5 * out[0]  # so that no pass can be left out
     return out[0]
@@ -183,7 +186,12 @@ def _arithmetic(q, rows, times):
 @njit(**_LOOP)
 def _traffic(rows, times):
     """6 loads and 5 stores for each element, `times` over."""
-    a, b, c, d, e, f = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    a = rows[0]
+    b = rows[1]
+    c = rows[2]
+    d = rows[3]
+    e = rows[4]
+    f = rows[5]
     for _ in range(times):
         for n in range(a.size):
             s = f[n]

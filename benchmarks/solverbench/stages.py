@@ -31,7 +31,8 @@ def fatrop(meter: Meter, seed: int) -> NoReturn:
     """Solve from one random curve after the other, the best of 64 each."""
     from tetractl_ipopt import promising
 
-    rng, problem = np.random.default_rng(seed), meter.problem
+    rng = np.random.default_rng(seed)
+    problem = meter.problem
     programme = Stages.of(problem, meter.length)
     while True:
         (start,) = promising(problem, meter.length, rng, 1)
@@ -46,14 +47,19 @@ class Stages:
         import casadi as ca
         from tetractl_ipopt import _outside, _step
 
-        self.length, self.step = length, 3 * count + 1
+        self.length = length
+        self.step = 3 * count + 1
         states = [ca.MX.sym(f"x{k}", 3, count) for k in range(length + 1)]
         signals = [ca.MX.sym(f"u{k}") for k in range(length)]
-        start, targets = ca.MX.sym("p", 3, count), ca.MX.sym("t", 2, count)
-        robots, held = ca.MX.sym("r", 2, count), ca.MX.sym("h", 1, length)
+        start = ca.MX.sym("p", 3, count)
+        targets = ca.MX.sym("t", 2, count)
+        robots = ca.MX.sym("r", 2, count)
+        held = ca.MX.sym("h", 1, length)
         scene = ca.MX.sym("d", 3, discs), ca.MX.sym("b", 4, boxes)
         move = _step(motion).map(count)
-        variables, kept, equal = list[Any](), list[Any](), list[bool]()
+        variables = list[Any]()
+        kept = list[Any]()
+        equal = list[bool]()
 
         def keep(expression: Any, equality: bool) -> None:
             kept.append(ca.vec(expression))
@@ -63,7 +69,8 @@ class Stages:
             variables.append(ca.vec(x))
             if k < length:
                 variables.append(signals[k])
-                u, period = ca.repmat(signals[k], 1, count), ca.repmat(held[k], 1, count)
+                u = ca.repmat(signals[k], 1, count)
+                period = ca.repmat(held[k], 1, count)
                 keep(states[k + 1] - move(x, u, robots, period), equality=True)
             if k == 0:
                 keep(x - start, equality=True)
@@ -101,14 +108,18 @@ class Stages:
         """Return the directions (L,) found from a guess (L,), in which J is not limited."""
         from tetractl_ipopt import Scene, unit_of
 
-        unit, length, scene = unit_of(problem), self.length, Scene.of(problem, self.length)
+        unit = unit_of(problem)
+        length = self.length
+        scene = Scene.of(problem, self.length)
         path = predict(problem, guess)  # (L + 1, N, 3)
         path[..., :2] /= unit
         held = np.full(length, problem.period)
         held[0] = problem.first_period
         robots = np.column_stack([problem.a, problem.speed / unit])
-        low, high = np.full_like(path, -np.inf), np.full_like(path, np.inf)
-        low[1:, :, :2], high[1:, :, :2] = scene.field[:2], scene.field[2:]
+        low = np.full_like(path, -np.inf)
+        high = np.full_like(path, np.inf)
+        low[1:, :, :2] = scene.field[:2]
+        high[1:, :, :2] = scene.field[2:]
         parts = path[0], robots, held, problem.targets / unit, *scene.discs, *scene.boxes
         found = self.solver(
             x0=self._woven(path, guess),

@@ -95,7 +95,8 @@ def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
 
 
 def _promise(report: Report, name: str, times: Sequence[float], best: Sequence[float]) -> None:
-    share, median = np.mean(np.array(best) <= GOOD), np.median(times) * 1e3
+    share = np.mean(np.array(best) <= GOOD)
+    median = np.median(times) * 1e3
     figure = f"step 0 {name}, {LENGTH} signals: solved to 1 mm, median time"
     text = f"{share:.0%}, {median:.2f} ms"
     report.bar(figure, ">= 99 %, <= 5 ms", text, share >= 0.99 and median <= 5)
@@ -103,7 +104,8 @@ def _promise(report: Report, name: str, times: Sequence[float], best: Sequence[f
 
 def _sweeps(report: Report, settings: Settings) -> None:
     """Every length from 1 to LONGEST, each until solved or capped: step 0 of Algorithm 2."""
-    problem, rows = printed(), []
+    problem = printed()
+    rows = []
     everybody, _ = _optimisers(SWEEP_CAP_S)
     lengths = range(LONGEST - 2, LONGEST + 1) if settings.quick else range(1, LONGEST + 1)
     for who, peer in everybody:
@@ -123,7 +125,8 @@ def _sweeps(report: Report, settings: Settings) -> None:
         first = f"{np.median(times_to_first) * 1e3:.1f}" if times_to_first else "never"
         rows.append([*_row(who, times, best), first])
         if "ours" in who:
-            share, median = np.mean(np.array(best) <= GOOD), np.median(times) * 1e3
+            share = np.mean(np.array(best) <= GOOD)
+            median = np.median(times) * 1e3
             figure = "step-0 sweep by the default optimiser, all lengths"
             text = f"{share:.0%} solved, median {median:.1f} ms"
             report.bar(figure, ">= 99 %, <= 100 ms", text, share >= 0.99 and median <= 100)
@@ -142,7 +145,9 @@ def _sweep(
     peer: Peer, problem: Problem, lengths: Sequence[int], seed: int
 ) -> tuple[float, float, float]:
     """Return (time of the sweep, best J, time to the first J <= GOOD), in s and mm."""
-    spent, best, first = 0.0, np.inf, np.inf
+    spent = 0.0
+    best = np.inf
+    first = np.inf
     for length in lengths:
         meter = Meter(problem, length, SWEEP_CAP_S)
         with suppress(Over):

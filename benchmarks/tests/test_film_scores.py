@@ -10,7 +10,8 @@ from filmworld.truth import FilmTruth, write_film
 from support.needs_opencv import cv2
 from support.paths import ROOT
 
-PICTURES, RATE = 90, 30.0
+PICTURES = 90
+RATE = 30.0
 
 
 def two_cells():

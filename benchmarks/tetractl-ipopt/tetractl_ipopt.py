@@ -112,7 +112,9 @@ class _Solutions(Progress):
 
     def __init__(self, section: Ipopt, problem: Problem, length: int, limits: Limits) -> None:
         super().__init__(length, limits)
-        self.problem, self.tolerance, self.left = problem, section.tolerance, section.iterations_all
+        self.problem = problem
+        self.tolerance = section.tolerance
+        self.left = section.iterations_all
 
     def note(self, signals: Floats) -> None:
         """Evaluate one sequence; the search is over where it is good enough."""
@@ -176,7 +178,8 @@ class Scene:
         xy = np.vstack([problem.poses.xy, problem.targets]) / unit
         way = problem.seconds(length) * float(problem.speed.max()) / unit
         start = problem.poses.xy / unit
-        low, high = start.min(axis=0) - way, start.max(axis=0) + way
+        low = start.min(axis=0) - way
+        high = start.max(axis=0) + way
         grown = SWEPT * problem.period * float(problem.speed.max()) * problem.swept
         field = np.array([-np.inf, -np.inf, np.inf, np.inf])
         discs: list[Floats] = []
@@ -189,10 +192,8 @@ class Scene:
             if len(shape.corners) == 1:
                 discs.append(np.array([*shape.corners[0], shape.grown(grown).radius]) / unit)
                 continue
-            bare, box = (
-                np.array(shape.grown(TOUCH * unit).box) / unit,
-                np.array(shape.grown(grown).box) / unit,
-            )
+            bare = np.array(shape.grown(TOUCH * unit).box) / unit
+            box = np.array(shape.grown(grown).box) / unit
             if (box[:2] > high).any() or (box[2:] < low).any():
                 continue
             side = _side(bare, xy, low, high)
@@ -242,11 +243,16 @@ class Shooter:
     ) -> None:
         import casadi as ca
 
-        self.length, self.near, self.iterations = length, near, 0
+        self.length = length
+        self.near = near
+        self.iterations = 0
         self.size = each = count * length
-        u, states = ca.MX.sym("u", 1, length), ca.MX.sym("s", 3, each)
-        start, targets = ca.MX.sym("p", 3, count), ca.MX.sym("t", 2, count)
-        robots, held = ca.MX.sym("r", 2, count), ca.MX.sym("h", 1, length)
+        u = ca.MX.sym("u", 1, length)
+        states = ca.MX.sym("s", 3, each)
+        start = ca.MX.sym("p", 3, count)
+        targets = ca.MX.sym("t", 2, count)
+        robots = ca.MX.sym("r", 2, count)
+        held = ca.MX.sym("h", 1, length)
         guess = ca.MX.sym("n", 1, length)
         scene = ca.MX.sym("d", 3, discs), ca.MX.sym("b", 4, boxes)
         signal = np.repeat(np.arange(length), count).tolist()  # of each column of `states`
@@ -273,16 +279,21 @@ class Shooter:
 
         A robot that starts, or is to end, within a curve round an obstacle may come as near to it.
         """
-        unit, length, scene = unit_of(problem), self.length, Scene.of(problem, self.length)
+        unit = unit_of(problem)
+        length = self.length
+        scene = Scene.of(problem, self.length)
         path = predict(problem, guess)[1:]  # (L, N, 3)
         path[..., :2] /= unit
-        at, targets = problem.poses.array(), problem.targets / unit
+        at = problem.poses.array()
+        targets = problem.targets / unit
         at[:, :2] /= unit
         held = np.full(length, problem.period)
         held[0] = problem.first_period
         robots = np.column_stack([problem.a, problem.speed / unit])
-        low, high = np.full_like(path, -np.inf), np.full_like(path, np.inf)
-        low[..., :2], high[..., :2] = scene.field[:2], scene.field[2:]
+        low = np.full_like(path, -np.inf)
+        high = np.full_like(path, np.inf)
+        low[..., :2] = scene.field[:2]
+        high[..., :2] = scene.field[2:]
         free = np.full(length, np.inf)
         least = [np.zeros(path.size)]
         for outside, shapes in zip(_outside(), (scene.discs, scene.boxes), strict=True):
@@ -335,19 +346,28 @@ def _step(motion: str) -> Any:
     """Return one step of one robot, a function of (state, u, (a, speed), T)."""
     import casadi as ca
 
-    s, u = ca.SX.sym("s", 3), ca.SX.sym("u")
-    robot, t = ca.SX.sym("r", 2), ca.SX.sym("t")
-    x, y, heading = s[0], s[1], s[2]
-    a, v = robot[0], robot[1]
+    s = ca.SX.sym("s", 3)
+    u = ca.SX.sym("u")
+    robot = ca.SX.sym("r", 2)
+    t = ca.SX.sym("t")
+    x = s[0]
+    y = s[1]
+    heading = s[2]
+    a = robot[0]
+    v = robot[1]
     phi = u - heading
     if motion == "euler":
-        east, north = t * v * ca.cos(heading), t * v * ca.sin(heading)
+        east = t * v * ca.cos(heading)
+        north = t * v * ca.sin(heading)
         turn = t * a * ca.sin(phi)
     else:
-        e, c, sin = ca.exp(-a * t), ca.cos(phi), ca.sin(phi)
+        e = ca.exp(-a * t)
+        c = ca.cos(phi)
+        sin = ca.sin(phi)
         d = (1 + c) + (1 - c) * e * e
         turn = 2 * ca.atan2(sin * (1 - e), (1 + c) + (1 - c) * e)
-        along, right = v * (t + ca.log(d / 2) / a), v * turn / a
+        along = v * (t + ca.log(d / 2) / a)
+        right = v * turn / a
         east = along * ca.cos(u) + right * ca.sin(u)
         north = along * ca.sin(u) - right * ca.cos(u)
     new = ca.vertcat(x + east, y + north, heading + turn)
@@ -363,8 +383,11 @@ def _outside() -> tuple[Any, Any]:
     """
     import casadi as ca
 
-    at, disc, box = ca.SX.sym("at", 2), ca.SX.sym("disc", 3), ca.SX.sym("box", 4)
-    x, y = at[0], at[1]
+    at = ca.SX.sym("at", 2)
+    disc = ca.SX.sym("disc", 3)
+    box = ca.SX.sym("box", 4)
+    x = at[0]
+    y = at[1]
     round_one = (((x - disc[0]) ** 2 + (y - disc[1]) ** 2) / disc[2] - disc[2]) / 2
     sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / BEND
     largest = ca.mmax(sides)

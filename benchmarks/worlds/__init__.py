@@ -25,7 +25,8 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.plant.disturbances.camera import FrozenCameraSection
 
 HURTS = "silent", "sticking", "stale", "repeating", "no-frames", "marker", "battery", "wander"
-BENCH, CELLS = "three_m3pi_bench.yaml", "tetrahymena_disturbed.yaml"
+BENCH = "three_m3pi_bench.yaml"
+CELLS = "tetrahymena_disturbed.yaml"
 BENCHMARK = "near-equal", "five-robots", "paper-disturbed", "one-cell"
 Random = np.random.Generator
 Truth = dict[str, Floats]
@@ -36,7 +37,9 @@ class Unmodelled(Disturbance):
     """One of the disturbances below, of a `size` whose meaning each of them says."""
 
     def __init__(self, size: float, setup: Setup, random: Random) -> None:
-        self.size, self.random, self.count = size, random, len(setup.names)
+        self.size = size
+        self.random = random
+        self.count = len(setup.names)
         arena = setup.arena
         self.middle = np.array([[arena.left + arena.right], [arena.bottom + arena.top]]) / 2
         self.reach = float(np.hypot(arena.width, arena.height)) / 2  # from the middle to a corner
@@ -51,7 +54,8 @@ class Unmodelled(Disturbance):
         return known
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        self.xy, self.heading = poses.xy.T, poses.heading
+        self.xy = poses.xy.T
+        self.heading = poses.heading
         return poses
 
 
@@ -59,7 +63,8 @@ class Later(Unmodelled):
     """From some time between 3 and 8 s on, commands act later by `size` [s]."""
 
     def draw(self) -> None:
-        self.since_ns, self.began = 1e9 * self.random.uniform(3, 8), False
+        self.since_ns = 1e9 * self.random.uniform(3, 8)
+        self.began = False
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         if command.sent_ns < self.since_ns:
@@ -91,12 +96,14 @@ class SlowPictures(Unmodelled):
 
     def draw(self) -> None:
         given = FrozenCameraSection(type="frozen-camera", times=2, duration=4)
-        self.spells, self.shown = given.draw(self.random), -1
+        self.spells = given.draw(self.random)
+        self.shown = -1
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
         if not self.spells.include(exposed_ns / 1e9):
             return received_ns
-        before, self.shown = self.shown, exposed_ns // 100_000_000
+        before = self.shown
+        self.shown = exposed_ns // 100_000_000
         return received_ns + round(1e9 * self.size) if self.shown > before else None
 
 
@@ -144,8 +151,10 @@ class Slide(Unmodelled):
         self.down = self.random.uniform(-np.pi, np.pi)
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        way, turned = self.size * seconds * moving, 0.1 * seconds * moving
-        x, y = poses.x + way * np.cos(self.down), poses.y + way * np.sin(self.down)
+        way = self.size * seconds * moving
+        turned = 0.1 * seconds * moving
+        x = poses.x + way * np.cos(self.down)
+        y = poses.y + way * np.sin(self.down)
         return Poses(x, y, poses.heading + turned * np.sin(self.down - poses.heading))
 
 
@@ -208,7 +217,8 @@ class Avoid(Unmodelled):
         return Poses(poses.x, poses.y, poses.heading + self.by * seconds * turns)
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        back, turns = self.since_s >= 0, self.since_s >= 0.5
+        back = self.since_s >= 0
+        turns = self.since_s >= 0.5
         return a, speed * np.where(turns, 0.0, np.where(back, -1.0, 1.0))
 
 
@@ -221,7 +231,8 @@ class Shear(Unmodelled):
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         x, y = poses.xy.T - self.middle
-        cos, sin = np.cos(self.along), np.sin(self.along)
+        cos = np.cos(self.along)
+        sin = np.sin(self.along)
         way = self.size * (y * cos - x * sin) * seconds * moving
         turned = poses.heading - self.size / 2 * seconds * moving
         return Poses(poses.x + way * cos, poses.y + way * sin, turned)
@@ -266,7 +277,8 @@ class UnmodelledSection(DisturbanceSection):
 
 def near_a_wall(random: Random, spec: Experiment) -> dict[str, Any]:
     """Start three robots in a row 60 mm from a wall and 105 mm apart, with any headings."""
-    arena, upright = spec.setup.arena, bool(random.integers(2))
+    arena = spec.setup.arena
+    upright = bool(random.integers(2))
     size = np.array([arena.width, arena.height])
     off = 60.0 if random.integers(2) else size[int(not upright)] - 60
     along = random.uniform(60, size[int(upright)] - 60 - 2 * 105) + 105 * random.permutation(3)

@@ -22,12 +22,13 @@ def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
     such as `OwnLines`; `tetractl.testing.failed` returns what is wrong."""
     clock = LabClock()
     emulation = started(lab, setup, clock, Options(address=None))
-    camera, actuator = emulation.camera, emulation.actuator
+    camera = emulation.camera
+    actuator = emulation.actuator
     assert isinstance(camera, PoseStream), "the camera's emulated side is a PoseStream"
     assert isinstance(actuator, PortedSide), "the actuator's emulated side is a PortedSide"
 
     def poses() -> Floats:
-        bodies = [(one.x / stage_mm, one.y / stage_mm, one.heading) for one in actuator.bodies]
+        bodies = [(body.x / stage_mm, body.y / stage_mm, body.heading) for body in actuator.bodies]
         return np.array(bodies)
 
     def hide(name: str) -> None:
@@ -36,7 +37,8 @@ def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
     def moves() -> list[bool]:
         return [not body.standing for body in actuator.bodies]
 
-    stage_mm, ports = setup.metres * 1000, emulation.wires.ports
+    stage_mm = setup.metres * 1000
+    ports = emulation.wires.ports
     unplug = None  # a robot that is gone from a network is not noticed
     if not all(radio.port.name.startswith(SCHEME) for radio in actuator.radios):
         unplug = partial(actuator.plugged, False)

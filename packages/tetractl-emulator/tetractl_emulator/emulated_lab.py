@@ -70,8 +70,11 @@ class EmulatedLab:
         blind: EmulatedCamera | None = None,
     ) -> None:
         _check_names(script, setup)
-        self._setup, self._script, self._options = setup, script, options
-        self._record, self._report = Record(None), report
+        self._setup = setup
+        self._script = script
+        self._options = options
+        self._record = Record(None)
+        self._report = report
         start_ns = make_loop.now()
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
         self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
@@ -79,7 +82,8 @@ class EmulatedLab:
         reports = self._note, self._exposed, self.injector.sent, self._client
         self.wires = wires or Wires()
         self._process = process or PortHolder(lambda: self.port, self.wires.clock())
-        self._process.note, self._ruling = self._note, ("", "")
+        self._process.note = self._note
+        self._ruling = ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
         sides = Sides.of(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
@@ -167,8 +171,9 @@ class EmulatedLab:
         self.injector.happened("client")
 
     def _fault(self, phase: str, fault: Fault) -> None:
-        own = dict(fault)
-        robot, mark = own.get("robot"), own.get("name")
+        fields = dict(fault)
+        robot = fields.get("robot")
+        mark = fields.get("name")
         facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
         facts["row"] = self._script.faults.index(fault)
         self._note("fault", **facts)
@@ -229,13 +234,17 @@ class EmulatedLab:
         """
         if self._options.chosen:
             return
-        mm, starts = self._setup.metres * 1000, self._setup.starts
+        mm = self._setup.metres * 1000
+        starts = self._setup.starts
         placed = {robot.name: robot for robot in self._script.emulation.robots}
         for i, body in enumerate(self.actuator.bodies):
-            x, y, heading = starts.x[i], starts.y[i], starts.heading[i]
-            if (other := placed.get(body.name)) is not None:
-                x, y = other.start or (x, y)
-                heading = heading if other.heading is None else other.heading
+            x = starts.x[i]
+            y = starts.y[i]
+            heading = starts.heading[i]
+            override = placed.get(body.name)
+            if override is not None:
+                x, y = override.start or (x, y)
+                heading = heading if override.heading is None else override.heading
             body.place(float(x * mm), float(y * mm), float(heading))
 
     def _flush(self) -> None:
@@ -245,9 +254,9 @@ class EmulatedLab:
 
 def _check_names(script: Script, setup: Setup) -> None:
     """Raise SpecError if a script names a robot that is not in the spec."""
-    own = script.emulation
-    sides = [dict(side) for side in (own.camera, own.actuator) if side is not None]
-    lists = [own.robots, *(side.get("robots", ()) for side in sides)]
+    emulation = script.emulation
+    sides = [dict(side) for side in (emulation.camera, emulation.actuator) if side is not None]
+    lists = [emulation.robots, *(side.get("robots", ()) for side in sides)]
     names = [robot.name for robots in lists for robot in robots]
     names += [name for fault in script.faults for name in fault.names()]
     for name in names:

@@ -16,7 +16,8 @@ class UdpPlug(PseudoPort):
     def __init__(self, name: str) -> None:
         super().__init__(Path(name))
         self.name = name  # a path would lose a stroke
-        address, heard = address_of(name), heard_at(name)
+        address = address_of(name)
+        heard = heard_at(name)
         if address is None and heard is None:
             raise TetractlError(f"{name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
         self._number = address[1] if address else 0
@@ -40,7 +41,8 @@ class UdpPlug(PseudoPort):
         """Stop listening, which no program notices; may be called twice."""
         if self._socket is not None:
             self._socket.close()
-        self._socket, self.fd = None, -1
+        self._socket = None
+        self.fd = -1
 
     def stall(self, stalled: bool) -> None:
         """If `stalled`, lose what is sent to the port, as datagrams are lost; otherwise go on."""

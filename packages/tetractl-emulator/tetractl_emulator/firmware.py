@@ -21,8 +21,12 @@ from tetractl.core.errors import TetractlError
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
 
-_P, _U8, _I16 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_int16
-_U16, _U32, _SIZE = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_size_t
+_P = ctypes.c_void_p
+_U8 = ctypes.c_uint8
+_I16 = ctypes.c_int16
+_U16 = ctypes.c_uint16
+_U32 = ctypes.c_uint32
+_SIZE = ctypes.c_size_t
 _BOTH = {
     "size": (_SIZE,),
     "push": (ctypes.c_int, _P, _U8, _U32),
@@ -61,8 +65,8 @@ def compiler() -> str | None:
 
 def source_folder() -> Path:
     """Return the folder of the C sources: in the source tree, or in the package."""
-    here = Path(__file__).resolve()
-    for folder in (here.parents[1] / "firmware", here.parent / "cores"):
+    module = Path(__file__).resolve()
+    for folder in (module.parents[1] / "firmware", module.parent / "cores"):
         if (folder / "framing.c").is_file():
             return folder
     raise TetractlError("the firmware's C sources are missing from this installation")
@@ -87,7 +91,8 @@ def load(name: str, folder: Path | None = None) -> Library:
     library = ctypes.CDLL(str(path))
     functions = {function: library[f"{name}_{function}"] for function in FUNCTIONS[name]}
     for function, (result, *arguments) in FUNCTIONS[name].items():
-        functions[function].restype, functions[function].argtypes = result, arguments
+        functions[function].restype = result
+        functions[function].argtypes = arguments
     return functions
 
 
@@ -108,8 +113,10 @@ def _build(codes: list[Path], path: Path) -> None:
         built.replace(path)  # atomic: other processes see the complete file or none
 
 
-KEPT_MS, MUTE_MS = 20, 1000
-"""How far ahead a copy of a core is asked for its speeds, and for its reply [ms]."""
+KEPT_MS = 20
+"""How far ahead a copy of a core is asked for its speeds [ms]."""
+MUTE_MS = 1000
+"""How far ahead a copy of a core is asked for its reply [ms]."""
 
 
 class CoreEvent(IntEnum):
@@ -139,14 +146,16 @@ class Core:
         self._memory = ctypes.create_string_buffer(self._library["size"]())
         self._core = ctypes.addressof(self._memory)
         self._reply = ctypes.create_string_buffer(self.reply_size)
-        self._one, self._two = self.number(), self.number()
+        self._one = self.number()
+        self._two = self.number()
         self._both = ctypes.addressof(self._one), ctypes.addressof(self._two)
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """Read bytes from the radio or the serial line; return an event for each completed
         frame.
         """
-        push, self._mute_ms = self._library["push"], -1
+        push = self._library["push"]
+        self._mute_ms = -1
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
         return [event for event in events if event is not CoreEvent.NOTHING]
 
@@ -157,7 +166,8 @@ class Core:
         size = self._call("take_reply", now_ms, self._reply)
         if size:
             return self._reply.raw[:size]
-        later_ms, reply = now_ms + MUTE_MS, ctypes.create_string_buffer(self.reply_size)
+        later_ms = now_ms + MUTE_MS
+        reply = ctypes.create_string_buffer(self.reply_size)
         if not self._library["take_reply"](self._copy(), later_ms, reply):
             self._mute_ms = later_ms
         return b""
@@ -183,7 +193,8 @@ class WheelsCore(Core):
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """As `Core.push`; the speeds may be others then."""
-        self._stands, self._known = False, (-1, (0, 0))
+        self._stands = False
+        self._known = (-1, (0, 0))
         return super().push(data, now_ms)
 
     def wheels(self, now_ms: int) -> Counts:
@@ -192,9 +203,11 @@ class WheelsCore(Core):
         if self._stands:
             return 0, 0
         if now_ms > self._known[0]:
-            now, later_ms = self._pair("wheels", now_ms), now_ms + KEPT_MS
+            now = self._pair("wheels", now_ms)
+            later_ms = now_ms + KEPT_MS
             lasts = self._pair("wheels", later_ms, self._copy()) == now
-            self._known, self._stands = (later_ms if lasts else now_ms, now), now == (0, 0)
+            self._known = (later_ms if lasts else now_ms, now)
+            self._stands = now == (0, 0)
         return self._known[1]
 
     def status(self, now_ms: int) -> Status:
@@ -209,7 +222,9 @@ class WheelsCore(Core):
 class RobotCore(WheelsCore):
     """The firmware core of m3pi `index`, whose wheels have counts."""
 
-    name, reply_size, number = "m3pi", 14, ctypes.c_int8
+    name = "m3pi"
+    reply_size = 14
+    number = ctypes.c_int8
 
     def __init__(self, index: int, library: Library | None = None) -> None:
         super().__init__(library)
@@ -220,7 +235,9 @@ class TwistCore(WheelsCore):
     """The core of robot `index` that takes lines, whose wheels have speeds [mm/s] and are
     `radius_mm` from its centre."""
 
-    name, reply_size, number = "twist", 48, ctypes.c_int32
+    name = "twist"
+    reply_size = 48
+    number = ctypes.c_int32
 
     def __init__(self, index: int, radius_mm: int, library: Library | None = None) -> None:
         super().__init__(library)

@@ -51,7 +51,10 @@ class MovedCamera:
     `tetractl.core.protocols.Camera`. `look` is to be called each millisecond."""
 
     def __init__(self, camera: Camera, emulation: EmulatedLab, clock: Clock, mm: float) -> None:
-        self._camera, self._emulation, self._clock, self._mm = camera, emulation, clock, mm
+        self._camera = camera
+        self._emulation = emulation
+        self._clock = clock
+        self._mm = mm
         bodies = emulation.actuator.bodies
         self._home: list[Pose | None] = [None] * len(bodies)
         self._past = deque[tuple[int, list[tuple[float, float, float]]]]()
@@ -75,7 +78,8 @@ class MovedCamera:
 
     def look(self) -> None:
         """Keep the emulated poses; before they drive, put the robots where real ones stand."""
-        bodies, now = self._emulation.actuator.bodies, self._clock.now()
+        bodies = self._emulation.actuator.bodies
+        now = self._clock.now()
         self._drove = self._drove or self._emulation.actuator.driven
         if not self._drove:
             for body, home in zip(bodies, self._home, strict=True):
@@ -104,7 +108,7 @@ class MovedCamera:
         if pose is None or home is None:
             return None
         past = tuple(self._past)
-        x, y, heading = next((each for t, each in reversed(past) if t <= at_ns), past[0][1])[i]
+        x, y, heading = next((poses for t, poses in reversed(past) if t <= at_ns), past[0][1])[i]
         return replace(
             pose,
             x=x / self._mm + pose.x - home.x,
@@ -118,7 +122,9 @@ class TwinActuator:
     `tetractl.core.protocols.Actuator`."""
 
     def __init__(self, real: Actuator, twin: Actuator) -> None:
-        self._real, self._twin, self._opened = real, twin, ExitStack()
+        self._real = real
+        self._twin = twin
+        self._opened = ExitStack()
         self.halts = real.halts
         self.period_ns = real.period_ns
 

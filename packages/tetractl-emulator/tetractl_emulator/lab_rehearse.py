@@ -71,8 +71,8 @@ def rehearse(
     lab = lab_of(loaded.experiment, loaded.name)
     kinds = rehearsal_of(lab, loaded.experiment.setup, loaded.experiment.open).kinds
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
-    own = (*(sets or ()), *_known(loaded.experiment, time_limit=1))
-    short = on_plant(load_spec(spec, own), "emulated")
+    short_sets = (*(sets or ()), *_known(loaded.experiment, time_limit=1))
+    short = on_plant(load_spec(spec, short_sets), "emulated")
     # what it loads, no day has to load; no cells may have been found
     may_fail = suppress(AbortError) if loaded.experiment.open else nullcontext()
     with tempfile.TemporaryDirectory() as scratch, may_fail:
@@ -82,27 +82,28 @@ def rehearse(
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
     ui.tell_of_earlier_rows(folder, "days.jsonl")
-    kept = RecordStore(folder, f"{loaded.hash} {seed} {faults}", FIELDS)
-    rows, wanted = kept.records, range(first, first + days)
+    store = RecordStore(folder, f"{loaded.hash} {seed} {faults}", FIELDS)
+    rows = store.records
+    wanted = range(first, first + days)
     play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults)
     began_s = time.monotonic()
     interrupted = False
     try:
-        with kept.opened(), interrupted_once(), ui.progress("days") as show:
+        with store.opened(), interrupted_once(), ui.progress("days") as show:
             waiting = [day for day in wanted if day not in rows]
             for done, row in enumerate(called(play, waiting, jobs, ui.tell), start=1):
                 # a violation counts and is reported before it is shrunk, which may be interrupted
-                kept.add(row["day"], row)
+                store.add(row["day"], row)
                 show(done, len(waiting))
                 if not sys.stderr.isatty():
                     left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
                     ui.tell(_line_of(row, done, len(waiting), left_s))
-                for name, at_s, found, _ in broken(row):
-                    ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {found}")
+                for name, at_s, finding, _ in broken(row):
+                    ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
                 if broken(row):
                     script = folder / script_name(seed, row["day"])
                     smaller = shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults)
-                    kept.add(row["day"], smaller)
+                    store.add(row["day"], smaller)
     except KeyboardInterrupt:
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
@@ -118,15 +119,15 @@ def rehearse(
 
 def _line_of(row: "DayRow", done: int, count: int, left_s: float) -> str:
     """Return a line about a day for a pipe, with the wall time that the others will take [s]."""
-    left = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
-    more = f", about {left} more" if done < count else ""
+    remaining = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
+    more = f", about {remaining} more" if done < count else ""
     return f"{done} of {count}{more}: day {row['day']}: {row['ended']}"
 
 
 def _known(experiment: "Experiment", **wanted: float) -> list[str]:
     """Return the settings of a controller that the spec's has."""
-    known = type(experiment.controller).model_fields
-    return [f"controller.{name}={value}" for name, value in wanted.items() if name in known]
+    fields = type(experiment.controller).model_fields
+    return [f"controller.{name}={value}" for name, value in wanted.items() if name in fields]
 
 
 def script_name(seed: int, day: int) -> str:
@@ -186,7 +187,8 @@ def _day_of(
     from tetractl_emulator.rehearsal.summary import row_of
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
-    setup, lab = experiment.setup, experiment.plant
+    setup = experiment.setup
+    lab = experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     drawn = rehearsal_of(lab, setup, experiment.open)
     sets = (*sets, *_known(experiment, deadline=60))  # of wall time, which is not the lab's
@@ -195,7 +197,7 @@ def _day_of(
         with tempfile.TemporaryDirectory() as scratch:
             played = play(spec, sets, plan, Path(scratch))
             began_s = time.process_time()
-            truth, found = observed(played, experiment, lab)
-            return row_of(day, truth, found, time.process_time() - began_s), truth.alive_s
+            truth, violations = observed(played, experiment, lab)
+            return row_of(day, truth, violations, time.process_time() - began_s), truth.alive_s
 
     return plan_of_day(seed, day, setup, drawn, bad), assessed

@@ -32,10 +32,14 @@ class SerialDevice(ABC):
     def __init__(
         self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None]
     ) -> None:
-        self.port, self.note = port, note
+        self.port = port
+        self.note = note
         self.garbled = 0  # number of chunks sent at another baud rate than the device's
-        self.speed, self.noise = baud, 0.0  # baud rate; the share of bytes that are changed
-        self._down, self._timeline, self._baud = False, timeline, baud
+        self.speed = baud  # baud rate
+        self.noise = 0.0  # the share of bytes that are changed
+        self._down = False
+        self._timeline = timeline
+        self._baud = baud
         self._noisy = random.Random(baud)
         self._in_ns = self._out_ns = 0  # when the line is free again, in and out
         self._splitter = Splitter()  # of frames closed by 00
@@ -73,7 +77,9 @@ class SerialDevice(ABC):
         if not self.noise:
             return data
         chance = self._noisy
-        return bytes(chance.randrange(256) if chance.random() < self.noise else one for one in data)
+        return bytes(
+            chance.randrange(256) if chance.random() < self.noise else byte for byte in data
+        )
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""
@@ -100,7 +106,10 @@ class RobotRadio(SerialDevice):
     still at random [ns], and whether they are `doubled`.
     """
 
-    loss, late_ns, jitter_ns, doubled = 0.0, 0, 0, False
+    loss = 0.0
+    late_ns = 0
+    jitter_ns = 0
+    doubled = False
 
     def lateness_ns(self, chance: random.Random) -> int:
         """Return by how much a transmission is late [ns]."""
@@ -167,7 +176,8 @@ class PseudoPort:
     """
 
     def __init__(self, link: Path) -> None:
-        self.link, self.name = link, str(link)
+        self.link = link
+        self.name = str(link)
         self.fd = -1
         # kept open, so that `fd` stays valid while no program has the port open
         self._far = -1

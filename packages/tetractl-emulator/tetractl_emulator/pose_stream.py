@@ -33,7 +33,8 @@ OF_A_SERVER = (
 """Faults that only a motion-capture server can have."""
 
 NEEDS = "the section of a camera with an emulated PoseStream has `address` and `latency`"
-RATE_HZ, LATENCY_S = 100.0, 0.01  # of a camera that does not say its rate; of that of `world`
+RATE_HZ = 100.0  # of a camera that does not say its rate
+LATENCY_S = 0.01  # of that of `world`
 
 
 class PoseSettings(Model):
@@ -72,7 +73,7 @@ class PoseStream(PoseCamera):
     Settings: ClassVar[type[Model]] = PoseSettings
     numbered = False
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
-        one for one in FAULTS if one.__name__ not in OF_A_SERVER
+        kind for kind in FAULTS if kind.__name__ not in OF_A_SERVER
     )
 
     @classmethod
@@ -80,7 +81,8 @@ class PoseStream(PoseCamera):
         """Return what rehearsals draw of the camera: `world`, later by the section's latency."""
         section = lab.camera
         assert isinstance(section, Addressed), NEEDS
-        more, scale = section.latency - LATENCY_S, scale_of(lab, setup)
+        more = section.latency - LATENCY_S
+        scale = scale_of(lab, setup)
 
         def own(chance: random.Random, off: float) -> dict[str, Any]:
             drawn = world(chance, off, scale)
@@ -92,7 +94,8 @@ class PoseStream(PoseCamera):
         section = stage.lab.camera
         assert isinstance(section, Addressed), NEEDS
         self.section = section
-        chance, noise = random.Random(stage.options.seed), (settings.noise_mm, settings.noise_rad)
+        chance = random.Random(stage.options.seed)
+        noise = (settings.noise_mm, settings.noise_rad)
         tracked = [
             TrackedBody(body, i, body.name, noise=noise, random=chance)
             for i, body in enumerate(bodies)
@@ -100,8 +103,10 @@ class PoseStream(PoseCamera):
         rate = settings.rate or section.sight.rate_hz or RATE_HZ
         latency = section.latency if settings.latency is None else settings.latency
         super().__init__(stage, tracked, rate, latency, View(UpAxis.Z))
-        self.names, self.join = [body.name for body in bodies], stage.wires.ports
-        self.port, self.frames = stage.wires.port(section.address), 0
+        self.names = [body.name for body in bodies]
+        self.join = stage.wires.ports
+        self.port = stage.wires.port(section.address)
+        self.frames = 0
         self._loop: Loop | None = None
 
     @abstractmethod

@@ -44,7 +44,9 @@ class Process:
     """
 
     def __init__(self, ports: Ports, port: Callable[[], Path], clock: Clock) -> None:
-        self._ports, self._port, self._clock = ports, port, clock
+        self._ports = ports
+        self._port = port
+        self._clock = clock
         self.note: Callable[..., None] = lambda event, **facts: None
 
     def signal(self, name: str) -> None:
@@ -59,7 +61,7 @@ class Process:
     def set_clock(self, by_ns: int) -> None:
         """Set the host's monotonic clock forward [ns]."""
 
-    def plan_for(self, seconds: float, every: int = 1) -> None:
+    def plan_for(self, seconds: float, one_of: int = 1) -> None:
         """Let one of so many plans, from now on, take a time [s]."""
 
     def press_stop(self) -> None:
@@ -68,7 +70,8 @@ class Process:
     def run_again(self) -> None:
         """Let a second run open the port; record the answer, "" if the port opens."""
         again = (str(self._port()), 57600, "the second run", self._clock, lambda *_: None, "")
-        second, says = self._ports(*again), ""
+        second = self._ports(*again)
+        says = ""
         try:
             second.open()
         except AbortError as error:
@@ -119,7 +122,8 @@ class ThisProcess(Process):
         supervision: LabSupervision,
     ) -> None:
         super().__init__(ports, port, clock)
-        self._host, self._supervision = clock, supervision
+        self._host = clock
+        self._supervision = supervision
 
     def signal(self, name: str) -> None:
         """Take a signal as its handler does; after SIGKILL only the emulation goes on."""
@@ -141,9 +145,10 @@ class ThisProcess(Process):
         """Set our side's clock forward."""
         self._host.ahead_ns += by_ns
 
-    def plan_for(self, seconds: float, every: int = 1) -> None:
+    def plan_for(self, seconds: float, one_of: int = 1) -> None:
         """Let plans take a time [s] of our side's clock."""
-        self._host.plan_s, self._host.plan_every = seconds, every
+        self._host.plan_s = seconds
+        self._host.plan_every = one_of
 
     def press_stop(self) -> None:
         """Set the event of the key."""

@@ -96,9 +96,9 @@ class Sides:
         """
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
-                known = ", ".join(registry.names())
+                names = ", ".join(registry.names())
                 raise SpecError(
-                    f"{name} cannot be emulated", f"types that can be emulated: {known}"
+                    f"{name} cannot be emulated", f"types that can be emulated: {names}"
                 )
         try:
             return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
@@ -133,8 +133,8 @@ def parse_script(
     try:
         script = Script.model_validate(frozen(document.data), strict=True, context={"sides": sides})
     except ValidationError as error:
-        each = error.errors(include_url=False)
-        problems = [_problem(details, document, sides) for details in each]
+        problem = error.errors(include_url=False)
+        problems = [_problem(details, document, sides) for details in problem]
         raise InvalidSpecError([*document.found, *problems]) from None
     if document.found:
         raise InvalidSpecError(document.found)
@@ -155,8 +155,8 @@ def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecPro
     loc = tuple(details["loc"])
     for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
         if details["type"] == "extra_forbidden" and loc[:-1] == ("emulation", name):
-            known = list(side.Settings.model_fields)
-            guess = did_you_mean(str(loc[-1]), known) or f"; known here: {', '.join(known)}"
+            fields = list(side.Settings.model_fields)
+            guess = did_you_mean(str(loc[-1]), fields) or f"; known here: {', '.join(fields)}"
             return document.key(loc).problem(loc, f"unknown key{guess}")
     place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
     return (place or document.place(loc)).problem(loc, words(details, details["input"]))

@@ -101,20 +101,24 @@ class EmulatedPlantSection(RigSection):
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
         watched = supervision or LabSupervision()
-        own = int(seed.generate_state(2)[1])
+        own_seed = int(seed.generate_state(2)[1])
         record = None
         if self.record is not None and seed.spawn_key:
             record = Path(self.record) / f"truth-{seed.spawn_key[0]:03d}.jsonl"
             record.parent.mkdir(parents=True, exist_ok=True)
-        options = Options(address=None, seed=own, record=record, chosen=chosen, dish=seed.entropy)
+        options = Options(
+            address=None, seed=own_seed, record=record, chosen=chosen, dish=seed.entropy
+        )
         faults = self.with_files(Path()).faults
         types = self.camera.type, self.actuator.type
         script = script_of(faults, *types) if isinstance(faults, dict) else NOTHING
         if self.real:
             refuse_cells(chosen, *types)
-        blind, wake = Blind() if self.real == "camera" else None, threading.Event()
+        blind = Blind() if self.real == "camera" else None
+        wake = threading.Event()
         emulation = started(self, setup, clock, options, script, watched, blind)
-        join, ports = emulation.camera.join, emulation.wires.ports
+        join = emulation.camera.join
+        ports = emulation.wires.ports
         actuator = resolve_name(self.actuator.device)(self.actuator, setup, clock, ports)
         if self.real == "camera":
             real = self.camera.build(setup, clock, wake.set)
@@ -159,7 +163,8 @@ class BusyPlant(LabPlant):
         self, rig: Rig, supervision: LabSupervision, kind: str, halves: dict[str, str]
     ) -> None:
         super().__init__(rig, supervision, kind)
-        self._halves, self._plans = halves, 0
+        self._halves = halves
+        self._plans = 0
 
     def open(self) -> PlantInfo:
         """Open the lab; return its facts, with what is real."""

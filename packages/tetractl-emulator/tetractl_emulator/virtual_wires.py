@@ -38,7 +38,8 @@ class LabClock(VirtualClock):
         self.steps: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
         self.stopped = False  # the process stands still
-        self.plan_s, self.plan_every = 0.0, 1  # time that one of so many plans takes [s]
+        self.plan_s = 0.0  # time that a slow plan takes [s]
+        self.plan_every = 1  # of so many plans one is slow
 
     def now(self) -> int:
         """Return the time on the host's clock [ns]."""
@@ -123,7 +124,8 @@ def started(
     """Return an emulated lab that runs on a clock, with the faults of this process, of the trial
     under `supervision`; only a record has to be released.
     """
-    loop, wires = VirtualLoop, memory_wires(clock)
+    loop = VirtualLoop
+    wires = memory_wires(clock)
     assert wires.ports is not None, "wires in memory have ports"
     watched = supervision or LabSupervision()
     process = ThisProcess(wires.ports, lambda: emulation.port, clock, watched)
@@ -168,10 +170,12 @@ class MemorySocket:
     """A UDP socket of a network in memory; its methods are those of `socket.socket`."""
 
     def __init__(self, network: "Network") -> None:
-        self._network, self._name = network, ("", 0)
+        self._network = network
+        self._name = ("", 0)
         self._queue = deque[tuple[bytes, tuple[str, int]]]()
         self.setsockopt = self.setblocking = lambda *_: None
-        self.getsockname, self.fileno = lambda: self._name, lambda: self._name[1]
+        self.getsockname = lambda: self._name
+        self.fileno = lambda: self._name[1]
 
     def bind(self, address: tuple[str, int]) -> None:
         """Listen at an address; port 0 is any free port."""
@@ -206,7 +210,9 @@ class MemoryPort(PseudoPort):
         self._network = self._name.startswith(SCHEME)
         self.near: MemorySerial | None = None
         self.written: Callable[[], None] = lambda: None
-        self.stalled, self.taken, self._plugged = False, deque[bytes](), plugged
+        self.stalled = False
+        self.taken = deque[bytes]()
+        self._plugged = plugged
 
     def plug(self) -> None:
         """Make the port known by its name."""
@@ -251,7 +257,8 @@ class MemorySerial(SerialPort):
 
     def __init__(self, plugged: "Plugged", name: str, baud: int, *rest: Any) -> None:
         super().__init__(name, baud, *rest)
-        self._plugged, self.bits_a_second = plugged, baud
+        self._plugged = plugged
+        self.bits_a_second = baud
         self._far: MemoryPort | None = None
 
     def open(self, alone: bool = True) -> None:
@@ -261,7 +268,8 @@ class MemorySerial(SerialPort):
             raise missing_port(self._name, self._device)
         if far.near is not None and alone:
             raise PortHeldError(str(self._name))
-        self._far, far.near = far, self
+        self._far = far
+        far.near = self
 
     def write(self, data: bytes) -> int:
         """Send bytes as SerialPort does; return the time [ns]."""

@@ -37,7 +37,8 @@ class Swims(Check):
     """The operator is warned of a cell that moves as no command does, and it is compared again."""
 
     def __init__(self, motion: MotionCheck, rules: GuardRules) -> None:
-        self._motion, self._names = motion, rules.names
+        self._motion = motion
+        self._names = rules.names
 
     def start(self) -> None:
         """Forget what was seen before."""
@@ -59,7 +60,8 @@ class Stays(Check):
     """A cell that leaves the arena is lost; the run is aborted if two come too close."""
 
     def __init__(self, rules: GuardRules) -> None:
-        self._rules, self._places = rules, places_of(rules)
+        self._rules = rules
+        self._places = places_of(rules)
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
         """Check where the robots are."""
@@ -67,7 +69,8 @@ class Stays(Check):
         for i, robot in enumerate(robots):
             if robot.pose is None:
                 continue
-            name, then = self._rules.names[i], driven(robot.pose, robot.way)
+            name = self._rules.names[i]
+            then = driven(robot.pose, robot.way)
             if self._places.outside(then) > self._places.outside(robot.pose):
                 yield Lose(i, f"{name} is about to leave the arena")
             coming.append(Coming(name, robot.pose, then))

@@ -48,7 +48,8 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     with table_files({name: folder / f"{name}.csv" for name in tables}) as add:
         for name, table in tables.items():
             add(name, table, "")
-    path, cells = folder / "track.mcap", defaultdict[int, Cells](list)
+    path = folder / "track.mcap"
+    cells = defaultdict[int, Cells](list)
     for each in followed.paths:
         for number, cell in zip(each.frames.tolist(), each.seen, strict=True):
             cells[number].append(cell)
@@ -121,13 +122,17 @@ def _overlay(path: Path, followed: Followed) -> Iterator[Callable[[Grey, Cells],
 
 
 def _transforms(cells: Cells, ns: int) -> FrameTransforms:
-    message, time = FrameTransforms(), stamp(ns)
+    message = FrameTransforms()
+    time = stamp(ns)
     for cell in cells:
         one = message.transforms.add()
         one.timestamp.CopyFrom(time)
-        one.parent_frame_id, one.child_frame_id = LENS, f"{CELL}{cell.identity}"
-        one.translation.x, one.translation.y = cell.x * UM, cell.y * UM
-        one.rotation.z, one.rotation.w = math.sin(cell.heading / 2), math.cos(cell.heading / 2)
+        one.parent_frame_id = LENS
+        one.child_frame_id = f"{CELL}{cell.identity}"
+        one.translation.x = cell.x * UM
+        one.translation.y = cell.y * UM
+        one.rotation.z = math.sin(cell.heading / 2)
+        one.rotation.w = math.cos(cell.heading / 2)
     return message
 
 

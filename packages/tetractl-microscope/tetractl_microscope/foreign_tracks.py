@@ -245,7 +245,8 @@ def _graph(path: Path) -> SpotTable:
         raise UsageError(
             f"{path}: cannot be read as a GEFF graph of t, x, y: {printable(said, SAID_MAX)}"
         ) from error
-    ids, edges = graph["node_ids"], graph["edge_ids"]
+    ids = graph["node_ids"]
+    edges = graph["edge_ids"]
     if len(ids) > POSES_MAX:
         raise UsageError(f"{path}: has {len(ids)} nodes; at most {POSES_MAX} are read")
     if not len(edges):
@@ -256,7 +257,8 @@ def _graph(path: Path) -> SpotTable:
     links = coo_array((np.ones(single.sum()), (first[single], last[single])), [len(ids)] * 2)
     _, track = connected_components(links, directed=False)
     time, x, y = axes
-    across, down = _step(x, MICROMETRES), _step(y, MICROMETRES)
+    across = _step(x, MICROMETRES)
+    down = _step(y, MICROMETRES)
     tall = down.size / across.size if across.size and down.size else 1.0
     return SpotTable(np.column_stack([track + 1, *nodes]), across, _step(time, SECONDS), tall)
 

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAPERS = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # mm
-MARGIN_MM, LABEL_MM, RULER_MM = 10.0, 6.0, 100.0
+MARGIN_MM = 10.0
+LABEL_MM = 6.0
+RULER_MM = 100.0
 INCH_MM = 25.4
 Placed = tuple[float, float, int, float, str]
 """Left and lower end of a card on a page [mm], number and side of its tag [mm], and its label."""
@@ -64,19 +66,25 @@ def arranged(
     larger than a page."""
     width, height = size
     page: list[Placed] = []
-    x, top, low = MARGIN_MM, height - MARGIN_MM, height - MARGIN_MM
+    x = MARGIN_MM
+    top = height - MARGIN_MM
+    low = height - MARGIN_MM
     for tag, side, label in tags:
         card = side * 1.25  # with a module of white around the eight of the tag
         if card > width - 2 * MARGIN_MM or card > height - 3 * MARGIN_MM - LABEL_MM:
             raise UsageError(f"tag {tag}: {side:g} mm and its margin are larger than the paper")
         if x + card > width - MARGIN_MM:
-            x, top = MARGIN_MM, low
+            x = MARGIN_MM
+            top = low
         if top - card - LABEL_MM < 2 * MARGIN_MM:
             yield page
-            page, x, top = [], MARGIN_MM, height - MARGIN_MM
+            page = []
+            x = MARGIN_MM
+            top = height - MARGIN_MM
             low = top
         page.append((x, top - card, tag, side, label))
-        x, low = x + card, min(low, top - card - LABEL_MM)
+        x = x + card
+        low = min(low, top - card - LABEL_MM)
     yield page
 
 

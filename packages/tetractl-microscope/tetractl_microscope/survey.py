@@ -78,7 +78,8 @@ def survey(
         if not isinstance(camera, CellsSection):
             raise UsageError(f"a camera of type {camera.type} cannot be measured by a micrometer")
         return save_calibration(out, camera.measured_by(*_places(micrometer)))
-    choice, unit = experiment.chosen, experiment.units.length
+    choice = experiment.chosen
+    unit = experiment.units.length
     if not isinstance(choice, Choice) or not experiment.open:
         raise UsageError(
             f"{spec}: the spec lists its robots, so a survey has no cells to choose",
@@ -88,7 +89,8 @@ def survey(
     if experiment.plant.real_time:
         ui.require_confirmation(yes)
     with interrupted_once(robots=True), ui.rig_of(experiment) as rig:
-        seed, supervision = experiment.trials.seed, LabSupervision()
+        seed = experiment.trials.seed
+        supervision = LabSupervision()
         cells, turned = watch_turning(rig, choice, seed, supervision)
     wrong, turning = handedness_lines(turned)
     ui.tell(*(f"warning: {problem}" for problem in wrong))
@@ -122,7 +124,8 @@ def survey(
             error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "none, no plan found"
             print(f"cells {numbers}: predicted mean total error {error}")
     if not found or not np.isfinite(found[0].error):
-        control, able = planner(experiment), sum(cell.magnetised for cell in cells)
+        control = planner(experiment)
+        able = sum(cell.magnetised for cell in cells)
         horizon_s = control.horizon_max * control.signal_periods * control.period
         if found:
             why = (

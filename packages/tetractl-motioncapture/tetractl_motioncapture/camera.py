@@ -47,13 +47,13 @@ class MotionCapture(PortCamera):
 
     def port(self, *arguments: Any) -> SerialPort:
         """Return the port to the library's process."""
-        own = self.section
-        name = json.dumps([own.system, own.hostname, own.options])
+        section = self.section
+        name = json.dumps([section.system, section.hostname, section.options])
         return ProcessPort(name, *arguments[1:])
 
     def check(self) -> Health:
         """Return which robots have no body in the stream."""
-        lost = [one for one in self.robots if str(one.body) not in self._bodies]
+        lost = [robot for robot in self.robots if str(robot.body) not in self._bodies]
         streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
         rest = len(self._bodies) - NAMES_MAX
         streamed = f"{streamed or 'none'} and {rest} more" if rest > 0 else streamed or "none"
@@ -63,7 +63,8 @@ class MotionCapture(PortCamera):
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
         """Return the pose of each robot, None if its body is not in the frame."""
         line = json.loads(message)
-        self._bodies, self.emulated = list(line["bodies"]), "emulated" in line
+        self._bodies = list(line["bodies"])
+        self.emulated = "emulated" in line
         return tuple(
             self._pose(line["bodies"].get(str(o.body)), o.heading_offset) for o in self.robots
         )

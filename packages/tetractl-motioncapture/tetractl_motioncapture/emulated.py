@@ -58,9 +58,9 @@ class EmulatedMotionCapture(PoseStream):
 
     def packed(self, shot: Shot) -> bytes:
         """Return a frame's line; bodies that are not tracked are left out."""
-        seen = {
+        poses = {
             self._names[body.id]: [*body.position, *body.quaternion]
             for body in shot.bodies
             if body.tracking_valid
         }
-        return json.dumps({"emulated": True, "bodies": seen}).encode()
+        return json.dumps({"emulated": True, "bodies": poses}).encode()

@@ -28,15 +28,18 @@ class ToioActuator(WheeledActuator):
     def __init__(
         self, section: ToioSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
-        self.section, self._clock = section, clock
+        self.section = section
+        self._clock = clock
         robots = [entry(section.robots, name) for name in setup.names]
         self._charge: list[int | None] = [None] * len(robots)
         self.link = CubesLink(clock, [robot.cube for robot in robots], ports, self._heard)
         gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
         self._gain = gain * WHEEL_MM_S
         limit = min(section.speed_max_mm_s / WHEEL_MM_S, SPEED_MAX)
-        self._limit, self._owed = int(limit), np.zeros_like(self._gain)
-        wheels, radii = drivetrains(self._gain, limit), [robot.radius_mm for robot in robots]
+        self._limit = int(limit)
+        self._owed = np.zeros_like(self._gain)  # what is left to be sent (2, N) [units]
+        wheels = drivetrains(self._gain, limit)
+        radii = [robot.radius_mm for robot in robots]
         commands = WheelCommands(setup, clock, radii, wheels, round(section.delay * SECOND))
         super().__init__(setup, self.link, lambda _: [], commands, section.rate, 0.0)
 
@@ -55,11 +58,10 @@ class ToioActuator(WheeledActuator):
         exact /= np.maximum(1.0, np.abs(exact).max(axis=0) / self._limit)
         total = exact + self._owed
         units = np.clip(np.rint(total), -self._limit, self._limit)
-        slow = np.abs(units) < SPEED_MIN
-        units[slow] = np.where(np.abs(total) < SPEED_MIN / 2, 0, np.copysign(SPEED_MIN, total))[
-            slow
-        ]
-        self._owed = np.clip(total - units, -SPEED_MIN / 2, SPEED_MIN / 2) * wished.any(axis=0)
+        stand_or_least = np.where(np.abs(total) < SPEED_MIN / 2, 0, np.copysign(SPEED_MIN, total))
+        units = np.where(np.abs(units) < SPEED_MIN, stand_or_least, units)
+        owed = np.clip(total - units, -SPEED_MIN / 2, SPEED_MIN / 2)
+        self._owed = owed * wished.any(axis=0)
         return units.astype(np.int64)
 
     def stop(self, emergency: bool = False) -> Transmission:
@@ -71,17 +73,21 @@ class ToioActuator(WheeledActuator):
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every cube for its charge, again if a message is lost."""
         for _ in range(TRIES):
-            for cube, known in zip(self.link.cubes, self._charge, strict=True):
-                if known is None:
+            for cube, charge in zip(self.link.cubes, self._charge, strict=True):
+                if charge is None:
                     self.link.send(cube, Characteristic.BATTERY)
             if wait_for(self._clock, lambda: None not in self._charge, timeout_s / TRIES):
                 break
-        return [self._status(*each) for each in zip(self.names, self._charge, strict=True)]
+        return [
+            self._status(name, charge)
+            for name, charge in zip(self.names, self._charge, strict=True)
+        ]
 
     def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
-        sent_ns, lost = self._clock.now(), list[AbortError]()
-        for cube, (left, right) in zip(self.link.cubes, outputs.T.tolist(), strict=True):
-            command = encode_motor(left, right, WATCHDOG_MS)
+        sent_ns = self._clock.now()
+        lost = list[AbortError]()
+        for cube, speeds in zip(self.link.cubes, outputs.T.tolist(), strict=True):
+            command = encode_motor(speeds[0], speeds[1], WATCHDOG_MS)
             try:
                 sent_ns = self.link.send(cube, Characteristic.MOTOR, command)
             except AbortError as error:  # the other cubes hear the stop

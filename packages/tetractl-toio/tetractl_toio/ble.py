@@ -32,10 +32,12 @@ class BluetoothPort(SerialPort):
         self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
     ) -> None:
         super().__init__(name, baud, device, clock, heard, hint)
-        self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
+        self._ready = threading.Event()
+        self._loop = asyncio.new_event_loop()
         self._client: Any = None
         self._ended = asyncio.Event()
-        self._unpacker, self._together = Unpacker(), b""
+        self._unpacker = Unpacker()
+        self._together = b""
 
     def open(self, alone: bool = True) -> None:
         """Find the cube and connect; AbortError if that fails."""
@@ -84,17 +86,17 @@ class BluetoothPort(SerialPort):
     async def _connected(self) -> None:
         from bleak import BleakClient, BleakScanner
 
-        found = await BleakScanner.find_device_by_filter(
-            lambda device, seen: is_cube(
-                self._name, seen.local_name or device.name, device.address
+        cube = await BleakScanner.find_device_by_filter(
+            lambda device, advertisement: is_cube(
+                self._name, advertisement.local_name or device.name, device.address
             ),
             timeout=FIND_S,
             service_uuids=[SERVICE],
         )
-        if found is None:
+        if cube is None:
             self._fail(f"was not found within {FIND_S:g} s")
             return
-        async with BleakClient(found, disconnected_callback=self._gone) as client:
+        async with BleakClient(cube, disconnected_callback=self._gone) as client:
             for kind in NOTIFYING:
                 await client.start_notify(kind.uuid, lambda _, data, k=kind: self._take(k, data))
             self._client = client
@@ -123,7 +125,8 @@ class BluetoothPort(SerialPort):
         self._together += pack(kind, bytes(data))
 
     def _pass_on(self, at_ns: int) -> None:
-        together, self._together = self._together, b""
+        together = self._together
+        self._together = b""
         self._heard(together, at_ns)
 
     def _gone(self, _: Any) -> None:

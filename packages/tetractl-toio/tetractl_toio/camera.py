@@ -25,7 +25,8 @@ from tetractl_toio.messages import (
 )
 from tetractl_toio.section import ToioCameraSection
 
-FIRST_S, TRIES = 3.0, 5  # longest time until every cube has reported, and number of requests
+FIRST_S = 3.0  # longest time until every cube has reported
+TRIES = 5  # number of requests in this time: messages may be lost
 ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
 
 
@@ -45,24 +46,32 @@ class ToioCamera:
         wake: Callable[[], None] = lambda: None,
         ports: Ports | None = None,
     ) -> None:
-        self.section, self.names, self.damaged = section, setup.names, 0
-        self._clock, self._wake, self._mm = clock, wake, setup.metres * 1000
+        self.section = section
+        self.names = setup.names
+        self.damaged = 0
+        self._clock = clock
+        self._wake = wake
+        self._mm = setup.metres * 1000
         cubes = [entry(section.robots, name).cube for name in setup.names]
         self._link = CubesLink(clock, cubes, ports, self._heard)
         self._lock = threading.Lock()
         self._poses: list[Pose | None] = [None] * len(setup.names)
         self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
-        self._number, self._told = 0, False  # of reports so far
-        self._asked_ns, self._newest_ns = 0, -1
+        self._number = 0  # of reports so far
+        self._told = False  # whether there has been one since the last frame
+        self._asked_ns = 0  # when silent cubes were last asked
+        self._newest_ns = -1  # time of the newest report in a frame
         self._set = [False] * len(setup.names)  # which cubes have taken the settings
 
     def __enter__(self) -> Self:
         """Connect; return once every cube has reported. AbortError names those that have not."""
         try:
             self._link.open()
-            begun = any(self._begun() for _ in range(TRIES))
-            silent = [n for n, at in zip(self.names, self._read_ns, strict=True) if at < 0]
-            if not begun and silent:
+            has_begun = any(self._begun() for _ in range(TRIES))
+            silent = [
+                n for n, read_ns in zip(self.names, self._read_ns, strict=True) if read_ns < 0
+            ]
+            if not has_begun and silent:
                 hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else HINT
                 raise AbortError(f"no message came from {', '.join(silent)}", hint)
         except BaseException:
@@ -94,24 +103,33 @@ class ToioCamera:
         return Health(problems, emulated=self._link.emulated)
 
     def frames(self) -> list[CameraFrame]:
-        """Return a frame if a cube has reported since the last call. A silent cube is asked:
-        one that is lifted says once that it sees no mat."""
-        asks = self._clock.now() - ASK_NS
-        if self._asked_ns <= asks:
-            self._asked_ns = asks + ASK_NS
-            for cube, at_ns in zip(self._link.cubes, self._read_ns, strict=True):
-                if at_ns <= asks:
-                    with suppress(AbortError):  # the actuator's side says why
-                        self._link.send(cube, Characteristic.ID)
+        """Return a frame if a cube has reported since the last call; ask cubes that are silent."""
+        self._ask_silent()
         with self._lock:
-            told, self._told = self._told, False
-            poses, times, number = tuple(self._poses), tuple(self._read_ns), self._number
+            has_news = self._told
+            self._told = False
+            poses = tuple(self._poses)
+            times = tuple(self._read_ns)
+            number = self._number
         newest = max(times)
-        if not told or min(times) < 0 or newest <= self._newest_ns:
+        if not has_news or min(times) < 0 or newest <= self._newest_ns:
             return []  # a reading that another cube's has overtaken is in the next frame
         self._newest_ns = newest
-        sampled, now = tuple(map(self._sampled, times)), self._clock.now()
+        sampled = tuple(map(self._sampled, times))
+        now = self._clock.now()
         return [CameraFrame(number, self._sampled(newest), now, poses, exposed_ns=sampled)]
+
+    def _ask_silent(self) -> None:
+        """Ask each cube that has been silent for ASK_NS: one that is lifted says only once that it
+        sees no mat."""
+        silent_since_ns = self._clock.now() - ASK_NS
+        if self._asked_ns > silent_since_ns:
+            return
+        self._asked_ns = silent_since_ns + ASK_NS
+        for cube, read_ns in zip(self._link.cubes, self._read_ns, strict=True):
+            if read_ns <= silent_since_ns:
+                with suppress(AbortError):  # the actuator's side says why
+                    self._link.send(cube, Characteristic.ID)
 
     def _sampled(self, at_ns: int) -> int:
         return max(0, at_ns - round(self.section.latency * SECOND))
@@ -127,14 +145,16 @@ class ToioCamera:
             return
         with self._lock:
             self._poses[i] = None if reading is None else self._pose(reading)
-            self._read_ns[i], self._told = at_ns, True
+            self._read_ns[i] = at_ns
+            self._told = True
             self._number += 1
         self._wake()
 
     def _pose(self, reading: Reading) -> Pose:
         """Return a reading in the spec's coordinates, whose y axis points up."""
         unit = self.section.unit_mm / self._mm
-        x, y = reading.x - self.section.origin[0], self.section.origin[1] - reading.y
+        x = reading.x - self.section.origin[0]
+        y = self.section.origin[1] - reading.y
         return Pose(x * unit, y * unit, -math.remainder(math.radians(reading.angle), math.tau))
 
 

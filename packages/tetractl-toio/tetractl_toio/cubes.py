@@ -26,7 +26,8 @@ class Cubes:
     def __init__(self, clock: Clock, ports: Ports) -> None:
         self._ports = ports
         self.emulated = False  # whether a cube has said so
-        self._clock, self._users = clock, 0
+        self._clock = clock
+        self._users = 0
         self._links: dict[str, SerialPort] = {}
         self._listeners: dict[str, list[Listener]] = {}
 
@@ -94,7 +95,10 @@ class CubesLink:
         ports: Ports | None,
         heard: Callable[[int, int, bytes, int], None],
     ) -> None:
-        self.cubes, self._clock, self._ports, self._heard = cubes, clock, ports, heard
+        self.cubes = cubes
+        self._clock = clock
+        self._ports = ports
+        self._heard = heard
         self._run: Cubes | None = None
 
     @property
@@ -116,7 +120,8 @@ class CubesLink:
 
     def close(self) -> None:
         """Leave the connections; may be called twice, never raises."""
-        run, self._run = self._run, None
+        run = self._run
+        self._run = None
         if run is not None and run.close():
             del _RUNS[self._clock]
 
@@ -135,7 +140,8 @@ class EmulatedCubePort(UdpPort):
         assert self._socket is not None
         while not self._closing.is_set():
             with suppress(TimeoutError, ConnectionError):
-                data, at_ns = self._socket.recv(DATAGRAM_MAX), self._clock.now()
+                data = self._socket.recv(DATAGRAM_MAX)
+                at_ns = self._clock.now()
                 self._closing.wait(TOGETHER_S)
                 while select.select([self._socket], [], [], 0)[0]:
                     data += self._socket.recv(DATAGRAM_MAX)

@@ -9,6 +9,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from tetractl.core.errors import WireError
 
@@ -25,7 +26,12 @@ MAT_MM = 1.36
 """A unit of the mat's coordinates [mm]."""
 TOGETHER_S = 0.003
 """Messages within this time are of one event of the connection, of which two are 7.5 ms apart."""
-POSITION, MISSED = 0x01, 0x03
+POSITION = 0x01  # first byte of a notification of a pose
+MISSED = 0x03  # first byte of one that says that no mat is seen
+LEFT_MOTOR = 1
+RIGHT_MOTOR = 2
+FORWARD = 1
+BACKWARD = 2
 DURATION_MS = 10  # unit of a motor command's duration and of a notification interval
 
 
@@ -52,6 +58,15 @@ class Reading:
     x: int
     y: int
     angle: int
+
+
+class MotorCommand(NamedTuple):
+    """Speeds of both motors, less than 0 for backward, and the time after which a cube stops them
+    [ms], 0 for never."""
+
+    left: int
+    right: int
+    duration_ms: int
 
 
 def decode_reading(data: bytes) -> Reading | None:
@@ -81,12 +96,17 @@ def encode_motor(left: int, right: int, duration_ms: int) -> bytes:
     after a duration [ms]."""
     if max(abs(left), abs(right)) > SPEED_MAX or not 10 <= duration_ms <= 2550:
         raise ValueError(f"motor speeds {left}, {right} for {duration_ms} ms")
-    wheels = [(i, 1 if speed >= 0 else 2, abs(speed)) for i, speed in ((1, left), (2, right))]
-    return bytes([0x02, *wheels[0], *wheels[1], duration_ms // DURATION_MS])
+    motors = (*_motor(LEFT_MOTOR, left), *_motor(RIGHT_MOTOR, right))
+    return bytes([0x02, *motors, duration_ms // DURATION_MS])
 
 
-def decode_motor(data: bytes) -> tuple[int, int, int]:
-    """Return left and right speed, and the duration [ms], 0 for no limit, of a motor command.
+def _motor(motor: int, speed: int) -> tuple[int, int, int]:
+    """Return the bytes for a motor: its number, its direction and the size of its speed."""
+    return motor, FORWARD if speed >= 0 else BACKWARD, abs(speed)
+
+
+def decode_motor(data: bytes) -> MotorCommand:
+    """Return what a motor command says.
 
     WireError for data that a cube ignores: of another length, with values out of range, or twice
     the same motor.
@@ -94,11 +114,13 @@ def decode_motor(data: bytes) -> tuple[int, int, int]:
     if (len(data), data[:1]) not in ((8, b"\x02"), (7, b"\x01")):
         raise WireError(f"no motor command: {data.hex()}")
     speeds: dict[int, int] = {}
-    for motor, way, speed in (data[1:4], data[4:7]):
-        if motor not in (1, 2) or way not in (1, 2) or motor in speeds:
+    for motor, direction, size in (data[1:4], data[4:7]):
+        is_motor = motor in (LEFT_MOTOR, RIGHT_MOTOR) and motor not in speeds
+        if not is_motor or direction not in (FORWARD, BACKWARD):
             raise WireError(f"a motor command that a cube ignores: {data.hex()}")
-        speeds[motor] = speed if way == 1 else -speed
-    return speeds[1], speeds[2], DURATION_MS * data[7] if len(data) == 8 else 0
+        speeds[motor] = size if direction == FORWARD else -size
+    duration_ms = DURATION_MS * data[7] if len(data) == 8 else 0
+    return MotorCommand(speeds[LEFT_MOTOR], speeds[RIGHT_MOTOR], duration_ms)
 
 
 def encode_notify(interval_ms: int) -> bytes:
@@ -135,5 +157,6 @@ class Unpacker:
         self._left += data
         while len(self._left) >= 2 and len(self._left) >= 2 + self._left[1]:
             end = 2 + self._left[1]
-            message, self._left = self._left[:end], self._left[end:]
+            message = self._left[:end]
+            self._left = self._left[end:]
             yield message[0], message[2:]

@@ -92,19 +92,21 @@ class ToioSection(ActuatorSection):
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
         """Yield each robot that is another cube for the camera."""
         cubes = isinstance(camera, ToioCameraSection)
-        seen = {robot.name: robot.cube for robot in camera.robots} if cubes else {}
+        camera_cubes = {robot.name: robot.cube for robot in camera.robots} if cubes else {}
         for i, robot in enumerate(self.robots):
-            if (other := seen.get(robot.name, robot.cube)) != robot.cube:
-                yield ("robots", i, "cube"), f"is not {robot.name}'s cube in 'camera', {other}"
+            camera_cube = camera_cubes.get(robot.name, robot.cube)
+            if camera_cube != robot.cube:
+                text = f"is not {robot.name}'s cube in 'camera', {camera_cube}"
+                yield ("robots", i, "cube"), text
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return the motor speed for a 127th of the largest wheel speed, and for `limit`."""
         unit = self.speed_max_mm_s / WHEEL_MM_S / 127
         return unit, int(unit * limit)
 
-    def measured(self, found: Found) -> dict[str, Any]:
+    def measured(self, result: Found) -> dict[str, Any]:
         """Return a cube's r and gains."""
-        return found.gains(WHEEL_MM_S)
+        return result.gains(WHEEL_MM_S)
 
     def bounds(self) -> dict[str, str]:
         """Return the cubes, the rate and the largest wheel speed, for display."""

@@ -15,7 +15,8 @@ INDEX = 0
 RADIUS_MM = 43  # guess: half of the distance between the wheels' middles; measure yours
 COUNTS_A_MM = 3.57  # guess: 12 counts, gears 29.86:1, wheels of 32 mm; the Standard Edition
 DUTY_A_MM_S = 4.0  # guess: of 6000, for a speed of 1 mm/s; the integral finds the rest
-GAIN, INTEGRAL = 4.0, 20.0  # duty for an error of 1 mm/s, and of 1 mm
+GAIN = 4.0  # duty for an error of 1 mm/s
+INTEGRAL = 20.0  # duty for an error of 1 mm
 PERIOD_MS = 10  # of the control of the wheels' speeds
 LOW_MV = 4000  # below this voltage motors fail: the robot stops
 
@@ -24,11 +25,13 @@ class Wheel:
     """The speed of one wheel, held by its encoder."""
 
     def __init__(self):
-        self.counts, self.owed_mm = 0, 0.0
+        self.counts = 0
+        self.owed_mm = 0.0
 
     def duty(self, wished_mm_s, counts, seconds):
         """Return the duty for a speed, given the encoder's counts now."""
-        driven_mm, self.counts = (counts - self.counts) / COUNTS_A_MM, counts
+        driven_mm = (counts - self.counts) / COUNTS_A_MM
+        self.counts = counts
         if wished_mm_s == 0:
             self.owed_mm = 0.0
             return 0
@@ -41,8 +44,12 @@ class Wheel:
 def main():
     """Drive until the robot is switched off."""
     radio = UART(0, baudrate=57600, tx=Pin(28), rx=Pin(29), rxbuf=512)
-    motors, encoders, battery = robot.Motors(), robot.Encoders(), robot.Battery()
-    left, right, twist = Wheel(), Wheel(), Twist(INDEX, RADIUS_MM)
+    motors = robot.Motors()
+    encoders = robot.Encoders()
+    battery = robot.Battery()
+    left = Wheel()
+    right = Wheel()
+    twist = Twist(INDEX, RADIUS_MM)
     dog = WDT(timeout=250)  # if this loop stops, the processor restarts, and the motors are off
     driven_ms = measured_ms = ticks_ms()
     twist.battery_mv = battery.get_level_millivolts()
@@ -52,7 +59,8 @@ def main():
         if radio.any():
             twist.push(radio.read(), now_ms)
         if ticks_diff(now_ms, measured_ms) >= 1000:
-            measured_ms, twist.battery_mv = now_ms, battery.get_level_millivolts()
+            measured_ms = now_ms
+            twist.battery_mv = battery.get_level_millivolts()
         since_ms = ticks_diff(now_ms, driven_ms)
         wished = twist.wheels(now_ms)
         if since_ms >= PERIOD_MS or wished == (0, 0):

@@ -5,7 +5,8 @@ from twist import Twist
 
 def unescape(text):
     """Return the bytes of a text with the escapes \\n, \\r and \\xHH."""
-    out, parts = bytearray(), text.split("\\")
+    out = bytearray()
+    parts = text.split("\\")
     out.extend(parts[0].encode())
     for part in parts[1:]:
         if part[0] == "x":
@@ -19,12 +20,16 @@ def unescape(text):
 
 def run(text):
     """Return the number of checks, and a line for each that fails."""
-    robot, checks, failures = None, 0, []
+    robot = None
+    checks = 0
+    failures = []
     for number, line in enumerate(text.split("\n"), 1):
         words = line.split(" ", 2)
         if line[:1] == "#" or len(words) < 2:
             continue
-        what, first, rest = words[0], int(words[1]), words[2] if len(words) > 2 else ""
+        what = words[0]
+        first = int(words[1])
+        rest = words[2] if len(words) > 2 else ""
         if what == "init":
             robot = Twist(first, int(rest))
             continue

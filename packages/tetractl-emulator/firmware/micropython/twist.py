@@ -5,11 +5,21 @@ stop. It runs on MicroPython and on Python; it has no I/O and no clock. Times ar
 may wrap round at 2^30, as MicroPython's do. Both pass tests/twist_vectors.txt.
 """
 
-RUN, EMERGENCY_STOP, POLL = 1, 2, 4  # flags of a command
-RUNNING, EMERGENCY_STOPPED, SILENT = 1, 2, 4  # status of a robot
-ROBOTS_MAX, LINE_MAX, AHEAD_MAX = 32, 300, 127
-WATCHDOG_MS, REPLY_SLOT_MS = 250, 20
-SPEED_MAX, TURN_MAX = 5000, 50000  # mm/s, mrad/s
+# flags of a command
+RUN = 1
+EMERGENCY_STOP = 2
+POLL = 4
+# status of a robot
+RUNNING = 1
+EMERGENCY_STOPPED = 2
+SILENT = 4
+ROBOTS_MAX = 32
+LINE_MAX = 300
+AHEAD_MAX = 127
+WATCHDOG_MS = 250
+REPLY_SLOT_MS = 20
+SPEED_MAX = 5000  # mm/s
+TURN_MAX = 50000  # mrad/s
 PERIOD = 1 << 30  # of the times
 
 
@@ -40,14 +50,16 @@ class Twist:
     """Robot number `index`, whose wheels are `radius_mm` from its centre; at power-up it stands."""
 
     def __init__(self, index, radius_mm):
-        self.index, self.radius_mm = index, radius_mm
+        self.index = index
+        self.radius_mm = radius_mm
         self.left = self.right = 0  # mm/s
         self.running = self.emergency_stopped = False
         self.silent = True
         self.battery_mv = self.received = self.rejected = 0
         self.sequence = self.heard_ms = 0
         self.pending = None  # sequence and time of the reply to send
-        self.line, self.overlong = bytearray(), False
+        self.line = bytearray()
+        self.overlong = False
 
     def push(self, data, now_ms):
         """Take bytes from the radio."""
@@ -59,15 +71,18 @@ class Twist:
                 else:
                     self.overlong = True
                 continue
-            line, overlong = bytes(self.line), self.overlong
-            self.line, self.overlong = bytearray(), False
+            line = bytes(self.line)
+            overlong = self.overlong
+            self.line = bytearray()
+            self.overlong = False
             self.read(line[:-1] if line[-1:] == b"\r" else line, overlong, now_ms)
 
     def read(self, line, overlong, now_ms):
         """Take a line, without its end; `overlong` if it was longer than LINE_MAX."""
         if not line and not overlong:
             return
-        head, tail = line[:-5], line[-5:]
+        head = line[:-5]
+        tail = line[-5:]
         if overlong or not head or tail != b"*%04X" % crc16(head):
             self.rejected += 1
         elif head[:1] in (b"T", b"W"):
@@ -81,8 +96,10 @@ class Twist:
         words = head.split(b" ")
         if len(words) % 3 or len(words[0]) != 1:
             raise ValueError
-        sequence, flags = number(words[1], 0, 255), number(words[2], 0, 7)
-        wheels, speeds = words[0] == b"W", None
+        sequence = number(words[1], 0, 255)
+        flags = number(words[2], 0, 7)
+        wheels = words[0] == b"W"
+        speeds = None
         for i in range(3, len(words), 3):
             index = number(words[i], 0, ROBOTS_MAX - 1)
             one = number(words[i + 1], -SPEED_MAX, SPEED_MAX)
@@ -105,7 +122,9 @@ class Twist:
             self.left, self.right = speeds or (0, 0)
             self.running = speeds is not None
         if is_new:
-            self.sequence, self.heard_ms, self.silent = sequence, now_ms, False
+            self.sequence = sequence
+            self.heard_ms = now_ms
+            self.silent = False
         if flags & POLL and (is_new or not flags & RUN):
             self.pending = sequence, now_ms + self.index * REPLY_SLOT_MS
 
@@ -136,7 +155,8 @@ class Twist:
         """Return the reply that is due now, b"" if there is none."""
         if self.pending is None or (now_ms - self.pending[1]) % PERIOD >= PERIOD // 2:
             return b""
-        sequence, self.pending = self.pending[0], None
+        sequence = self.pending[0]
+        self.pending = None
         head = b"S %d %d %d" % (self.index, sequence, self.status(now_ms))
         counts = self.battery_mv, self.received % 65536, self.rejected % 65536
         head += b" %d %d %d" % counts

@@ -32,7 +32,8 @@ def pytest_runtest_makereport(item, call):
     """Skip what failed while the host was late: it stops the robots then, as it should."""
     report = yield
     host = item.stash.get(HOST, None)
-    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    load = os.getloadavg()[0]
+    cores = os.cpu_count() or 1
     late = host is not None and host.most_s >= LATE_S
     if report.failed and host is not None and (late or load > LOAD * cores):
         report.outcome = "skipped"

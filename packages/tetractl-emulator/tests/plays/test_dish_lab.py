@@ -48,7 +48,8 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     """While it steers, there is what a dish does every day."""
     lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in EVERY_DAY)
     log, cells, running = play(tmp_path, f"faults: [{lines}]")
-    setup, result = log.experiment.setup, log.result
+    setup = log.experiment.setup
+    result = log.result
     assert result.outcome.complete, result.reason
     assert not log.experiment.open
     assert log.experiment.chosen.found

@@ -35,7 +35,8 @@ def digests(folder):
 def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path):
     for out, jobs in (("one", "1"), ("two", "2")):
         done = run(tmp_path, out, "--trials", "2", "--seed", "2", "--jobs", jobs, *SMALL).ok()
-    first, second = digests(tmp_path / "one"), digests(tmp_path / "two")
+    first = digests(tmp_path / "one")
+    second = digests(tmp_path / "two")
     assert first == second
     assert len(set(first)) == 2  # each trial has noise of its own
     log = read_trial(tmp_path / "one" / "trial-000.mcap")

@@ -17,7 +17,8 @@ pytestmark = [
 
 def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_path):
     with virtual_lab(tmp_path, spec=FIELD_SPEC) as lab:
-        plant, clock = lab.plant, lab.clock
+        plant = lab.plant
+        clock = lab.clock
         try:
             info = plant.open()
             assert info.facts["field_driver_version"] == "1"

@@ -52,7 +52,8 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     assert done.stdout.endswith("2 days, 0 violations\n")
     rehearse(tmp_path, "--days", "4").ok()
     rehearse(tmp_path / "two", "--days", "4", "--jobs", "2").ok()
-    one, two = rows(tmp_path), rows(tmp_path / "two")
+    one = rows(tmp_path)
+    two = rows(tmp_path / "two")
     assert {n: row["digest"] for n, row in one.items()} == {n: r["digest"] for n, r in two.items()}
     assert "| frames frozen |" in done.stdout
 

@@ -23,7 +23,8 @@ class StuckTerminal(io.StringIO):
 
     def __init__(self):
         super().__init__()
-        self.stuck, self.released = threading.Event(), threading.Event()
+        self.stuck = threading.Event()
+        self.released = threading.Event()
 
     def write(self, text):
         if self.stuck.is_set():

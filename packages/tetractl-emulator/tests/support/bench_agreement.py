@@ -84,8 +84,10 @@ def lab_trial(
     trial `robots_of`, by default its own.
     """
     experiment = spec.experiment
-    setup, drive = experiment.setup, bench().drive
-    planning, put = part(PlanningTimeSection), part(StartErrorSection)
+    setup = experiment.setup
+    drive = bench().drive
+    planning = part(PlanningTimeSection)
+    put = part(StartErrorSection)
     assert drive is not None
     key, _ = trial_seeds(experiment.trials.seed, trial)
     rng = np.random.default_rng([experiment.trials.seed, trial])
@@ -118,7 +120,8 @@ def lab_trial(
         for robot, place in zip(lab.robots, places.tolist(), strict=True):
             robot.place(*place)
         change(lab)
-        inner, path = build_controller(experiment, key), Recorder()
+        inner = build_controller(experiment, key)
+        path = Recorder()
         busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
         start = start_of(spec, trial, PlantInfo("", False, 0.0, {}), EPOCH_NS)
         stand = experiment.controller.first_plan

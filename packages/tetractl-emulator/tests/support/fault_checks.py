@@ -94,7 +94,8 @@ def check_motion(expect, played):
 def check_space(expect, played):
     """True positions: inside the arena, and apart from one another, where that is expected."""
     setup = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.setup
-    arena, obstacles = setup.arena, Obstacles.of(setup.obstacles)
+    arena = setup.arena
+    obstacles = Obstacles.of(setup.obstacles)
     for truth in played.of("truth"):
         spots = [complex(x, y) for x, y, _ in truth["poses"]]
         if expect.inside:

@@ -18,7 +18,9 @@ NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
 KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn", "slip")
 NUMBERS = "numbers"
-PUSH_S, STEP_M, STEPS_S = 0.2, 0.004, 0.5
+PUSH_S = 0.2
+STEP_M = 0.004
+STEPS_S = 0.5
 CAMERA = ("origin", "scale", "rotation")
 
 
@@ -49,11 +51,14 @@ class Ghost:
 
     def haunt(self, lab: VirtualLab) -> None:
         """Show it in a lab that is not open yet."""
-        self.lab, self._then = lab, 0
+        self.lab = lab
+        self._then = 0
         self._began: int | None = None
         self._from = [(robot.x, robot.y) for robot in lab.robots]
-        self._turned, self._paths = 0.0, {}
-        self._shown, self._last = {}, {}
+        self._turned = 0.0
+        self._paths = {}
+        self._shown = {}
+        self._last = {}
         if self.kind == NUMBERS:
             side = lab.emulation.actuator
             side.swap_numbers(*(side.robots[i] for i in self.who))
@@ -82,12 +87,14 @@ class Ghost:
         return (self.lab.clock.timeline.now_ns - (self._began or 0)) / SECOND
 
     def _show(self, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
-        now, last = self.lab.clock.timeline.now_ns, self.lab.plant.rig.loop.last
+        now = self.lab.clock.timeline.now_ns
+        last = self.lab.plant.rig.loop.last
         if self._began is None and self.at_s == -math.inf:
             self._began = now
         elif self._began is None and last is not None and last.direction is not None:
             self._began = now + round(self.at_s * SECOND)
-        dt, self._then = (now - self._then) / SECOND, now
+        dt = (now - self._then) / SECOND
+        self._then = now
         if self._began is None or now < self._began:
             self._last = dict(enumerate(poses))
             return poses
@@ -115,14 +122,17 @@ class Ghost:
             way = self.speed * share if self.kind == "push" else STEP_M * (self._since_s // STEPS_S)
             return Pose(pose.x + 600 * way, pose.y + 800 * way, pose.heading)
         if self.kind in CAMERA:
-            grown, turn = self._turned * (self.kind == "scale"), self._turned
+            grown = self._turned * (self.kind == "scale")
+            turn = self._turned
             turn, way = turn * (self.kind == "rotation"), 1000 * turn * (self.kind == "origin")
             z = complex(pose.x, pose.y) * cmath.rect(1.0 + grown, turn) + way * (0.6 + 0.8j)
             return Pose(z.real, z.imag, pose.heading + turn)
         dx, dy = self._paths.get(i, (0.0, 0.0))
         if self.kind in ("curve", "turn", "slip"):
-            x, y = pose.x - before.x, pose.y - before.y
-            cos, sin = math.cos(self._turned), math.sin(self._turned)
+            x = pose.x - before.x
+            y = pose.y - before.y
+            cos = math.cos(self._turned)
+            sin = math.sin(self._turned)
             self._paths[i] = dx + cos * x - sin * y - x, dy + sin * x + cos * y - y
             dx, dy = self._paths[i]
             return Pose(pose.x + dx, pose.y + dy, pose.heading + self._turned)
@@ -136,7 +146,8 @@ class Ghost:
         if self._began is None or self.lab.clock.timeline.now_ns < self._began:
             self._from = [(robot.x, robot.y) for robot in self.lab.robots]
             return
-        guard, last = self.lab.plant.rig.guard, self.lab.plant.rig.loop.last
+        guard = self.lab.plant.rig.guard
+        last = self.lab.plant.rig.loop.last
         if self._since_s > self.limit_s and guard.state is not GuardState.ABORT:
             guard.abort("not noticed")
         if last and not math.isfinite(self.held_s) and not any(last.moving[i] for i in self.who):
@@ -152,7 +163,8 @@ class Ghost:
             self.late += [frame.fresh[i] for i in self.who]
 
     def _off(self, i: int) -> float:
-        robot, shown = self.lab.robots[i], self._shown[i]
+        robot = self.lab.robots[i]
+        shown = self._shown[i]
         return math.hypot(shown.x - robot.x, shown.y - robot.y)
 
 

@@ -18,7 +18,8 @@ def words_of(real, sets):
 def check_mix(folder, real, events):
     """Check a trial of a second and a half, and the events of the lab that plays the real part."""
     trial = read_trial(folder / "logs" / "trial-000.mcap")
-    facts, names = trial.start.plant.facts, [event["event"] for event in events]
+    facts = trial.start.plant.facts
+    names = [event["event"] for event in events]
     assert trial.result.outcome.value == "time limit" and len(trial.steps) > 5
     moved = abs(trial.mocap[-1, :, :2] - trial.mocap[0, :, :2]).sum(axis=1)
     assert (moved > 50).all(), "the robots that are seen have driven"

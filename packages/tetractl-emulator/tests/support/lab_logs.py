@@ -13,7 +13,8 @@ from tetractl.run.task import log_path, run_trial
 def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one trial of the emulated lab in virtual time; return its log."""
     short = ("controller.time_limit=1.8", "controller.horizon_max=8", "controller.deadline=60")
-    loaded, lossy = load_spec(LAB, [*short, *sets]), "emulation: {actuator: {loss: 0.3}}"
+    loaded = load_spec(LAB, [*short, *sets])
+    lossy = "emulation: {actuator: {loss: 0.3}}"
     with virtual_lab(None, spec=loaded, script=lossy) as lab:
         run_trial(lab.spec, folder)
     return log_path(folder, 0)

@@ -22,7 +22,8 @@ MISSING = shutil.which("node") is None or not MODULES.is_dir()
 def micropython_robots():
     """Robots that are made within the block run in MicroPython; yields the names of what has run
     them."""
-    words, ran = ["node", str(BRIDGE), str(FOLDER)], set()
+    words = ["node", str(BRIDGE), str(FOLDER)]
+    ran = set()
     node = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     class Program:

@@ -17,8 +17,10 @@ BODY = natnet.RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
 
 def full_frame(version, bodies=(BODY, BODY), params=0):
     """Return a frame with something of every kind; what the version does not have is left out."""
-    layout, frame = layout_of(version), natnet.NatNetFrame(1234, bodies, params)
-    at, body = packed("3f", *BODY.position), packed_body(BODY, version, markers=3)
+    layout = layout_of(version)
+    frame = natnet.NatNetFrame(1234, bodies, params)
+    at = packed("3f", *BODY.position)
+    body = packed_body(BODY, version, markers=3)
     marker = packed("i3ffH", 1, *BODY.position, 0.01, 0)
 
     def listed(*parts):

@@ -52,7 +52,8 @@ class TrialClock:
     """A clock that starts at 0 when it is made, as a trial's does; `base` goes on below it."""
 
     def __init__(self, base):
-        self._base, self._start = base, base.now()
+        self._base = base
+        self._start = base.now()
 
     def now(self):
         return self._base.now() - self._start
@@ -136,7 +137,8 @@ class VirtualLab:
     @cached_property
     def plant(self):
         """Our plant of it."""
-        section, setup = self.spec.experiment.plant, self.spec.experiment.setup
+        section = self.spec.experiment.plant
+        setup = self.spec.experiment.setup
         return section.build(setup, self.clock, np.random.SeedSequence(1), LabSupervision())
 
     def events(self, name=None):
@@ -162,7 +164,8 @@ def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, *
         loaded = load_spec(spec, sets)
     elif isinstance(spec, str):
         loaded = parse_spec(spec, "lab.yaml", sets)
-    lab, clock = lab_of(loaded.experiment, loaded.name), PatientClock()
+    lab = lab_of(loaded.experiment, loaded.name)
+    clock = PatientClock()
     if isinstance(script, str):
         types = lab.camera.type, lab.actuator.type
         script = parse_script("about: a test\n" + script, "script.yaml", *types)
@@ -185,8 +188,12 @@ class Busy:
     """A controller that takes virtual time: uniform from `least` to `least + spread` [s]."""
 
     def __init__(self, controller, clock, rng, least, spread):
-        self._controller, self._clock, self._rng = controller, clock, rng
-        self._least, self._spread, self._planned = least, spread, False
+        self._controller = controller
+        self._clock = clock
+        self._rng = rng
+        self._least = least
+        self._spread = spread
+        self._planned = False
 
     def plan(self, observation, last_command=None, earlier=()):
         decided = self._controller.plan(observation, last_command, earlier)
@@ -199,13 +206,15 @@ class Busy:
 
 def play(path, script, folder, *, replace_after=None, sets=()):
     """Play a script on the lab's plant; return what became of it, as `lab_processes.play` does."""
-    sets, logs = (*SMALL, *script.runner.sets, *sets), folder / "first"
+    sets = (*SMALL, *script.runner.sets, *sets)
+    logs = folder / "first"
     how = {"spec": THREE, "script": script, "replace_after": replace_after, "ahead_s": 0.5}
     with virtual_lab(folder, *sets, **how) as lab:
         words = ["run", THREE, "--plant", "lab", "--yes", "--quiet", "--out", logs]
         done = tetractl(folder, *words, *flags(lab.settings))
         lab.clock.sleep_until(lab.clock.now() + AFTER_NS)
-        said, events = done.stdout + done.stderr, lab.events()
+        said = done.stdout + done.stderr
+        events = lab.events()
     link = folder / "radio"
     return Played([done.returncode], [said], 0, events, sorted(logs.glob("*.mcap*")), link)
 

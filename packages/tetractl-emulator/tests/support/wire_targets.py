@@ -47,7 +47,8 @@ def stream(up: UpAxis | None = None) -> Stream:
 
 def natnet_datagrams(data: bytes) -> None:
     """One byte for a version, then datagrams, cut where their headers say."""
-    version, rest = VERSIONS[data[0] % len(VERSIONS)] if data else None, data[1:]
+    version = VERSIONS[data[0] % len(VERSIONS)] if data else None
+    rest = data[1:]
     for known in (version, None):
         with only(WireError):
             parse(rest, known)
@@ -63,7 +64,8 @@ def natnet_datagrams(data: bytes) -> None:
         size = 4 + int.from_bytes(rest[at + 2 : at + 4], "little")
         fed.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[count % 2]))
         fed.feed(rest[at : at + size], 500 * MS * count)
-        at, count = at + size, count + 1
+        at = at + size
+        count = count + 1
     seen = fed.counts
     assert seen.frames + seen.bad + seen.unasked <= count
     fed.missing()

@@ -45,23 +45,28 @@ def test_total_errors_agree_in_distribution(paths):
 def dead_time_s(path, setup):
     """The dead time, a and bias with which (1)-(3) predict a path best over 0.2 s [s]."""
     sent = [(s.observation.sampled_ns, s.command.direction) for s in path.steps]
-    times, poses, span = path.mocap_ns, path.mocap, 24
+    times = path.mocap_ns
+    poses = path.mocap
+    span = 24
     first, last = np.searchsorted(times, [sent[0][0] + SECOND // 4, sent[-1][0] - SECOND // 5])
     starts = range(first, last, 12)
 
     def misses(q):
         acting = [(when + q[0] * SECOND, u) for when, u in sent]
-        a, bias = setup.a * q[1:4], q[4:7] / setup.a
+        a = setup.a * q[1:4]
+        bias = q[4:7] / setup.a
         found = []
         for i in starts:
-            now, end = times[i], times[i + span]
+            now = times[i]
+            end = times[i + span]
             x, y, heading = poses[i].T
             u = next(u for when, u in reversed(acting) if when <= now)
             for when, new in [*((w, n) for w, n in acting if now < w < end), (end, u)]:
                 x, y, heading = exact(
                     x, y, heading, np.array(u) + bias, a, setup.speed, (when - now) / SECOND
                 )
-                now, u = when, new
+                now = when
+                u = new
             found.append(np.remainder(heading - poses[i + span, :, 2] + np.pi, 2 * np.pi) - np.pi)
         return np.concatenate(found)
 
@@ -131,7 +136,8 @@ def turned_on_the_spot(plant, clock):
 
 
 def test_robots_of_both_turn_on_the_spot_alike():
-    bench, clock = bench_spec(*EVEN).experiment, VirtualClock()
+    bench = bench_spec(*EVEN).experiment
+    clock = VirtualClock()
     simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
     with virtual_lab(None, spec=lab_spec(), seed=3) as lab:
         turned = [turned_on_the_spot(lab.plant, lab.clock), turned_on_the_spot(simulated, clock)]

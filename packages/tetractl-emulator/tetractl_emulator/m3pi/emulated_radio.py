@@ -55,9 +55,11 @@ class EmulatedRadio(RobotRadio):
         note: Callable[..., None],
     ) -> None:
         super().__init__(timeline, port, baud, note)
-        self.loss, self.robots = loss, robots
+        self.loss = loss
+        self.robots = robots
         self._random = random.Random(seed)
-        self._decoder, self._witnessed = Decoder(), Decoder()
+        self._decoder = Decoder()
+        self._witnessed = Decoder()
         self._air_ns = 0  # when the air is free again
         self._parameters = {
             b"HV": versions[0].to_bytes(2, "big"),
@@ -84,7 +86,8 @@ class EmulatedRadio(RobotRadio):
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)
-        flags, wheels = int(command.flags), command.wheels
+        flags = int(command.flags)
+        wheels = command.wheels
         return {"sequence": command.sequence, "flags": flags, "wheels": wheels}
 
     def stop_elsewhere(self, sequence: int) -> None:

@@ -7,7 +7,7 @@ Lengths are millimetres.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,6 +27,20 @@ Place = tuple[float, float, float]
 """x, y, heading of a robot [mm, rad]."""
 Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
+
+
+Held = tuple[Counts, tuple[bool, bool], tuple[float, float]]
+"""What a robot's motors are given, and which wheels are stuck and how weak they are."""
+
+
+class RollingWheels(NamedTuple):
+    """Speeds of a robot's wheels, the speeds that they follow [mm/s], and the lag of both [s]."""
+
+    left: float
+    right: float
+    left_target: float
+    right_target: float
+    lag_s: float
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -88,11 +102,15 @@ class EmulatedRobot:
         battery: EmulatedBattery | None = None,
         make_core: Callable[[int], Program] = RobotCore,
     ) -> None:
-        self.name, self.core = name, make_core(index)
-        self.index, self._make_core = index, make_core
+        self.name = name
+        self.core = make_core(index)
+        self.index = index
+        self._make_core = make_core
         self.battery = battery or EmulatedBattery()
-        self.powered, self.stuck = True, (False, False)
-        self.weak, self.deaf = (1.0, 1.0), 0.0
+        self.powered = True
+        self.stuck = (False, False)
+        self.weak = (1.0, 1.0)
+        self.deaf = 0.0
         self.veer: Counts | None = None
 
     @property
@@ -179,17 +197,19 @@ class EmulatedRobots:
         self._wheeled = WheeledRobots(at_zero, radius, lag_s, AT_REST_MM_S)
         self._wheeled.roll = roll
         self._wheeled.drive(start_ns, np.array([start_ns]))  # so that the code is loaded before
-        self.robots, self._drivetrains = robots, drivetrains
+        self.robots = robots
+        self._drivetrains = drivetrains
         self._now_ns = self._settled_ns = start_ns
         self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
         # what `now` returns, `standing`, and when they were computed [ns]
         self._known: tuple[int, list[Place], list[Speeds]] = -1, [], []
         self._stood: tuple[int, list[bool]] = -1, []
         # speeds, targets and lags of each robot's wheels at `_settled_ns`, [] if not yet read
-        self._own: list[tuple[float, float, float, float, float]] = []
-        self._held: list[tuple[Counts, tuple[bool, bool], tuple[float, float]]] = []
+        self._rolling: list[RollingWheels] = []
+        self._held: list[Held] = []
         for row, robot in enumerate(robots):
-            robot.robots, robot.row = self, row
+            robot.robots = self
+            robot.row = row
 
     @property
     def now_ms(self) -> int:
@@ -201,21 +221,23 @@ class EmulatedRobots:
         """Whether each robot is at rest, or moves more slowly than a camera could detect."""
         if self._stood[0] != self._now_ns:
             ahead_s = (self._settled_ns - self._now_ns) / SECOND
-            if not self._own:
+            if not self._rolling:
                 body = self._wheeled.body
-                self._own = [*zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)]
-            self._stood = self._now_ns, [_stands(ahead_s, *wheels) for wheels in self._own]
+                rows = zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)
+                self._rolling = [RollingWheels(*row) for row in rows]
+            self._stood = self._now_ns, [_stands(ahead_s, wheels) for wheels in self._rolling]
         return self._stood[1]
 
     def advance(self, until_ns: int) -> None:
         """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
         while self._now_ns < until_ns:
-            held = [(robot.counts(), robot.stuck, robot.weak) for robot in self.robots]
+            held: list[Held] = [(robot.counts(), robot.stuck, robot.weak) for robot in self.robots]
             if len(self._passed_ns) == STEPS_MAX:
                 self._settled()
             if held != self._held:
-                wheeled, self._held = self._settled(), held
-                counts, stuck, weak = (np.array(each).T for each in zip(*held, strict=True))
+                wheeled = self._settled()
+                self._held = held
+                counts, stuck, weak = (np.array(values).T for values in zip(*held, strict=True))
                 speeds = weak * self._drivetrains.speeds(counts)
                 wheeled.targets[:] = np.where(stuck, 0.0, speeds)
                 wheeled.wheels[stuck] = 0.0
@@ -235,7 +257,8 @@ class EmulatedRobots:
         self._forget()
 
     def _forget(self) -> None:
-        self._known, self._stood = (-1, [], []), (-1, [])
+        self._known = (-1, [], [])
+        self._stood = (-1, [])
 
     def now(self) -> tuple[int, list[Place], list[Speeds]]:
         """Return the present time [ns], poses, and speeds of each robot's wheels."""
@@ -247,20 +270,25 @@ class EmulatedRobots:
 
     def _settled(self) -> WheeledRobots:
         """Return the robots as they are now."""
-        wheeled, self._own = self._wheeled, []
+        wheeled = self._wheeled
+        self._rolling = []
         if not self._passed_ns:
             return wheeled
         seconds = (self._now_ns - self._settled_ns) / SECOND
         if wheeled.targets.any() or wheeled.wheels.any():
             wheeled.drive(self._settled_ns, np.array(self._passed_ns))
-        self._settled_ns, self._passed_ns = self._now_ns, []
-        for robot, left, right in zip(self.robots, *wheeled.wheels.tolist(), strict=True):
-            robot.battery.draw(min((abs(left) + abs(right)) / FULL_LOAD_MM_S, 1.0), seconds)
+        self._settled_ns = self._now_ns
+        self._passed_ns = []
+        for robot, left_mm_s, right_mm_s in zip(self.robots, *wheeled.wheels.tolist(), strict=True):
+            robot.battery.draw(
+                min((abs(left_mm_s) + abs(right_mm_s)) / FULL_LOAD_MM_S, 1.0), seconds
+            )
         return wheeled
 
 
-def _stands(ahead_s: float, left: float, right: float, one: float, two: float, lag: float) -> bool:
-    """Return whether wheels of two speeds, which follow `one` and `two`, stand at -`ahead_s`."""
-    kept = math.exp(ahead_s / lag) if lag > 0 else 0.0
-    fastest = max(abs(one + (left - one) * kept), abs(two + (right - two) * kept))
-    return fastest < STANDING_MM_S
+def _stands(ahead_s: float, wheels: RollingWheels) -> bool:
+    """Return whether a robot's wheels stand at -`ahead_s`."""
+    remaining = math.exp(ahead_s / wheels.lag_s) if wheels.lag_s > 0 else 0.0
+    left = wheels.left_target + (wheels.left - wheels.left_target) * remaining
+    right = wheels.right_target + (wheels.right - wheels.right_target) * remaining
+    return max(abs(left), abs(right)) < STANDING_MM_S

@@ -25,7 +25,8 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 Count = Annotated[int, Field(ge=-127, le=127)]
-SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zigbee
+SERIES_1 = (0x1744, 0x10EC)  # HV and VR of a module with 802.15.4
+SERIES_2 = (0x1944, 0x21A7)  # HV and VR of one with Zigbee
 
 
 class TrueRobot(Model):

@@ -38,7 +38,8 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
 from tetractl_emulator.sides import Stage
 
-PUSH_NS, PUSH_PARTS = SECOND // 5, 40  # how long a push takes, and in how many steps
+PUSH_NS = SECOND // 5  # how long a push takes
+PUSH_PARTS = 40  # in how many steps
 Wheel = Literal["left", "right", "both"]
 
 
@@ -90,24 +91,25 @@ class WheeledSide:
 
     def push(self, fault: Any) -> Undo:
         """Move a robot as a fault says."""
-        row, parts = self.robot(fault.robot).row, 1 if fault.at_once else PUSH_PARTS
+        row = self.robot(fault.robot).row
+        parts = 1 if fault.at_once else PUSH_PARTS
         x, y, turn = (value / parts for value in (*fault.by, fault.turn))
         for part in range(parts):
-            at = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
-            self.timeline.at(at, lambda: self.wheels.shift(row, x, y, turn))
+            at_ns = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
+            self.timeline.at(at_ns, lambda: self.wheels.shift(row, x, y, turn))
         return lambda: None
 
-    def swap_numbers(self, one: EmulatedRobot, other: EmulatedRobot) -> Undo:
+    def swap_numbers(self, first: EmulatedRobot, second: EmulatedRobot) -> Undo:
         """Let each of two robots obey, and answer as, the other."""
-        swapped = [(one, other.index, other.core), (other, one.index, one.core)]
-        return together([setting(each, index=i, core=core) for each, i, core in swapped])
+        swapped = [(first, second.index, second.core), (second, first.index, first.core)]
+        return together([setting(robot, index=i, core=core) for robot, i, core in swapped])
 
     def stop_elsewhere(self) -> Undo:
         """Let robots hear ten emergency stops of another sender."""
         for k in range(STOPS):
             for radio in self.radios:
-                at = self.timeline.now_ns + k * STOP_GAP_NS
-                self.timeline.at(at, lambda k=k, radio=radio: radio.stop_elsewhere(k))
+                at_ns = self.timeline.now_ns + k * STOP_GAP_NS
+                self.timeline.at(at_ns, lambda k=k, radio=radio: radio.stop_elsewhere(k))
         return lambda: None
 
     def restart(self, down: bool) -> None:
@@ -141,8 +143,8 @@ class WheelsSettings(Model):
 
     def trues(self, names: Sequence[str]) -> list[TrueWheels]:
         """Return the true properties of each robot."""
-        given = {robot.name: robot for robot in self.robots}
-        return [given.get(name) or TrueWheels(name=name) for name in names]
+        true_wheels = {robot.name: robot for robot in self.robots}
+        return [true_wheels.get(name) or TrueWheels(name=name) for name in names]
 
 
 class PortedSide(WheeledSide):
@@ -161,9 +163,11 @@ class PortedSide(WheeledSide):
         """Put `robots` on wheels, `radii` (N,) from their centres [mm], of the gains of the spec
         where true ones are not given; `limit` is the largest count, and the speed of a count
         [mm/s]."""
-        each = zip(trues, gains, strict=True)
-        own = [(true.left_gain or left, true.right_gain or right) for true, (left, right) in each]
-        wheels = drivetrains(np.array(own).T * limit[1], limit[0])
+        true_gains = [
+            (true.left_gain or gain[0], true.right_gain or gain[1])
+            for true, gain in zip(trues, gains, strict=True)
+        ]
+        wheels = drivetrains(np.array(true_gains).T * limit[1], limit[0])
         lags = np.array([true.lag for true in trues])
         self.timeline = stage.timeline
         self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
@@ -213,10 +217,10 @@ def robots_of_day(
     robots: list[dict[str, Any]] = []
     for i, name in enumerate(names):
         error = off if off and i == 0 else random.uniform(-0.05, 0.05)
-        own = {"name": name, wheel.format("left"): gain(1 - error)}
-        own[wheel.format("right")] = gain(1 + random.uniform(-0.05, 0.05))
-        own |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
-        robots.append(own | {"battery_mv": random.randint(4600, 5300)})
+        robot = {"name": name, wheel.format("left"): gain(1 - error)}
+        robot[wheel.format("right")] = gain(1 + random.uniform(-0.05, 0.05))
+        robot |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
+        robots.append(robot | {"battery_mv": random.randint(4600, 5300)})
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
 
 
@@ -230,8 +234,8 @@ class Geared(Protocol):
 
 def gains_of(robots: Sequence[Geared], names: Sequence[str]) -> list[tuple[float, float]]:
     """Return the gains of the left and right wheel of each robot in the order of `names`."""
-    own = {robot.name: (robot.left_gain, robot.right_gain) for robot in robots}
-    return [own[name] for name in names]
+    gains = {robot.name: (robot.left_gain, robot.right_gain) for robot in robots}
+    return [gains[name] for name in names]
 
 
 def gains_of_day(setup: Setup, robots: Sequence[Geared]) -> Rehearsal:
@@ -241,9 +245,9 @@ def gains_of_day(setup: Setup, robots: Sequence[Geared]) -> Rehearsal:
 
     def world(random: Random, off: float) -> dict[str, Any]:
         drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))
-        for robot, (left, right) in zip(drawn["robots"], gains, strict=True):
-            robot["left_gain"] *= left
-            robot["right_gain"] *= right
+        for robot, (left_gain, right_gain) in zip(drawn["robots"], gains, strict=True):
+            robot["left_gain"] *= left_gain
+            robot["right_gain"] *= right_gain
         return drawn
 
     return Rehearsal(world=world)
@@ -264,9 +268,9 @@ def _radios(**values: Any) -> Begin:
 
 
 def _weak(fault: Any) -> tuple[float, float]:
-    left = fault.share if fault.wheel in ("left", "both") else 1.0
-    right = fault.share if fault.wheel in ("right", "both") else 1.0
-    return left, right
+    left_share = fault.share if fault.wheel in ("left", "both") else 1.0
+    right_share = fault.share if fault.wheel in ("right", "both") else 1.0
+    return left_share, right_share
 
 
 STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}

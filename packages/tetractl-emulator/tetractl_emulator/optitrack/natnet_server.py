@@ -20,8 +20,8 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
         case natnet.MessageKind.CONNECT if len(payload) <= wire.SENDER.size:
             return natnet.Connect(wire.read_sender(payload)[1])
         case natnet.MessageKind.CONNECT:
-            _, *asked = wire.unpacked(BITSTREAM, payload[wire.SENDER.size :])
-            return natnet.Connect(natnet.Version(*asked[:2]), pinned=True)
+            _, *version = wire.unpacked(BITSTREAM, payload[wire.SENDER.size :])
+            return natnet.Connect(natnet.Version(*version[:2]), pinned=True)
         case natnet.MessageKind.REQUEST:
             return natnet.NatNetRequest(wire.read_text(payload))
         case natnet.MessageKind.ECHO_REQUEST:
@@ -56,7 +56,8 @@ def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.
 
 def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     """Pack a frame's payload: rigid bodies, and all other sections empty."""
-    layout, empty = layout_of(version), section([], version)
+    layout = layout_of(version)
+    empty = section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
     after = 2 + layout.sized + layout.channels  # skeletons, assets, labelled markers, channels
     parts = wire.packed("i", frame.number), empty * 2, section(bodies, version), empty * after
@@ -103,7 +104,8 @@ def pack_modeldef(
     """
     described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]
-    parts, sized = [wire.packed("i", len(sets))], layout_of(version).sized
+    parts = [wire.packed("i", len(sets))]
+    sized = layout_of(version).sized
     for kind, data in sets:
         parts.append(wire.packed("ii", kind, len(data)) if sized else wire.packed("i", kind))
         parts.append(data)

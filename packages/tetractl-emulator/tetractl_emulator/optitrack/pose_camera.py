@@ -130,9 +130,9 @@ class PoseCamera(ABC):
 
     def _show(self, exposed_ns: int, frame: BodyFrame) -> None:
         """Remember when each robot was last shown as tracked."""
-        shown = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
+        shown_ids = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
         for i, body in enumerate(self.tracked):
-            if body.id in shown:
+            if body.id in shown_ids:
                 self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)
 
     def _expose(self) -> tuple[RigidBody, ...]:

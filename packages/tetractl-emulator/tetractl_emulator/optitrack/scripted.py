@@ -200,8 +200,8 @@ def _swap_bodies(fault: Any, device: Any) -> Undo:
 
 
 def _twin_ids(fault: Any, device: Any) -> Undo:
-    other = device.tracked_body(fault.other)
-    return setting(_body(fault, device), id=other.id)
+    second = device.tracked_body(fault.other)
+    return setting(_body(fault, device), id=second.id)
 
 
 def _set_clock(fault: Any, device: Any) -> Undo:

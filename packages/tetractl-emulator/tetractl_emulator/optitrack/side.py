@@ -66,7 +66,8 @@ class EmulatedOptitrack(PoseCamera):
         return Rehearsal(world=partial(world, scale=scale_of(lab, setup)))
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
-        section, options = stage.lab.camera, stage.options
+        section = stage.lab.camera
+        options = stage.options
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
         tracked = _tracked(section, settings, bodies, random.Random(options.seed))
         self.names = tuple((body.body_name, body.id) for body in tracked)
@@ -75,9 +76,11 @@ class EmulatedOptitrack(PoseCamera):
         view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
         super().__init__(stage, tracked, settings.rate, settings.latency, view)
         self.join = stage.wires.make_socket
-        self.section, self.settings = section, settings
+        self.section = section
+        self.settings = settings
         self.address = options.address or section.server
-        self.command_port, self.data_port = section.command_port, section.data_port
+        self.command_port = section.command_port
+        self.data_port = section.data_port
         if options.command_port is not None:
             self.command_port = options.command_port
         if options.data_port is not None:
@@ -126,7 +129,7 @@ class EmulatedOptitrack(PoseCamera):
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
         for _ in range(100):
             try:
-                asked, sender = self.command.recvfrom(65_535)
+                datagram, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
                 return
             except OSError:  # a client has gone: its host answered port unreachable
@@ -135,14 +138,14 @@ class EmulatedOptitrack(PoseCamera):
                 continue
             catch_up()  # otherwise an echo could report a time before its request
             try:
-                message = parse_request(asked)
+                message = parse_request(datagram)
             except WireError:
                 self.refused += 1
                 continue
             answer = self._answer(message, sender, self.timeline.now_ns)
             if answer is not None:
-                known = self.clients.get(sender)
-                version = known.version if known else self.own_version
+                client = self.clients.get(sender)
+                version = client.version if client else self.own_version
                 self._send(self.command, pack_answer(answer, version), sender)
 
     def _answer(
@@ -178,10 +181,11 @@ class EmulatedOptitrack(PoseCamera):
             self._stage.client(f"{sender[0]}:{sender[1]}")
         if self.multicast:
             return
-        version, own = message.version, self.own_version
+        version = message.version
+        own_version = self.own_version
         chosen = message.pinned and not self.settings.keeps_version
-        chosen = chosen and (4, 0) <= own >= version and version.known
-        self.clients[sender] = Client(version if chosen else own, now_ns)
+        chosen = chosen and (4, 0) <= own_version >= version and version.known
+        self.clients[sender] = Client(version if chosen else own_version, now_ns)
 
     def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
         """Yield the addresses to which frames are sent, each with its protocol version; in
@@ -218,8 +222,8 @@ class EmulatedOptitrack(PoseCamera):
             sender.sendto(data, to)
 
 
-def _port(of: Any) -> int:
-    return of.getsockname()[1]
+def _port(endpoint: Any) -> int:
+    return endpoint.getsockname()[1]
 
 
 def _tracked(
@@ -232,7 +236,7 @@ def _tracked(
     truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
     free = iter(sorted(set(range(1, 1000)) - taken))
-    found: list[TrackedBody] = []
+    tracked: list[TrackedBody] = []
     for body in bodies:
         robot = entry(section.robots, body.name)
         number = robot.body if isinstance(robot.body, int) else next(free)
@@ -241,5 +245,5 @@ def _tracked(
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
         streamed = truth.streamed
-        found.append(TrackedBody(body, number, named, offset, noise, chance, streamed))
-    return found
+        tracked.append(TrackedBody(body, number, named, offset, noise, chance, streamed))
+    return tracked

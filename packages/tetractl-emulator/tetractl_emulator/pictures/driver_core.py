@@ -24,7 +24,9 @@ class DriverLimits:
 class DriverCore(Core):
     """The firmware core of a current driver, switched on at `now_ms`."""
 
-    name, reply_size, number = "field", 28, ctypes.c_int32
+    name = "field"
+    reply_size = 28
+    number = ctypes.c_int32
 
     def __init__(
         self, limits: DriverLimits, now_ms: int = 0, library: Library | None = None

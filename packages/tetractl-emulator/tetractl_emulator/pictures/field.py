@@ -62,9 +62,13 @@ class CurrentDriver(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note)
         self.currents: Pair = (0.0, 0.0)
-        self.supply_mv, self.temperature_dc = 12_000, 250
-        self.powered, self.mute = True, False
-        self.late_ns, self.doubled, self._due_ns = 0, False, 0
+        self.supply_mv = 12_000
+        self.temperature_dc = 250
+        self.powered = True
+        self.mute = False
+        self.late_ns = 0
+        self.doubled = False
+        self._due_ns = 0
         self._limits = limits
         self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
         self._now_ns = timeline.now_ns
@@ -116,7 +120,8 @@ class CurrentDriver(SerialDevice):
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)
-        flags, currents = int(command.flags), [command.x_ma, command.y_ma]
+        flags = int(command.flags)
+        currents = [command.x_ma, command.y_ma]
         return {"sequence": command.sequence, "flags": flags, "currents_ma": currents}
 
     def _step(self) -> None:
@@ -164,8 +169,8 @@ def _coils(change: Callable[[Any, CoilsSection], CoilsSection]) -> Begin:
 
 def _weak(fault: Any, coils: CoilsSection) -> CoilsSection:
     pair: CoilPair = {"x": coils.x, "y": coils.y}[fault.axis]
-    left = pair.model_copy(update={"gain_mt_a": fault.share * pair.gain_mt_a})
-    return coils.model_copy(update={fault.axis: left})
+    weakened = pair.model_copy(update={"gain_mt_a": fault.share * pair.gain_mt_a})
+    return coils.model_copy(update={fault.axis: weakened})
 
 
 def _turned(fault: Any, coils: CoilsSection) -> CoilsSection:
@@ -263,13 +268,16 @@ class EmulatedField(PluggedDevice):
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
         assert isinstance(section, FieldSection), "the actuator's section has the type field"
-        setup, start_ns = stage.setup, stage.timeline.now_ns
+        setup = stage.setup
+        start_ns = stage.timeline.now_ns
         self.port = stage.wires.port(stage.options.link or Path(section.port))
         self.driver = self.wired = CurrentDriver(
             stage.timeline, self.port, _limits(section), section.baud, note=stage.note
         )
         self.driver.supply_mv = settings.supply_mv
-        seed, walk, names = stage.options.seed, settings.heading_noise, setup.names
+        seed = stage.options.seed
+        walk = settings.heading_noise
+        names = setup.names
         walls = None
         if stage.options.chosen:
             walls = walls_of(setup)
@@ -302,10 +310,10 @@ class EmulatedField(PluggedDevice):
         born since the beginning [mm, rad], to be recorded.
         """
         parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
-        found = {name: [round(one, 5) for one in values] for name, values in parts.items()}
+        truth = {name: [round(value, 5) for value in values] for name, values in parts.items()}
         born = range(len(self._bodies), len(self.dish.cells))
         daughters = [CellBody("", self.dish, row) for row in born]
-        return found | {"born": [[d.x, d.y, d.heading] for d in daughters]}
+        return truth | {"born": [[d.x, d.y, d.heading] for d in daughters]}
 
     def switch(self, on: bool) -> None:
         """Switch the driver on or off."""
@@ -321,5 +329,6 @@ class EmulatedField(PluggedDevice):
 
 def _limits(section: FieldSection) -> DriverLimits:
     """Return the limits built into the driver, which are those of the spec."""
-    milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
+    milliamperes = round(1000 * section.current_max_a)
+    slew = round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

@@ -30,7 +30,8 @@ class MemoryCamera(EmulatedNetworkCamera):
         self._port = port  # not opened
 
     def __enter__(self) -> Self:
-        self._start, self._sent = self._clock.true_ns, deque[tuple[int, int, bytes]](maxlen=WAIT)
+        self._start = self._clock.true_ns
+        self._sent = deque[tuple[int, int, bytes]](maxlen=WAIT)
         self._clock.steps.append(self._turn)
         return self
 
@@ -54,7 +55,8 @@ class MemoryCamera(EmulatedNetworkCamera):
 
     def join(self, take: Callable[[bytes], None]) -> Self:
         """Pass each picture, a JPEG file, to `take` from now on; return the feed."""
-        self._take, self._parts = take, Multipart(BOUNDARY)
+        self._take = take
+        self._parts = Multipart(BOUNDARY)
         return self
 
     def interrupt(self) -> None:
@@ -71,9 +73,10 @@ class MemoryCamera(EmulatedNetworkCamera):
                 self._sent.append((exposed + self.latency_ns, exposed, jpeg))
         while self._sent and self._sent[0][0] <= now:
             _, exposed, jpeg = self._sent.popleft()
-            body = self._changed(whole := part(jpeg))
+            sent_part = part(jpeg)
+            body = self._changed(sent_part)
             if self._take is not None:
-                if body.startswith(whole):
+                if body.startswith(sent_part):
                     self.on_shown(exposed)
                 for jpeg in self._parts.feed(body):
                     self._take(jpeg)

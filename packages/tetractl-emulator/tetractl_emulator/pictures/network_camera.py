@@ -45,8 +45,10 @@ class EmulatedNetworkCamera:
         self.frozen = threading.Event()
         self.every = 1
         self.exposed = 0  # number of the last picture
-        self._draw, self._clock = draw, clock
-        self._rate_hz, self._quality = rate_hz, quality
+        self._draw = draw
+        self._clock = clock
+        self._rate_hz = rate_hz
+        self._quality = quality
         self._half = round(exposure_s * SECOND / 2)
         self.latency_ns = round(latency_s * SECOND)
         self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
@@ -104,7 +106,8 @@ class EmulatedNetworkCamera:
             thread.join()
 
     def _expose(self) -> None:
-        start, half = self._clock.now(), self._half
+        start = self._clock.now()
+        half = self._half
         while not self._closing.is_set():
             due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
             self.exposed = max(self.exposed + 1, due)  # a busy host skips some exposures

@@ -26,16 +26,23 @@ from tetractl.reproduce.claim import AsOften, AtMost, Claim, Fate
 from tetractl.reproduce.paper import Paper, Work
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
-STRENGTHS_MT, CELLS = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0), 34
+STRENGTHS_MT = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0)
+CELLS = 34
 SLOPES = 0.5, 1.0
 """Range of the slopes put in [rad/(mT s)], which the fit does not know."""
-SPREAD, WALK = 0.15, 0.1
-"""Assumed standard deviations: of ln of the slope among cells, and of headings [rad/sqrt(s)]."""
+SPREAD = 0.15
+"""Assumed standard deviation of ln of the slope among cells."""
+WALK = 0.1
+"""Assumed standard deviation of headings [rad/sqrt(s)]."""
 LOOK = PictureLook(width=768, height=768, um_px=0.25, vignetting=0.1)
-RATE_HZ, HOLD_S, REVERSALS = 15, 3.0, 4
+RATE_HZ = 15
+HOLD_S = 3.0
+REVERSALS = 4
 REFERENCE_MT = 4.0
 """The strength for which `track` states a: a field's file has strengths relative to it."""
-OUTLIER, ROUNDS = 3.0, 20
+ROUNDS = 20
+"""How often outliers are looked for again."""
+OUTLIER = 3.0
 """Deviations beyond which a track is left out: it is of more cells than one."""
 
 
@@ -43,9 +50,12 @@ def _bacteria(slope: float, rng: np.random.Generator) -> Swimmers:
     cells = Swimmers.drawn(rng, CELLS)
     span = LOOK.width * LOOK.um_px
     cells.x[:], cells.y[:] = rng.uniform(0.15 * span, 0.85 * span, (2, CELLS))
-    cells.length[:], cells.width[:] = rng.normal(5, 0.5, CELLS), rng.normal(0.7, 0.05, CELLS)
+    cells.length[:] = rng.normal(5, 0.5, CELLS)
+    cells.width[:] = rng.normal(0.7, 0.05, CELLS)
     cells.speed[:] = 32 * np.exp(rng.normal(0, 0.2, CELLS))
-    cells.helix_um[:], cells.helix_hz[:], cells.walk[:] = 0.1, 2.0, WALK
+    cells.helix_um[:] = 0.1
+    cells.helix_hz[:] = 2.0
+    cells.walk[:] = WALK
     cells.a[:] = slope * np.exp(rng.normal(-(SPREAD**2) / 2, SPREAD, CELLS))  # at 1 mT
     return cells
 
@@ -57,8 +67,8 @@ def _pictures(
     painter = DishPainter(LOOK, int(rng.integers(2**32)))
     for number, now in enumerate(field):
         cells.depth[:] = 0.0  # the channel is so shallow that all are in focus
-        shown = [bodies(cells)] * SUB_EXPOSURES
-        yield painter.picture(cells, shown, np.ones(len(cells), bool), number / RATE_HZ)
+        moments = [bodies(cells)] * SUB_EXPOSURES
+        yield painter.picture(cells, moments, np.ones(len(cells), bool), number / RATE_HZ)
         cells.swim((now.real, now.imag), 1 / RATE_HZ, rng)
 
 
@@ -69,17 +79,21 @@ def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequenc
     angles = [axis + math.pi * (k // round(HOLD_S * RATE_HZ)) for k in range(count)]
     field = [strength * complex(math.cos(u), math.sin(u)) for u in angles]
     with tempfile.TemporaryDirectory() as folder:
-        film, record = Path(folder, "film.avi"), Path(folder, "field.csv")
-        code, size = cv2.VideoWriter.fourcc(*"MJPG"), (LOOK.width, LOOK.height)
+        film = Path(folder, "film.avi")
+        record = Path(folder, "field.csv")
+        code = cv2.VideoWriter.fourcc(*"MJPG")
+        size = (LOOK.width, LOOK.height)
         writer = cv2.VideoWriter(str(film), code, RATE_HZ, size, isColor=False)
         for picture in _pictures(_bacteria(slope, rng), field, rng):
             writer.write(picture)
         writer.release()
         rows = [f"{k / RATE_HZ},{u},{strength / REFERENCE_MT}" for k, u in enumerate(angles)]
         record.write_text("\n".join(["time_s,direction_rad,strength", *rows, ""]))
-        known = read_field(record)
-        found = follow(open_film(film, None, LOOK.um_px), LOOK.um_px, known, MAGNETOSPIRILLUM)
-        return fit_cells(found, known)[1]
+        field_of_film = read_field(record)
+        followed = follow(
+            open_film(film, None, LOOK.um_px), LOOK.um_px, field_of_film, MAGNETOSPIRILLUM
+        )
+        return fit_cells(followed, field_of_film)[1]
 
 
 def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
@@ -92,13 +106,13 @@ def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
     middle = float(np.median(slopes))
     among = float(np.median(np.abs(slopes - middle))) / stats.norm.ppf(0.75)
     weights = 1 / (among**2 + deviations**2)
-    kept = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
+    is_near = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
     for _ in range(ROUNDS):
-        middle = float(np.average(slopes[kept], weights=weights[kept]))
-        kept = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
-    share_of = weights[kept] / weights[kept].sum()
-    error = float(np.sqrt(np.sum((share_of * (slopes[kept] - middle)) ** 2)))
-    half = float(stats.t.ppf(0.975, kept.sum() - 1)) * error
+        middle = float(np.average(slopes[is_near], weights=weights[is_near]))
+        is_near = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
+    share_of = weights[is_near] / weights[is_near].sum()
+    error = float(np.sqrt(np.sum((share_of * (slopes[is_near] - middle)) ** 2)))
+    half = float(stats.t.ppf(0.975, is_near.sum() - 1)) * error
     return middle, middle - half, middle + half
 
 
@@ -108,9 +122,9 @@ def films(seed: int, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([seed, number])
     put_in = float(rng.uniform(*SLOPES))
     cells = [cell for mt in STRENGTHS_MT for cell in _tracked(mt, put_in, rng)]
-    found = [cell.a for cell in cells if cell.a is not None and cell.sure]
-    deviations = [(a.high - a.low) / 2 / stats.norm.ppf(0.975) / REFERENCE_MT for a in found]
-    slopes = [a.value / REFERENCE_MT for a in found]
+    couplings = [cell.a for cell in cells if cell.a is not None and cell.sure]
+    deviations = [(a.high - a.low) / 2 / stats.norm.ppf(0.975) / REFERENCE_MT for a in couplings]
+    slopes = [a.value / REFERENCE_MT for a in couplings]
     return {"put in": put_in, "slopes": slopes, "deviations": deviations}
 
 

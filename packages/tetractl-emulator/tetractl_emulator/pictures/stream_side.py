@@ -29,23 +29,23 @@ from tetractl_emulator.sides import Facts, Stage
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
 
 
-def cut_short(whole: bytes) -> bytes:
+def cut_short(sent_part: bytes) -> bytes:
     """Return the first half of a part, as if the connection had lost the rest."""
-    return whole[: len(whole) // 2]
+    return sent_part[: len(sent_part) // 2]
 
 
-def cut_before_its_end(whole: bytes) -> bytes:
+def cut_before_its_end(sent_part: bytes) -> bytes:
     """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
-    jpeg = whole.partition(b"\r\n\r\n")[2]
+    jpeg = sent_part.partition(b"\r\n\r\n")[2]
     return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
 
 
-def oversized(whole: bytes) -> bytes:
+def oversized(sent_part: bytes) -> bytes:
     """Return a part whose JPEG, if it has one, claims to have 32767 x 32767 pixels."""
-    at = whole.find(b"\xff\xc0") + 5
-    if at < 5:
-        return whole
-    return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
+    size_at = sent_part.find(b"\xff\xc0") + 5
+    if size_at < 5:
+        return sent_part
+    return sent_part[:size_at] + b"\x7f\xff\x7f\xff" + sent_part[size_at + 4 :]
 
 
 class StreamSettings(Model):
@@ -67,8 +67,11 @@ class StreamSettings(Model):
 
 def _freeze(fault: Any, device: Any) -> Undo:
     def freeze(more: int) -> None:
-        device.freezes += more  # of several faults at once, the last to end lets it go on
-        (device.camera.frozen.set if device.freezes else device.camera.frozen.clear)()
+        device.freezes += more
+        if device.freezes:
+            device.camera.frozen.set()
+        else:  # of several faults at once, the last to end lets it go on
+            device.camera.frozen.clear()
 
     freeze(1)
     return lambda: freeze(-1)
@@ -104,7 +107,8 @@ def _late(fault: Any, device: Any) -> Undo:
     def later(by_ns: int) -> None:
         device.camera.latency_ns += by_ns
 
-    later(by_ns := round(fault.by * SECOND))
+    by_ns = round(fault.by * SECOND)
+    later(by_ns)
     return lambda: later(-by_ns)
 
 
@@ -152,7 +156,8 @@ class StreamedCamera(ABC):
     def __init__(self, stage: Stage, settings: StreamSettings) -> None:
         section = stage.lab.camera
         assert isinstance(section, PictureSection), "the camera searches pictures"
-        source, in_memory = section.source, not stage.wires.http
+        source = section.source
+        in_memory = not stage.wires.http
         served = (MjpegSource, DeviceSource) if in_memory else MjpegSource
         if not isinstance(source, served):
             raise SpecError(
@@ -160,7 +165,9 @@ class StreamedCamera(ABC):
                 "use {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
             )
         self.seed = stage.options.seed
-        self._stage, self._settings, self._latency = stage, settings, section.latency
+        self._stage = stage
+        self._settings = settings
+        self._latency = section.latency
         port = stage.options.command_port
         named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
         self._port = named if port is None else port
@@ -190,7 +197,8 @@ class StreamedCamera(ABC):
 
     def open(self, loop: Loop) -> Facts:
         """Start to serve the stream; return its address."""
-        wires, settings = self._stage.wires, self._settings
+        wires = self._stage.wires
+        settings = self._settings
         clock = wires.clock()
         self._start_ns = loop.now() - clock.now()
         self._remember()
@@ -237,18 +245,22 @@ class StreamedCamera(ABC):
         for i, visible in enumerate(self._visible[exposed_ns]):
             if visible:
                 self.shown_ns[i] = self._start_ns + exposed_ns
-        self._visible = {at: seen for at, seen in self._visible.items() if at >= exposed_ns}
+        self._visible = {
+            t_ns: visible for t_ns, visible in self._visible.items() if t_ns >= exposed_ns
+        }
 
     def _scene_at(self, t_ns: int) -> Floats:
         """Return the scene at a time [ns] on the camera's clock, interpolated between the stored
         scenes before and after that time.
         """
-        past, when = list(self._past), self._start_ns + t_ns
+        past = list(self._past)
+        when = self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:
             return past[0][1]
-        (t0, before), (t1, after) = past[i - 1], past[i]
-        part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
+        before_ns, before = past[i - 1]
+        after_ns, after = past[i]
+        part = min(max((when - before_ns) / (after_ns - before_ns), 0.0), 1.0)
         # a cell may have divided between the two scenes
         return before + part * (after[..., : before.shape[-1]] - before)
 

@@ -134,12 +134,12 @@ class DishTruth(Truth):
             return "slow: as a cell may swim" if self.met(*FALSE) else ""
         if self.moved:
             return "knocked: nothing showed that stands"
-        own = self.steered[robot]
-        other = int(np.nan_to_num(self.apart_um[frame, robot], nan=np.inf).argmin())
-        if own == other:
+        own_cell = self.steered[robot]
+        nearest_cell = int(np.nan_to_num(self.apart_um[frame, robot], nan=np.inf).argmin())
+        if own_cell == nearest_cell:
             return ""
         way = self.poses[: self.logged_exposures[frame] + 1]
-        apart = way[:, own, :2] - way[:, other, :2]
+        apart = way[:, own_cell, :2] - way[:, nearest_cell, :2]
         have_met = 1000 * np.nanmin(np.hypot(*apart.T)) < MET_UM
         return "met: names are sure to 90 %" if have_met else ""
 
@@ -212,10 +212,10 @@ def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     if truth.numbered and not truth.met(*FALSE):
         bound_um = STREAM_UM
         bound_s = 0.0
-    for i, own in enumerate(truth.steered):
-        off_um = truth.apart_um[:, i, own]
+    for i, cell in enumerate(truth.steered):
+        off_um = truth.apart_um[:, i, cell]
         tracked = np.flatnonzero(~np.isnan(off_um))
-        late_um = _speed_um(truth, own) * truth.late_s
+        late_um = _speed_um(truth, cell) * truth.late_s
         if truth.numbered and len(tracked):
             yield from _jumps(truth, i, tracked, off_um[tracked] - late_um)
         wrong_since_s: float | None = None
@@ -263,17 +263,17 @@ def _result(truth: DishTruth) -> Iterator[Violation]:
     true_errors_um = np.hypot(apart[:, 0], apart[:, 1])
     off_um = np.abs(true_errors_um - np.array(log.result.robot_errors) * unit_um)
     bound_um = STREAM_UM if truth.numbered else SEEN_UM
-    for i, own in enumerate(truth.steered):
+    for i, cell in enumerate(truth.steered):
         lost = log.result.lost and log.result.lost[i]
-        if not lost and off_um[i] > bound_um + _speed_um(truth, own) * truth.late_s:
+        if not lost and off_um[i] > bound_um + _speed_um(truth, cell) * truth.late_s:
             frame = int(np.flatnonzero(truth.logged_exposures == row)[0])
             finding = f"{truth.setup.names[i]} by {off_um[i]:.0f} um"
             yield Violation("untrue", truth.times_s[row], finding, truth.mistaken(frame, i))
             return
 
 
-def _speed_um(truth: DishTruth, own: int) -> float:
+def _speed_um(truth: DishTruth, cell: int) -> float:
     """Return the greatest speed of a cell [um/s]."""
-    way = np.diff(truth.poses[:, own, :2], axis=0)
+    way = np.diff(truth.poses[:, cell, :2], axis=0)
     swum = np.hypot(way[:, 0], way[:, 1]) / np.diff(truth.times_s)
     return 1000 * float(np.nanquantile(swum, 0.9))

@@ -29,9 +29,11 @@ from tetractl_emulator.rehearsal.participants import LabRehearsal
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow, faults_of_day
 from tetractl_emulator.rehearsal.world import world_of_day
 
-HANGS_S, STILL_S = 600.0, 60.0
-"""Processor time after which a day counts as one that hangs, and the wall time in which a day that
-is not over has to use some [s]: a busy machine makes days long, and must not make them hang."""
+HANGS_S = 600.0
+"""Processor time after which a day counts as one that hangs [s]."""
+STILL_S = 60.0
+"""Wall time in which a day that is not over has to use processor time [s]: a busy machine makes
+days long, and must not make them hang."""
 KEPT = 20_000
 """Blocks of memory that a run may leave in its process, if it has loaded no module."""
 OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
@@ -61,8 +63,8 @@ class DayPlan:
 
     def script(self) -> dict[str, Any]:
         """Return the script of the day."""
-        faults = [{k: v for k, v in one.items() if k not in OWN} for one in self.sorted]
-        about = ", ".join(dict.fromkeys(one["kind"] for one in self.sorted)) or "no fault"
+        faults = [{k: v for k, v in fault.items() if k not in OWN} for fault in self.sorted]
+        about = ", ".join(dict.fromkeys(fault["kind"] for fault in self.sorted)) or "no fault"
         return {"about": about, "emulation": dict(self.emulation), "faults": faults}
 
 
@@ -102,8 +104,8 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     script.write_text(dump(plan.script()))
     words = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
     words += ["--seed", str(plan.seed), "--out", str(folder / "log")]
-    own = f"plant.faults={script.resolve()}", f"plant.record={folder}"
-    words += [word for setting in (*sets, *own) for word in ("--set", setting)]
+    plant_sets = f"plant.faults={script.resolve()}", f"plant.record={folder}"
+    words += [word for setting in (*sets, *plant_sets) for word in ("--set", setting)]
     ended, ends = os.pipe()
     pid = os.fork()
     if not pid:
@@ -115,7 +117,7 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     record = folder / "truth-000.jsonl"
     lines = record.read_text().splitlines() if record.exists() else []
     log = next(iter(sorted((folder / "log").glob("*.mcap*"))), None)
-    left = folder / "left.txt"
+    left_file = folder / "left.txt"
     said = (folder / "said.txt").read_text()
     return Day(
         plan,
@@ -123,14 +125,15 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
         code,
         said,
         log,
-        left.read_text() if left.exists() else "",
+        left_file.read_text() if left_file.exists() else "",
         seconds,
     )
 
 
 def _run(words: list[str], folder: Path) -> None:
     """Run a command in this forked process, and end it."""
-    code, most_s = 1, round(HANGS_S + STILL_S)
+    code = 1
+    most_s = round(HANGS_S + STILL_S)
     try:
         # should the process that waits for it be gone
         resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
@@ -140,12 +143,15 @@ def _run(words: list[str], folder: Path) -> None:
             os.dup2(source, target)
         os.close(said)
         os.close(null)
-        sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
+        sys.stdin = os.fdopen(0)
+        sys.stdout = os.fdopen(1, "w")
+        sys.stderr = os.fdopen(2, "w")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
         listen_to_signals()  # as each process does, so that a day leaves no more behind
         running = set(threading.enumerate())
-        before, loaded = _open_files(), set(sys.modules)
+        before = _open_files()
+        loaded = set(sys.modules)
         gc.freeze()  # what there is need not be searched for garbage
         gc.disable()  # nor what comes: a day leaves little
         blocks = sys.getallocatedblocks()
@@ -154,8 +160,9 @@ def _run(words: list[str], folder: Path) -> None:
         gc.collect()
         threads = [thread.name for thread in threading.enumerate() if thread not in running]
         files = sorted(_open_files() - before)
-        kept, new = sys.getallocatedblocks() - blocks, sys.modules.keys() - loaded
-        memory = [f"{kept} blocks of memory"] if kept > KEPT and not new else []
+        kept_blocks = sys.getallocatedblocks() - blocks
+        new = sys.modules.keys() - loaded
+        memory = [f"{kept_blocks} blocks of memory"] if kept_blocks > KEPT and not new else []
         (folder / "left.txt").write_text("; ".join([*threads, *files, *memory]))
         (folder / "modules.txt").write_text("\n".join(new))
         sys.stdout.flush()
@@ -178,13 +185,13 @@ def _load_ahead(modules: Path) -> None:
 
 def _open_files() -> set[str]:
     """Return the files that this process has open, with their numbers."""
-    found = set[str]()
+    names = set[str]()
     for entry in Path("/proc/self/fd").glob("*"):
         try:
-            found.add(f"{entry.name} {entry.readlink()}")
+            names.add(f"{entry.name} {entry.readlink()}")
         except OSError:  # the folder's own
             continue
-    return found
+    return names
 
 
 def _wait(pid: int, ended: int) -> tuple[int, float]:
@@ -192,9 +199,11 @@ def _wait(pid: int, ended: int) -> tuple[int, float]:
     the number of the signal that killed it less than 0, -100 if it hangs; and its processor time
     [s].
     """
-    hangs, used_s = False, -1.0
+    hangs = False
+    used_s = -1.0
     while not hangs and not select.select([ended], [], [], STILL_S)[0]:
-        before_s, used_s = used_s, _used_s(pid)
+        before_s = used_s
+        used_s = _used_s(pid)
         hangs = used_s == before_s or used_s > HANGS_S
     if hangs:
         os.kill(pid, signal.SIGKILL)

@@ -26,21 +26,22 @@ def days_figure(rows: Sequence[DayRow], kinds: Sequence[FaultRow], title: str) -
 def _drawn(met: dict[str, Met], kinds: Sequence[FaultRow]) -> Figure:
     drawing = style.figure(style.PAGE_IN, 0.9 + ROW_IN * len(kinds))
     days, times = drawing.subplots(1, 2, sharey=True, width_ratios=(2, 3))
-    at = np.arange(len(kinds))
-    own = [met.get(kind.name, Met()) for kind in kinds]
+    rows = np.arange(len(kinds))
+    faults = [met.get(kind.name, Met()) for kind in kinds]
     for counts, color, height in (
-        ([one.days for one in own], style.FAINT, 0.8),
-        ([one.alone for one in own], style.GREY, 0.5),
-        ([len(one.times_s) for one in own], style.INK, 0.2),
+        ([fault.days for fault in faults], style.FAINT, 0.8),
+        ([fault.alone for fault in faults], style.GREY, 0.5),
+        ([len(fault.times_s) for fault in faults], style.INK, 0.2),
     ):
-        days.barh(at, counts, height=height, color=color)
-    for row, one in enumerate(own):
-        times.plot(one.times_s, [row] * len(one.times_s), "o", color=style.GREY, ms=2, alpha=0.5)
-        if one.times_s:
-            times.plot([np.median(one.times_s)], [row], "|", color=style.INK, ms=7)
-    days.set_yticks(at, [kind.name for kind in kinds])
+        days.barh(rows, counts, height=height, color=color)
+    for row, fault in enumerate(faults):
+        rows_of_fault = [row] * len(fault.times_s)
+        times.plot(fault.times_s, rows_of_fault, "o", color=style.GREY, ms=2, alpha=0.5)
+        if fault.times_s:
+            times.plot([np.median(fault.times_s)], [row], "|", color=style.INK, ms=7)
+    days.set_yticks(rows, [kind.name for kind in kinds])
     days.set_ylim(len(kinds) - 0.5, -0.5)
-    if any(time_s > 0 for row in own for time_s in row.times_s):
+    if any(time_s > 0 for fault in faults for time_s in fault.times_s):
         times.set_xscale("log")
     style.panel(days, "a", "met, alone, noticed alone", "days")
     style.panel(times, "b", "noticed after", "time from the fault to a hold or an abort [s]")

@@ -47,10 +47,11 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
                 continue
             text = f"goes from {values[i]} to {values[i + 1]} after frame {log.frames[i]}"
             yield Difference(None, f"mocap.{name}", text)
-    own, at = log.exposed_ns, log.mocap_ns[:, None]
-    for i in np.flatnonzero(
-        (own > at).any(axis=1) | (np.diff(own, axis=0, prepend=own[:1]) < 0).any(1)
-    ):
+    exposed_ns = log.exposed_ns
+    frame_ns = log.mocap_ns[:, None]
+    is_later = (exposed_ns > frame_ns).any(axis=1)
+    goes_back = (np.diff(exposed_ns, axis=0, prepend=exposed_ns[:1]) < 0).any(axis=1)
+    for i in np.flatnonzero(is_later | goes_back):
         text = f"in frame {log.frames[i]} a pose is later than its frame, or earlier than before"
         yield Difference(None, "mocap.exposed_ns", text)
     for i in np.flatnonzero(log.received_ns < log.mocap_ns):
@@ -60,38 +61,45 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
 
 def _steps(log: TrialLog) -> Iterator[Difference]:
     """Check that each control step follows its frame, which is logged, and the step before."""
-    numbers, sent_before, frame_before = set(log.frames.tolist()), -1, -1
+    numbers = set(log.frames.tolist())
+    sent_before = -1
+    frame_before = -1
     for step in log.steps:
-        at, sent = step.observation, step.command.sent_ns
-        if not at.sampled_ns <= at.received_ns <= sent:
-            text = f"sampled {at.sampled_ns}, received {at.received_ns}, sent {sent}"
+        observation = step.observation
+        sent = step.command.sent_ns
+        if not observation.sampled_ns <= observation.received_ns <= sent:
+            text = (
+                f"sampled {observation.sampled_ns}, received {observation.received_ns}, sent {sent}"
+            )
             yield Difference(step.k, "observation", f"times out of order: {text}")
-        if sent <= sent_before or at.frame < frame_before:
+        if sent <= sent_before or observation.frame < frame_before:
             yield Difference(step.k, "command.sent_ns", "not later than in the previous step")
-        if numbers and min(numbers) < at.frame and at.frame not in numbers:
-            text = f"frame {at.frame} is not among the camera frames"
+        if numbers and min(numbers) < observation.frame and observation.frame not in numbers:
+            text = f"frame {observation.frame} is not among the camera frames"
             yield Difference(step.k, "observation.frame", text)
-        sent_before, frame_before = sent, at.frame
+        sent_before = sent
+        frame_before = observation.frame
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
     """Check that a complete trial in the lab ends with every robot tracked, and at rest if robots
     of this kind can halt; robots lost on the way are left out.
     """
-    lab, now = log.experiment.plant, log.mocap_ns
+    lab = log.experiment.plant
+    now = log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
     halts = log.start.plant.facts.get(HALTS) == "yes"
     for i, (name, gone) in enumerate(zip(log.start.setup.names, log.tour.gone, strict=True)):
         if gone:
             continue
-        seen = np.flatnonzero(log.valid[:, i])
-        unseen_s = seconds(int(now[-1] - (now[seen[-1]] if len(seen) else 0)))
+        tracked = np.flatnonzero(log.valid[:, i])
+        unseen_s = seconds(int(now[-1] - (now[tracked[-1]] if len(tracked) else 0)))
         if unseen_s > SLACK * UNTRACKED_STOP_S:
             text = f"complete, but {name} was not tracked for the last {unseen_s:.2f} s"
             yield Difference(None, "result.outcome", text)
             continue
-        last = seen[now[seen] >= now[-1] - REST_NS]
+        last = tracked[now[tracked] >= now[-1] - REST_NS]
         gone_mm = np.hypot(*(log.mocap[last[-1], i, :2] - log.mocap[last[0], i, :2]))
         gone_mm *= log.start.setup.metres / MM
         span_s = seconds(int(now[last[-1]] - now[last[0]]))

@@ -68,12 +68,14 @@ def rehearsal_of(lab: LabSection, setup: Setup, chosen: bool = False) -> LabRehe
         side.rehearsal(lab, setup) if hasattr(side, "rehearsal") else Rehearsal()
         for side in (sides.camera, sides.actuator)
     )
-    own = [*camera.rows, *actuator.rows]
-    names = sides.faults.keys() - {row.fault for row in own}
+    rows = [*camera.rows, *actuator.rows]
+    names = sides.faults.keys() - {row.fault for row in rows}
     kinds = [row for row in KINDS if row.fault in names]
     if len(setup.names) < 2:
         kinds = [row for row in kinds if row.fields is not Draw.robots]
-    names, start_mm = actuator.dish if chosen else setup.names, lab.limits.start_mm
-    world, span_s = (camera.world, actuator.world), actuator.span_s if chosen else SPAN_S
+    names = actuator.dish if chosen else setup.names
+    start_mm = lab.limits.start_mm
+    world = (camera.world, actuator.world)
+    span_s = actuator.span_s if chosen else SPAN_S
     own_names = names, not chosen, start_mm, span_s, scale_of(lab, setup)
-    return LabRehearsal([*own, *kinds], *world, *own_names)
+    return LabRehearsal([*rows, *kinds], *world, *own_names)

@@ -36,7 +36,8 @@ def microscope_rows() -> Iterator[FaultRow]:
 
 def microscope_world(random: Random, off: float) -> dict[str, Any]:
     """Draw the properties of a microscope's pictures."""
-    noise, contrast = round(random.uniform(2, 6), 2), round(random.uniform(40, 80), 1)
+    noise = round(random.uniform(2, 6), 2)
+    contrast = round(random.uniform(40, 80), 1)
     return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}
 
 

@@ -48,7 +48,8 @@ class Draw:
 
     def way(self, low: float, high: float) -> list[float]:
         """Return a vector of a length between two, in any direction."""
-        angle, length = self.random.uniform(-math.pi, math.pi), self.between(low, high)
+        angle = self.random.uniform(-math.pi, math.pi)
+        length = self.between(low, high)
         return [round(length * math.cos(angle), 5), round(length * math.sin(angle), 5)]
 
     def off(self, low: float, high: float) -> list[float]:
@@ -61,8 +62,8 @@ class Draw:
 
     def robots(self) -> dict[str, Any]:
         """Return the fields `robot` and `other`, of two robots."""
-        one, two = self.random.sample(self.names, 2)
-        return {"robot": one, "other": two}
+        first, second = self.random.sample(self.names, 2)
+        return {"robot": first, "other": second}
 
     def robot(self) -> dict[str, Any]:
         """Return the field `robot`."""
@@ -93,7 +94,8 @@ class FaultRow:
 
 
 def _kinds() -> Iterator[FaultRow]:
-    sight, moved = f"{SIGHT}|{PLACE}", f"{MOTION}|{PLACE}|{SIGHT}"
+    sight = f"{SIGHT}|{PLACE}"
+    moved = f"{MOTION}|{PLACE}|{SIGHT}"
     yield FaultRow("frames lost", "no_frames", SIGHT)
     yield FaultRow("server silent", "no_server", f"{SIGHT}|{CLOCK}")
     late = f"{sight}|{CLOCK}|{MOTION}"
@@ -211,10 +213,11 @@ def _slow(way: list[float]) -> list[float]:
 
 
 def _ghost(d: Draw, angle: float | None) -> dict[str, Any]:
-    speed, at = d.signed(3, 600) * d.scale * FRAME_S, angle
-    if at is None:
+    speed = d.signed(3, 600) * d.scale * FRAME_S
+    direction = angle
+    if direction is None:
         return d.robot() | {"by": _slow(d.off(3, 600))}
-    step = [round(speed * math.cos(at), 6), round(speed * math.sin(at), 6)]
+    step = [round(speed * math.cos(direction), 6), round(speed * math.sin(direction), 6)]
     return d.robot() | {"by": step, "axes": "robot"}
 
 

@@ -217,13 +217,16 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     yield from _outside(truth, truth.outside_mm - allowed - _pushed_mm(truth), names)
     pairs = list(combinations(range(len(names)), 2))
     if pairs:
-        at = truth.poses[..., 0] + 1j * truth.poses[..., 1]
+        positions = truth.poses[..., 0] + 1j * truth.poses[..., 1]
         meets = [
-            truth.limits.separation_mm - np.abs(at[:, i] - at[:, j]) - allowed[:, i] - allowed[:, j]
+            truth.limits.separation_mm
+            - np.abs(positions[:, i] - positions[:, j])
+            - allowed[:, i]
+            - allowed[:, j]
             for i, j in pairs
         ]
-        both = [f"{names[i]}, {names[j]}" for i, j in pairs]
-        yield from _outside(truth, np.stack(meets, axis=1) - _pushed_mm(truth), both)
+        pair_names = [f"{names[i]}, {names[j]}" for i, j in pairs]
+        yield from _outside(truth, np.stack(meets, axis=1) - _pushed_mm(truth), pair_names)
 
 
 def _pushed_mm(truth: Truth) -> float:
@@ -311,10 +314,12 @@ def _seen_though_hidden(truth: Truth) -> Iterator[Violation]:
         began_s = span.began_s + 2 * FRAME_S
         ended_s = span.ended_s - 2 * FRAME_S
         during = (truth.times_s > began_s) & (truth.times_s < ended_s)
-        shown = during & truth.fresh[:, span.robot]
-        if shown.any():
+        is_shown = during & truth.fresh[:, span.robot]
+        if is_shown.any():
             name = truth.setup.names[span.robot]
-            yield Violation("untrue", float(truth.times_s[shown.argmax()]), f"{name} is not hidden")
+            yield Violation(
+                "untrue", float(truth.times_s[is_shown.argmax()]), f"{name} is not hidden"
+            )
             return
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 from tetractl_emulator.rehearsal.day import DayPlan
 
-PLAYS_MAX, SHRINKS_S = 40, 600.0  # and [s]
+PLAYS_MAX = 40  # most plays of a day
+SHRINKS_S = 600.0  # longest time that a day is shrunk
 HALVED = ("share", "by", "turn", "seconds", "height", "angle", "for")
 """Fields of faults that are made smaller; those with no effect at 0."""
 
@@ -22,7 +23,8 @@ Breaks = Callable[[DayPlan], tuple[bool, float]]
 
 def shrunk(plan: DayPlan, breaks: Breaks) -> tuple[DayPlan, int]:
     """Return the smallest plan found, which breaks the same invariant, and the number of plays."""
-    plays, took_s = 0, 0.0
+    plays = 0
+    took_s = 0.0
     changed = True
     while changed:
         changed = False
@@ -30,9 +32,11 @@ def shrunk(plan: DayPlan, breaks: Breaks) -> tuple[DayPlan, int]:
             if plays == PLAYS_MAX or took_s >= SHRINKS_S:
                 break
             still, seconds = breaks(smaller)
-            plays, took_s = plays + 1, took_s + seconds
+            plays += 1
+            took_s += seconds
             if still:
-                plan, changed = smaller, True
+                plan = smaller
+                changed = True
                 break
     return plan, plays
 
@@ -61,4 +65,4 @@ def _milder(fault: dict[str, Any]) -> Iterator[dict[str, Any]]:
         if isinstance(value, float | int) and abs(value) > 1e-3:
             yield fault | {key: round(value / 2, 6)}
         elif isinstance(value, list) and max(map(abs, value)) > 1:
-            yield fault | {key: [round(one / 2, 4) for one in value]}
+            yield fault | {key: [round(component / 2, 4) for component in value]}

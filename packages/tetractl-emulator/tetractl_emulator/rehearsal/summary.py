@@ -84,9 +84,9 @@ def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
     ]
     for kind in kinds:
         fault = met.get(kind.name, Met())
-        took = fault.times_s
-        quantiles = [f"{np.quantile(took, q):.3f}" if took else "" for q in (0.5, 0.99, 1.0)]
-        cells = [kind.name, fault.days, fault.alone, len(took), *quantiles]
+        times_s = fault.times_s
+        quantiles = [f"{np.quantile(times_s, q):.3f}" if times_s else "" for q in (0.5, 0.99, 1.0)]
+        cells = [kind.name, fault.days, fault.alone, len(times_s), *quantiles]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 

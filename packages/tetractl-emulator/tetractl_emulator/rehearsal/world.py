@@ -15,10 +15,14 @@ from tetractl_emulator.rehearsal.schedule import PLACE
 
 LAG_MAX_S = 0.08
 """Longest time constant of a wheel that is drawn [s]."""
+FAR = r"from its start|turned by"
+"""Reasons that are right if a robot is far from its start."""
 OFF = r"off its commanded|moves |turns "
 """Reasons that are right if a wheel is off."""
-FAR_SHARE, OFF_SHARE = 0.02, 0.02
-"""Share of the days with a robot too far from its start, and with a wheel too far off."""
+FAR_SHARE = 0.02
+"""Share of the days with a robot too far from its start."""
+OFF_SHARE = 0.02
+"""Share of the days with a wheel too far off."""
 
 
 class World(NamedTuple):
@@ -33,14 +37,20 @@ class World(NamedTuple):
 def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = True) -> World:
     """Draw a world for a lab, as its spec allows if it is not `bad`."""
     camera = lab.camera(random, 0.0)
-    far, off = random.random() < FAR_SHARE * bad, random.random() < OFF_SHARE * bad
-    right = [r"from its start|turned by"] * far + [OFF] * off
+    far = random.random() < FAR_SHARE and bad
+    off = random.random() < OFF_SHARE and bad
+    right = [PLACE]
+    if far:
+        right.append(FAR)
+    if off:
+        right.append(OFF)
     emulation: dict[str, Any] = {"camera": camera}
     if lab.placed:
-        emulation["robots"] = _placed(random, setup, 1.6 * lab.start_mm * far, 0.16 * lab.start_mm)
+        far_mm = 1.6 * lab.start_mm if far else 0.0
+        emulation["robots"] = _placed(random, setup, far_mm, 0.16 * lab.start_mm)
     slower = random.uniform(0.17, 0.3) if off else 0.0
     emulation["actuator"] = lab.actuator(random, slower)
-    return World(emulation, "|".join([PLACE, *right]))
+    return World(emulation, "|".join(right))
 
 
 def _placed(random: Random, setup: Setup, far_mm: float, near_mm: float) -> list[dict[str, Any]]:

@@ -33,7 +33,9 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
 
-RUN, STOP = 1, 2  # flags of a command in the record
+# flags of a command in the record
+RUN = 1
+STOP = 2
 NEEDS = "the section of robots that are emulated by OwnLines is an OwnSection"
 Read = Callable[[bytes], Counts]
 
@@ -42,14 +44,16 @@ class OwnProgram:
     """A robot's program: the speeds of the newest message, until its watchdog ends them."""
 
     def __init__(self, read: Read, watchdog_s: float) -> None:
-        self._read, self._watchdog_ms = read, round(watchdog_s * 1000)
+        self._read = read
+        self._watchdog_ms = round(watchdog_s * 1000)
         self._speeds: Counts = (0, 0)
         self._heard_ms = 0
 
     def push(self, data: bytes, now_ms: int) -> None:
         """Take a message; one that cannot be read changes nothing."""
         with suppress(*UNREADABLE):
-            self._speeds, self._heard_ms = self._read(data), now_ms
+            self._speeds = self._read(data)
+            self._heard_ms = now_ms
 
     def wheels(self, now_ms: int) -> Counts:
         """Return the speeds that act now [mm/s]."""
@@ -75,9 +79,12 @@ class OwnRadio(LineRadio):
     end = b""
 
     def __init__(self, stage: Stage, port: str, side: "OwnLines", row: int, loss: float) -> None:
-        robots, seed = side.robots[row : row + 1], stage.options.seed + row
+        robots = side.robots[row : row + 1]
+        seed = stage.options.seed + row
         super().__init__(stage, stage.wires.port(port), BAUD, robots, [row], loss, seed)
-        self._side, self._row, self._whole = side, row, port.startswith(SCHEME)
+        self._side = side
+        self._row = row
+        self._whole = port.startswith(SCHEME)
 
     def stop_elsewhere(self, sequence: int) -> None:
         """Do nothing: a robot has no emergency stop that another sender could press."""
@@ -104,7 +111,7 @@ class OwnLines(PortedSide):
 
     Settings: ClassVar[type[Model]] = WheelsSettings
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
-        one for one in WHEELED_FAULTS if one.__name__ not in ("stopped_elsewhere", "low_battery")
+        kind for kind in WHEELED_FAULTS if kind.__name__ not in ("stopped_elsewhere", "low_battery")
     )
 
     @classmethod
@@ -115,7 +122,8 @@ class OwnLines(PortedSide):
         return gains_of_day(setup, section.robots)
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
-        section, names = stage.lab.actuator, stage.setup.names
+        section = stage.lab.actuator
+        names = stage.setup.names
         assert isinstance(section, OwnSection), NEEDS
         self.own = [entry(section.robots, name) for name in names]
         trues = settings.trues(names)

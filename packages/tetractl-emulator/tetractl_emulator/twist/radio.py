@@ -32,9 +32,12 @@ class LineRadio(RobotRadio):
         seed: int,
     ) -> None:
         super().__init__(stage.timeline, port, baud, stage.note)
-        self.robots, self.loss, self._indices = robots, loss, indices
+        self.robots = robots
+        self.loss = loss
+        self._indices = indices
         self._random = random.Random(seed)
-        self._line, self._witnessed = b"", b""
+        self._line = b""
+        self._witnessed = b""
 
     def hear(self, data: bytes) -> None:
         """Take bytes that have come over the line; robots hear whole lines or none."""
@@ -59,8 +62,8 @@ class LineRadio(RobotRadio):
         command = decode_command(sealed)
         driven = [index for index, *speeds in command.entries if any(speeds)]
         drives = [command.flags & Flag.RUN and index in driven for index in self._indices]
-        own = {"kind": command.kind, "entries": command.entries, "drives": [*map(bool, drives)]}
-        return {"sequence": command.sequence, "flags": int(command.flags), **own}
+        record = {"kind": command.kind, "entries": command.entries, "drives": [*map(bool, drives)]}
+        return {"sequence": command.sequence, "flags": int(command.flags), **record}
 
     def _witness(self, data: bytes) -> None:
         *lines, self._witnessed = self._split(self._witnessed + data)

@@ -42,8 +42,9 @@ class EmulatedTwist(PortedSide):
         section = stage.lab.actuator
         assert isinstance(section, TwistSection), "the actuator's section has the type twist"
         names = stage.setup.names
-        trues, own = settings.trues(names), [entry(section.robots, name) for name in names]
-        radii = radii_mm(stage.setup, [robot.radius_mm for robot in own])
+        trues = settings.trues(names)
+        robots = [entry(section.robots, name) for name in names]
+        radii = radii_mm(stage.setup, [robot.radius_mm for robot in robots])
         self.robots = [
             EmulatedRobot(
                 name,

@@ -10,13 +10,17 @@ from tetractl.core.errors import AbortError
 
 pytestmark = pytest.mark.long
 
-RATE_HZ, UM_PX, SPEED, A = 30.0, 2.0, 300.0, (2.0, 4.0)
+RATE_HZ = 30.0
+UM_PX = 2.0
+SPEED = 300.0
+A = (2.0, 4.0)
 
 
 @pytest.fixture(scope="module")
 def dish(tmp_path_factory):
     """A folder with the field and rows of cell, picture, y and x [pixels, y downwards]."""
-    folder, rows = tmp_path_factory.mktemp("dish"), []
+    folder = tmp_path_factory.mktemp("dish")
+    rows = []
     random = np.random.default_rng(3)
     turns = np.column_stack([np.arange(0, 20, 1.5), random.uniform(-3, 3, 14)])
     lines = "".join(f"{t},{u}\n" for t, u in turns)
@@ -83,7 +87,8 @@ def test_a_graph_states_its_scale_and_rate(dish, names):
     space = {"type": "space", "unit": "pixel", "scale": UM_PX, "scaled_unit": "micrometer"}
     time = {"type": "time", "unit": "frame", "scale": 1 / RATE_HZ, "scaled_unit": "second"}
     axes = [Axis(name=name, **how) for name, how in zip(names, (time, space, space), strict=True)]
-    ids, same = np.arange(len(rows), dtype=np.uint64), np.diff(rows[:, 0]) == 0
+    ids = np.arange(len(rows), dtype=np.uint64)
+    same = np.diff(rows[:, 0]) == 0
     path = folder / f"{names[0]}.geff"
     core_io.write_arrays(
         path,

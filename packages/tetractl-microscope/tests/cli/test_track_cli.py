@@ -135,7 +135,8 @@ def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
 
 
 def test_a_division_is_an_edge_from_mother_to_daughter():
-    cell, frame = np.array([1, 1, 2, 1, 2]), np.array([0, 1, 2, 2, 3])
+    cell = np.array([1, 1, 2, 1, 2])
+    frame = np.array([0, 1, 2, 2, 3])
     edges = _edges(cell, frame, [(1, 2), (1, 7)]).tolist()
     assert sorted(edges) == [[0, 1], [1, 2], [1, 3], [2, 4]]
 

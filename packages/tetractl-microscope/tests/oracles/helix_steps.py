@@ -51,14 +51,16 @@ def moved(m, p, seconds, field, slowest):
     """
     m, resting = m.copy(), m[SPEED] < slowest
     dipole = p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]
-    a, middle = 0.0 if resting else m[A] * math.exp(-dipole / 2), m.copy()
+    a = 0.0 if resting else m[A] * math.exp(-dipole / 2)
+    middle = m.copy()
     middle[HEADING] += (a * torque(m, field) + m[TURN]) * seconds / 2
     ahead = np.array([math.cos(middle[HEADING]), math.sin(middle[HEADING])])
     ahead *= math.exp(-p[HEADING, HEADING] / 2)
     m[[X, Y]] += (m[SPEED] * ahead + m[[FLOW_X, FLOW_Y]]) * seconds
     m[HEADING] += (a * torque(middle, field) + m[TURN]) * seconds
     swing = complex(m[C], m[S]) * np.exp((1j * m[RATE] - 1 / helix_steps.HELIX_S) * seconds)
-    m[C], m[S] = swing.real, swing.imag
+    m[C] = swing.real
+    m[S] = swing.imag
     m[TURN] *= math.exp(-seconds / TURN_S)
     m[WAY] += m[SPEED] * seconds
     return m
@@ -79,7 +81,8 @@ def slopes(function, m):
 
 def noise(m, model, walled, seconds):
     """The covariance (n, n) that a time adds, but that of turning."""
-    found, slowest = np.zeros(STATES), model[SLOWEST]
+    found = np.zeros(STATES)
+    slowest = model[SLOWEST]
     found[:TURN] = model[:TURN] ** 2
     found[WAY] = model[X] ** 2
     if m[SPEED] < slowest:
@@ -93,7 +96,8 @@ def move(m, p, model, walled, seconds, field):
     """State, covariance and derivatives after a piece of constant field: half of the noise comes
     before the motion.
     """
-    half, slowest = noise(m, model, walled, seconds / 2), model[SLOWEST]
+    half = noise(m, model, walled, seconds / 2)
+    slowest = model[SLOWEST]
     p = p + half
     f = slopes(lambda state: moved(state, p, seconds, field, slowest), m)
     if walled:
@@ -107,8 +111,12 @@ def correct(m, p, model, measured, deviation):
     """State and covariance after a measurement, ln of its likelihood, and its squared distance:
     one number after the other, each with the less weight the farther it is beyond ODD.
     """
-    first, before, slowest = m, body(m, model[SLOWEST]), model[SLOWEST]
-    h, distance, likelihood = slopes(lambda state: body(state, slowest), m), 0.0, 0.0
+    first = m
+    before = body(m, model[SLOWEST])
+    slowest = model[SLOWEST]
+    h = slopes(lambda state: body(state, slowest), m)
+    distance = 0.0
+    likelihood = 0.0
     for i, row in enumerate(h):
         off = measured[i] - before[i]
         if i == 2:
@@ -119,12 +127,14 @@ def correct(m, p, model, measured, deviation):
         likelihood -= math.log(variance) / 2
         variance *= max(off**2 / variance / ODD, 1.0)
         gain = p @ row / variance
-        m, p = m + gain * off, p - variance * np.outer(gain, gain)
+        m = m + gain * off
+        p = p - variance * np.outer(gain, gain)
     likelihood -= (TAIL + 3) / 2 * math.log1p(distance / TAIL)
     if m[SPEED] < -slowest:
         signs = np.ones(STATES)
         signs[[SPEED, C, S]] = -1
-        m, p = signs * m, signs[:, None] * signs * p
+        m = signs * m
+        p = signs[:, None] * signs * p
         m[HEADING] += math.pi
     return m, p, likelihood, distance
 
@@ -133,14 +143,16 @@ def smooth(m, p, model, measured, deviation, pieces):
     """The states of all pictures given all measurements, by the smoother of Rauch, Tung and
     Striebel; `pieces` is one piece before each picture but the first.
     """
-    filtered, predicted = [], []
+    filtered = []
+    predicted = []
     for k, values in enumerate(measured):
         f = np.eye(STATES)
         if k:
             if k > 1 and pieces[k - 1][1:] != pieces[k - 2][1:]:
                 change = pieces[k - 2][1:], pieces[k - 1][1:], model[SLOWEST]
                 f = slopes(lambda state, change=change: switched(state, *change), m)
-                m, p = switched(m, *change), f @ p @ f.T
+                m = switched(m, *change)
+                p = f @ p @ f.T
             seconds, *field = pieces[k - 1]
             m, p, last = move(m, p, model, False, seconds, field)
             f = last @ f

@@ -23,7 +23,8 @@ class Reel:
     """A film in memory, as `follow` takes one."""
 
     def __init__(self, made, pictures=None, timing=None):
-        self.path, self.damaged = "reel", 0
+        self.path = "reel"
+        self.damaged = 0
         self.timing = PictureTimes(made.script.rate) if timing is None else timing
         self.pictures = list(made.pictures()) if pictures is None else pictures
 
@@ -93,13 +94,17 @@ class Score:
 
     def add(self, made, followed):
         """Compare what was found in a film with the truth; return this."""
-        shown, last, when, of = [[] for _ in made.times], {}, {}, {}
+        shown = [[] for _ in made.times]
+        last = {}
+        when = {}
+        of = {}
         self.numbers = {}
         for path in followed.paths:
             for k, cell in zip(path.frames, path.seen, strict=True):
                 shown[k].append(cell)
         events = made.script.events
-        divides, rests = made.script.cells - 2, made.script.cells - 1
+        divides = made.script.cells - 2
+        rests = made.script.cells - 1
         for k, cells in enumerate(shown):
             seen = [int(i) for i in np.flatnonzero(made.seen[k])]
             for i in [i for i in last if i not in seen and k - when[i] > GAP]:
@@ -111,7 +116,8 @@ class Score:
             for i in seen:
                 if i not in pairs:
                     continue
-                cell, body = cells[pairs[i]], made.body[k, i]
+                cell = cells[pairs[i]]
+                body = made.body[k, i]
                 if cell.merged or together(made.body[k, :, :2], i):
                     when[i] = k
                     continue
@@ -120,7 +126,9 @@ class Score:
                     self.changed += [cell.probability] if changed else []
                     other = of.get(cell.identity, i) != i
                     self.taken += [cell.probability] if other else []
-                last[i], when[i], of[cell.identity] = cell.identity, k, i
+                last[i] = cell.identity
+                when[i] = k
+                of[cell.identity] = i
                 self.numbers.setdefault(i, []).append(cell.identity)
                 if cell.found:
                     self.position.append((cell.x - body[0], cell.y - body[1]))

@@ -16,7 +16,8 @@ LIMITS = DriverLimits(current_max_ma=2000, slew_ma_s=100_000)
 
 def section(**changes):
     """Return 2 mT from 2 mT/A and -4 mT/A in an ambient 0.05 mT, limited to 2 A and 100 A/s."""
-    x, y = {"gain_mt_a": 2.0, "offset_mt": 0.03}, {"gain_mt_a": -4.0, "offset_mt": -0.04}
+    x = {"gain_mt_a": 2.0, "offset_mt": 0.03}
+    y = {"gain_mt_a": -4.0, "offset_mt": -0.04}
     basis = {
         "type": "field",
         "port": "/dev/none",
@@ -32,7 +33,8 @@ class Bench:
     """An emulated driver on a port in memory, in virtual time; `told` is what it heard."""
 
     def __init__(self, limits=LIMITS, baud=115_200):
-        self.clock, self.told = PatientClock(), []
+        self.clock = PatientClock()
+        self.told = []
         self.clock.timeline = Timeline(lambda until: self.driver.advance(until))
         self.wires = memory_wires(self.clock)
         self.port = self.wires.port("coils")
@@ -59,7 +61,8 @@ class Wire:
     failure = None
 
     def __init__(self, clock):
-        self.sent, self._clock = [], clock
+        self.sent = []
+        self._clock = clock
 
     def send(self, flags, x_ma=0, y_ma=0):
         self.sent.append(FieldCommand((len(self.sent) + 1) % 256, flags, x_ma, y_ma))

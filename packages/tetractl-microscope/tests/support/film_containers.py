@@ -7,7 +7,8 @@ import numpy as np
 import tifffile
 from support.needs_opencv import cv2, video
 
-UM_PX, RATE_HZ = 2.3, 30.0
+UM_PX = 2.3
+RATE_HZ = 30.0
 
 
 def folder(path: Path, pictures, ending="png"):
@@ -76,7 +77,8 @@ def ome_split(path, pictures):
     """Two files, of which each names the other, as Micro-Manager writes them."""
     path.mkdir()
     names = ["dish_MMStack_Pos0.ome.tif", "dish_MMStack_Pos0_1.ome.tif"]
-    count, half = len(pictures), len(pictures) // 2
+    count = len(pictures)
+    half = len(pictures) // 2
     planes = "".join(
         f'<TiffData FirstT="{k}" IFD="{k % half}" PlaneCount="1">'
         f'<UUID FileName="{names[k // half]}">urn:uuid:{k // half}</UUID></TiffData>'

@@ -47,7 +47,8 @@ def samples_of(made, robots: int):
     loaded = on_plant(parse_spec(text, "dish.yaml"), "lab")
     setup = loaded.experiment.setup
     camera = CellCamera(loaded.experiment.plant.camera, setup, VirtualClock())
-    last, found = setup.starts.array(), []
+    last = setup.starts.array()
+    found = []
     for k, picture in enumerate(made.pictures()):
         exposed = round(1e9 * k / made.script.rate)
         seen = camera._see(picture, exposed)

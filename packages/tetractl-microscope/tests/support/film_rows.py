@@ -7,7 +7,8 @@ from tetractl_microscope.film.who import TrackRow, Whereabouts
 
 def seen_cell(name, x, y, track, likely=1.0, found=True, merged=False, measured=None):
     """A cell of 50 x 25 um in one picture."""
-    pose, state = (x, y, 0.0, 0.0), np.zeros(12)
+    pose = (x, y, 0.0, 0.0)
+    state = np.zeros(12)
     size = 50.0, 25.0
     return SeenCell(name, *pose, state, state, likely, found, merged, *size, track, measured, None)
 

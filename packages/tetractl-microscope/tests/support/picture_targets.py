@@ -20,10 +20,8 @@ SIDE = 128  # of a picture [px]
 def _dish() -> tuple[list, list[bytes]]:
     """The pictures of a small film, and answers of a camera: that film, and absurd pictures."""
     shown = list(film(seed=3, side=SIDE, cells=2, seconds=0.5).pictures())
-    black, noise = (
-        np.zeros((SIDE, SIDE), np.uint8),
-        np.random.default_rng(1).integers(0, 2, (64, 64)),
-    )
+    black = np.zeros((SIDE, SIDE), np.uint8)
+    noise = np.random.default_rng(1).integers(0, 2, (64, 64))
     blobs = np.kron(255 * noise, np.ones((2, 2))).astype(np.uint8)
     absurd = [shown[0], black, black + 255, blobs, shown[1], np.zeros((40, 9), np.uint8), shown[2]]
     return shown, [b"".join(part(coded(one, 90)) for one in some) for some in (shown, absurd)]
@@ -31,7 +29,8 @@ def _dish() -> tuple[list, list[bytes]]:
 
 def pictures(data: bytes) -> None:
     """What a network camera answers, searched for cells."""
-    tracker, parts = CellTracker(2.3, known=True), Multipart(BOUNDARY)
+    tracker = CellTracker(2.3, known=True)
+    parts = Multipart(BOUNDARY)
     tracker.finder.learn(_dish()[0])
     for k, body in enumerate(parts.feed(data)[:20]):
         grey = decoded(Picture(body, 0), (SIDE, SIDE))

@@ -21,7 +21,8 @@ class StillFeed(Feed):
     rate_hz = 10.0
 
     def __init__(self, source, clock, timeout_s):
-        self.source, self.clock = source, clock
+        self.source = source
+        self.clock = clock
 
     def read(self):
         return Picture(np.full((64, 64), self.source.grey, np.uint8), self.clock.now())

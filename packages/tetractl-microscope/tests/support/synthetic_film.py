@@ -99,8 +99,10 @@ class SyntheticFilm:
     def _bodies(self, t: float) -> Bodies:
         """Return the bodies at a time, between two steps."""
         place = min(max(t / STEP_S, 0.0), len(self._past) - 1.001)
-        first, part = int(place), place - int(place)
-        a, b = bodies(self._past[first]), bodies(self._past[first + 1])
+        first = int(place)
+        part = place - int(place)
+        a = bodies(self._past[first])
+        b = bodies(self._past[first + 1])
 
         def mixed(name: str) -> Floats:
             return getattr(a, name) + part * (getattr(b, name) - getattr(a, name))
@@ -113,7 +115,8 @@ class SyntheticFilm:
 
     def _set_out(self, random: np.random.Generator, count: int) -> None:
         """Shift each cell's path so that, of each pair of cells, the paths cross in view."""
-        middle, end = len(self._past) // 2, self.script.seconds
+        middle = len(self._past) // 2
+        end = self.script.seconds
         for i in range(len(self.cells or ())):
             own = np.array([self._past[middle].x[i], self._past[middle].y[i]])
             if i >= count:  # a daughter starts where its mother is
@@ -138,7 +141,8 @@ class SyntheticFilm:
 
 def _turns(random: np.random.Generator, script: FilmScript) -> Floats:
     """Return times and directions of the field, each drawn independently."""
-    found, t = [], 0.0
+    found = []
+    t = 0.0
     while t < script.seconds:
         found.append((t, random.uniform(-math.pi, math.pi)))
         t += round(random.uniform(*script.hold) / STEP_S) * STEP_S

@@ -24,7 +24,8 @@ FLOOR = (
     FloorTag(tag=102, at=(2200, 2250), size_mm=120),
     FloorTag(tag=103, at=(400, 2250), size_mm=120),
 )
-SMALL, LARGE = (640, 480), (1280, 720)
+SMALL = (640, 480)
+LARGE = (1280, 720)
 STANDING = Poses(
     np.array([900.0, 1300.0, 1700.0]), np.array([800.0, 1500.0, 2000.0]), np.array([0.3, -2.0, 3.0])
 )
@@ -56,7 +57,8 @@ def look(tracker, renderer, poses=STANDING, times=1):
 def scattered(rng):
     """Random poses in the arena, robots apart."""
     while True:
-        x, y = rng.uniform(500, 2100, 3), rng.uniform(350, 2150, 3)
+        x = rng.uniform(500, 2100, 3)
+        y = rng.uniform(350, 2150, 3)
         gaps = np.hypot(x - np.roll(x, 1), y - np.roll(y, 1))
         if gaps.min() > 150:
             return Poses(x, y, rng.uniform(-math.pi, math.pi, 3))
@@ -65,7 +67,9 @@ def scattered(rng):
 def errors(tracker, renderer, pictures, seed=0):
     """Return errors in mm and in rad over random poses, and the share that was not tracked."""
     rng = np.random.default_rng(seed)
-    off, turned, lost = [], [], 0
+    off = []
+    turned = []
+    lost = 0
     for _ in range(pictures):
         truth = scattered(rng)
         for i, pose in enumerate(look(tracker, renderer, truth).poses):

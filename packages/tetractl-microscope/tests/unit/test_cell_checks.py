@@ -50,7 +50,8 @@ def straight(frame, robot, y):
 
 
 def test_cells_that_do_not_move_as_commanded_are_warned_of_once():
-    guard, warnings = swimming(), []
+    guard = swimming()
+    warnings = []
     for k in range(1, 300):
         poses = Pose(500.0 + k % 2, 500.0, 0.0), Pose(500.0 - 0.5 * k, 1500.0, 0.0)
         warnings += show(guard, k, poses).warnings

@@ -8,17 +8,22 @@ from tetractl_microscope.registries import CELL_FIGURES
 
 from tetractl.core.errors import UsageError
 
-RATE_HZ, A, SPEED = 30.0, 3.0, 400.0
+RATE_HZ = 30.0
+A = 3.0
+SPEED = 400.0
 FIELD = {"time_s": [0.0, 2.0, 4.0], "x": [1.0, 0.0, -0.5], "y": [0.0, 1.0, 0.0]}
 
 
 def swum(heading):
     """Poses of a cell that turns by equation (3) in FIELD."""
-    times, state, rows = np.arange(180) / RATE_HZ, np.array([500.0, 500.0, heading]), []
+    times = np.arange(180) / RATE_HZ
+    state = np.array([500.0, 500.0, heading])
+    rows = []
     for t in times:
         rows.append(state.copy())
         k = np.searchsorted(FIELD["time_s"], t, side="right") - 1
-        x, y = FIELD["x"][k], FIELD["y"][k]
+        x = FIELD["x"][k]
+        y = FIELD["y"][k]
         turn = A * (y * np.cos(state[2]) - x * np.sin(state[2]))
         state += np.array([SPEED * np.cos(state[2]), SPEED * np.sin(state[2]), turn]) / RATE_HZ
     return times, np.array(rows)

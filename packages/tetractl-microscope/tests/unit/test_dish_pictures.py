@@ -30,11 +30,13 @@ def test_a_picture_lies_where_its_cells_were_measured(log):
     place = np.linalg.inv(np.column_stack([right - low, up - low]))
     seen = 0
     for which, at in enumerate(pictures.times):
-        grey, row = pictures.grey(which).astype(float), int(np.searchsorted(log.mocap_ns, at))
+        grey = pictures.grey(which).astype(float)
+        row = int(np.searchsorted(log.mocap_ns, at))
         assert pictures.at(at) == which
         for i in np.flatnonzero(log.valid[row]):
             across, upwards = place @ (log.mocap[row, i, :2] - low)
-            column, line = int(across * grey.shape[1]), int((1 - upwards) * grey.shape[0])
+            column = int(across * grey.shape[1])
+            line = int((1 - upwards) * grey.shape[0])
             assert abs(grey[line, column] - np.median(grey)) > 15
             seen += 1
     assert seen >= 2

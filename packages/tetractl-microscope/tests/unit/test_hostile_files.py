@@ -18,7 +18,8 @@ def test_a_camera_may_answer_anything():
 
 
 def test_any_table_of_the_field_is_read_or_refused(tmp_path):
-    path, rng = tmp_path / "field.csv", random.Random(1)
+    path = tmp_path / "field.csv"
+    rng = random.Random(1)
     good = "time_s,direction_rad,strength\n" + "".join(f"{k / 9},{k % 3},1\n" for k in range(60))
     for _ in range(30):
         path.write_bytes(mutant([good.encode()], rng))

@@ -6,14 +6,16 @@ from tetractl_microscope.foreign_tracks import pose_rows
 
 from tetractl.core.errors import UsageError
 
-HZ, UM = 25.0, 2.0
+HZ = 25.0
+UM = 2.0
 NUMBER, K, Y, X = np.array(
     [(cell, k, 40.0 + 3 * k, 100.0 * cell + 5 * k) for cell in (1, 2) for k in range(6)]
 ).T
 POSES = sorted(zip(K / HZ, UM * X, -UM * Y, strict=True))
 FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
 PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
-TIME, SPACE = {"type": "time", **FRAME}, {"type": "space", **PIXEL}
+TIME = {"type": "time", **FRAME}
+SPACE = {"type": "space", **PIXEL}
 
 
 def poses(path, um=None, hz=None, said=None):

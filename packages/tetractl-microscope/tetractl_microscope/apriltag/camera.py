@@ -213,7 +213,9 @@ class AprilTagCamera(PictureCamera[Seen]):
 
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts of source, floor and tags."""
-        looks, section, floor = self._look(), self.section, self._tracker.floor
+        looks = self._look()
+        section = self.section
+        floor = self._tracker.floor
         problems, warnings = self._stream_lines(looks)
         plane = floor.plane or floor.misfit
         for refuses, text in _findings(section, self._tracker, looks):

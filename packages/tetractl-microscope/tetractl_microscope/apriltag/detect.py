@@ -43,7 +43,8 @@ class Detector:
 
     def __init__(self) -> None:
         parameters = cv2.aruco.DetectorParameters()
-        parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = 9, 21
+        parameters.adaptiveThreshWinSizeMin = 9
+        parameters.adaptiveThreshWinSizeMax = 21
         # two adaptive thresholds: OpenCV's third one takes time and finds no further tags
         parameters.adaptiveThreshWinSizeStep = 12
         parameters.perspectiveRemovePixelPerCell = 8
@@ -109,7 +110,8 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
     standard deviation of the Gaussian that blurs a step to the width of the sides. If a tag's sides
     cannot be found, its rough corners are returned.
     """
-    rough, blur = corners, np.zeros(len(corners))
+    rough = corners
+    blur = np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
     # less than a module on either side of an edge, so that only border and margin are sampled
     offsets = 0.9 * module[:, None] * ACROSS  # (T, A)
@@ -139,7 +141,8 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
 def _sampled(picture: NDArray[np.uint8], at: Floats) -> Floats:
     """Return the interpolated grey levels (..., M) at columns and rows (..., M, 2)."""
     flat = at.reshape(-1, at.shape[-2], 2).astype(np.float32)
-    across, down = flat[..., 0].copy(), flat[..., 1].copy()
+    across = flat[..., 0].copy()
+    down = flat[..., 1].copy()
     grey = cv2.remap(picture, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return grey.reshape(at.shape[:-1]).astype(float)
 

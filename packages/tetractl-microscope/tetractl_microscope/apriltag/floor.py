@@ -98,7 +98,8 @@ class Plane:
 
 def placed(tag: FloorTag, metres: float) -> Floats:
     """Return the corners of a floor tag in the spec's axes, (4, 2) [m]."""
-    cos, sin = np.cos(tag.heading), np.sin(tag.heading)
+    cos = np.cos(tag.heading)
+    sin = np.sin(tag.heading)
     turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
     return tag.size_mm * MM * turned + metres * np.array(tag.at)
 
@@ -116,7 +117,8 @@ def calibrated(
     `size` is the picture's width and height [px]; `highest` is the height of the highest robot's
     tag [m], for which `doubt_mm` is computed.
     """
-    points, spots = pixels.reshape(-1, 2), places.reshape(-1, 2)
+    points = pixels.reshape(-1, 2)
+    spots = places.reshape(-1, 2)
     middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
     doubt = 0.0
     if lens is not None:
@@ -148,7 +150,8 @@ def lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats,
     prior's standard deviation.
     """
     # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
-    focal, bend = width * math.exp(0.35 * usual[0]), 0.15 * usual[1]
+    focal = width * math.exp(0.35 * usual[0])
+    bend = 0.15 * usual[1]
     return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
 
 
@@ -213,7 +216,8 @@ class Floor:
         self.misfit: Plane | None = None
         self._numbers = [tag.tag for tag in tags]
         self.places = np.array([placed(tag, metres) for tag in tags])
-        self._lens, self._highest = lens, highest_mm * MM
+        self._lens = lens
+        self._highest = highest_mm * MM
         self.mean: Floats | None = None
         self._count = 0
 
@@ -232,7 +236,8 @@ class Floor:
             return
         now = np.array([seen[i] for i in range(len(seen))])
         if self.mean is None:
-            self.mean, self._count = now, 0
+            self.mean = now
+            self._count = 0
         self._count += 1
         self.mean = self.mean + (now - self.mean) / min(self._count, AVERAGED)
         if self._count % AVERAGED == 0 or self._count.bit_count() == 1:

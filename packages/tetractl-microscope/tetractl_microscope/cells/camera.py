@@ -68,7 +68,8 @@ class CellCamera(PictureCamera[SeenDish]):
         self._now = 0.0  # time of the newest picture [s]
         # for each track: time [s] and way [um] from which its mean speed is computed
         self._since: dict[int, tuple[float, float]] = {}
-        self._pictures, self._added = PictureLog(), deque[FrameAddition](maxlen=ADDED)
+        self._pictures = PictureLog()
+        self._added = deque[FrameAddition](maxlen=ADDED)
         self._identified = deque[Identities](maxlen=ADDED)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
@@ -95,7 +96,8 @@ class CellCamera(PictureCamera[SeenDish]):
     def _found(self, cell: SeenCell) -> RobotCandidate:
         per_um = 1e-6 / self._setup.metres
         since, before = self._since.get(cell.track, (self._now, 0.0))
-        a, seconds = float(cell.mean[A]), self._now - since
+        a = float(cell.mean[A])
+        seconds = self._now - since
         a_sd, speed_sd = (WIDER * float(cell.sd[i]) for i in (A, SPEED))
         speed = float(cell.mean[SPEED])
         if seconds > MEAN_S:
@@ -109,7 +111,8 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track the cells with these numbers as the robots of a setup from now on."""
-        self._setup, self._identities = setup, list(numbers)
+        self._setup = setup
+        self._identities = list(numbers)
         self.divided.clear()
 
     @property
@@ -161,7 +164,8 @@ class CellCamera(PictureCamera[SeenDish]):
         (columns, rows), um_px = self._tracker.finder.light.shift_px, self.section.um_px
         self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
         self._cells = cells
-        self._now, since = exposed_ns / SECOND, self._since
+        self._now = exposed_ns / SECOND
+        since = self._since
         self._since = {c.track: since.get(c.track, (self._now, float(c.mean[WAY]))) for c in cells}
         identities = self._bound(cells)
         mothers = {born.divided for born in self._tracker.born}
@@ -231,7 +235,8 @@ class CellCamera(PictureCamera[SeenDish]):
         with self._lock:
             signals = list(self._signals)
         times = [sent / SECOND for sent, _ in signals]
-        first, last = bisect_right(times, start), bisect_right(times, end)
+        first = bisect_right(times, start)
+        last = bisect_right(times, end)
         before = signals[first - 1][1] if first else None
         directions = [before, *(direction for _, direction in signals[first:last])]
         parts = np.diff([start, *times[first:last], end]).tolist()
@@ -252,7 +257,8 @@ def _sharpness(
         return None
     found = []
     for cell in cells[:8]:
-        column, row = round(cell.x / um_px), round(picture.shape[0] - cell.y / um_px)
+        column = round(cell.x / um_px)
+        row = round(picture.shape[0] - cell.y / um_px)
         reach = round(0.7 * cell.long_um / um_px)
         part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
         if min(part.shape) > 6:

@@ -13,18 +13,23 @@ from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.helix import SPEED, HelixFilter
 
 SURE = 0.998  # probability at which a question ends
-LEAST_S, PATIENCE_S = 0.5, 10.0  # shortest and longest time for which a question is open
+LEAST_S = 0.5  # shortest time for which a question is open
+PATIENCE_S = 10.0  # longest
 SETTLED_S = 0.3  # time after which the rows of a question have settled on their tracks
 # exponent of likelihoods, since errors of successive pictures are not independent, and the most
 # that one picture says against a cell
-TEMPER, WORSE = 0.3, 4.0
+TEMPER = 0.3
+WORSE = 4.0
 # degrees of freedom (Student's t) of places and of the logarithms of sizes; scale of a place in the
 # filter's standard deviations: how cells swim while they share a blob is known less well than that
-TAIL, WIDER = 2.0, 1.4
-SIZE_SD, SIZED = 0.1, 6  # scale of the log of a size; number of pictures in which sizes count
+TAIL = 2.0
+WIDER = 1.4
+SIZE_SD = 0.1  # scale of the log of a size
+SIZED = 6  # number of pictures in which sizes count
 AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
 REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
-SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
+SAME = 0.08  # standard deviation of log(size) of one cell
+ALIKE = 0.25  # among cells
 RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
 TURNS = 0.2  # probability that a cell has turned by itself while it was with others
 
@@ -199,7 +204,8 @@ def return_density(
     itself.
     """
     assert cell.last is not None, "the cell is a lost one"
-    away_um, reach = AWAY * body_um, REACH * body_um
+    away_um = AWAY * body_um
+    reach = REACH * body_um
     off = place - bank.mean[cell.filter_row, :2]
     spread = bank.covariance[cell.filter_row, :2, :2] + away_um**2 * np.eye(2)
     ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)

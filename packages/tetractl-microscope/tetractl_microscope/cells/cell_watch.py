@@ -32,7 +32,9 @@ class CellWatch:
     def __init__(
         self, camera: TracksCells, waiting: deque[Identities], setup: Setup, patience_s: float
     ) -> None:
-        self._camera, self._waiting, self._setup = camera, waiting, setup
+        self._camera = camera
+        self._waiting = waiting
+        self._setup = setup
         self._identities = IdentityWatch(setup.names, patience_s)
 
     def see(self, sampled_ns: int) -> Iterator[Note]:

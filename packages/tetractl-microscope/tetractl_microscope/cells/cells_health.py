@@ -9,7 +9,8 @@ from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.pictures.looks import Look
 
-DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
+DARK = 12.0  # median grey level at which a picture is too dark
+SATURATED = 245.0  # too bright
 FAINT = 1.5  # ratio of cells' contrast to the least contrast, below which some are missed
 BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
 SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
@@ -40,7 +41,9 @@ def dish_lines(
     """
     if not looks:
         return [], []
-    newest, problems, warnings = looks[-1].seen, list[str](), list[str]()
+    newest = looks[-1].seen
+    problems = list[str]()
+    warnings = list[str]()
     level = statistics.median(look.seen.level for look in looks)
     if level < DARK:
         problems.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")

@@ -22,7 +22,9 @@ RELEARNING = 0.5  # the weight where the picture keeps differing from the backgr
 SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
 ROWS_PX = 300_000  # most pixels of each picture that a median takes at a time
 BOX = 1.2  # side of the averaged squares, relative to a square of the least area
-LOW, HIGH = 3.0, 4.5  # thresholds of averaged differences, in standard deviations of their noise
+# thresholds of averaged differences, in standard deviations of their noise
+LOW = 3.0
+HIGH = 4.5
 LEAST = 0.33  # least standard deviation of that noise: pictures have whole grey levels
 NOISY = 4.0  # growth of the noise at which the background no longer applies
 NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
@@ -31,9 +33,12 @@ CHANGED = 0.25  # fraction of changed pixels above which the background no longe
 EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
 GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
 RAMP = 0.2, 0.6  # differences with the weights 0 and 1, relative to the body's greatest mean
-BODIES, NEXT = 4, 0.5  # bodies in a region; least peak of each, relative to the first's
+BODIES = 4  # bodies in a region
+NEXT = 0.5  # least peak of each, relative to the first's
 KNOCK = 1.1, 0.0003  # factor and fraction by which a knock makes more of the picture change
-LOST, EVERY, AGAIN = 5, 3, 9  # pictures lost until learning begins again, of every third, from 9
+LOST = 5  # pictures lost until learning begins again
+EVERY = 3  # it learns from one of so many pictures
+AGAIN = 9  # and begins again from so many
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +127,8 @@ class BlobFinder:
         to fit the middle one; determine whether most cells are brighter or darker than it.
         """
         levels = np.array([max(float(np.median(_sparse(each))), 1.0) for each in pictures])
-        gains, half = np.median(levels) / levels, len(pictures) // 2
+        gains = np.median(levels) / levels
+        half = len(pictures) // 2
         near = slice(max(0, half - 2), half + 3)
         usual = _grey(cv2.convertScaleAbs(_median(pictures[near], gains[near])))
         still = [
@@ -134,7 +140,9 @@ class BlobFinder:
         self.background = _grey(cv2.convertScaleAbs(self._fine))
         apart = [g * _sparse(e) - _sparse(self._fine) for e, g in zip(still, gains, strict=True)]
         self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
-        self._usual, self._lost, self._again = None, 0, []
+        self._usual = None
+        self._lost = 0
+        self._again = []
 
     def find(self, picture: Grey) -> list[Blob]:
         """Return the blobs of a picture (height, width), largest first."""
@@ -145,8 +153,10 @@ class BlobFinder:
             )
             self._mean = np.empty(picture.shape, np.float32)
         _blurred(picture, self._searched, self._smooth)
-        light, shift = self._compare(), (0.0, 0.0)
-        first, usual = self._usual is None, self._usual or 0.0
+        light = self._compare()
+        shift = (0.0, 0.0)
+        first = self._usual is None
+        usual = self._usual or 0.0
         if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
             shift = shift_of(cv2.convertScaleAbs(self.background, alpha=light.gain), self._smooth)
             if shift != (0.0, 0.0):
@@ -172,7 +182,8 @@ class BlobFinder:
         differences and the mask of those above the lower limit.
         """
         assert self.background is not None
-        seen, known = _sparse(self._smooth), np.maximum(_sparse(self.background), 1)
+        seen = _sparse(self._smooth)
+        known = np.maximum(_sparse(self.background), 1)
         gain = float(np.median(seen / known))
         gain = gain if 0.05 < gain < 20 else 1.0
         cv2.convertScaleAbs(self.background, self._searched, gain)
@@ -183,8 +194,10 @@ class BlobFinder:
         cv2.boxFilter(self._searched, cv2.CV_32F, size, self._mean, borderType=cv2.BORDER_CONSTANT)
         sample = _sparse(self._mean)
         usual = sample[sample <= np.median(sample) + max(2.0, noise)].astype(float)
-        level, spread = min(float(usual.mean()), NOISE_MAX), max(float(usual.std()), LEAST)
-        low, high = level + LOW * spread, level + HIGH * spread
+        level = min(float(usual.mean()), NOISE_MAX)
+        spread = max(float(usual.std()), LEAST)
+        low = level + LOW * spread
+        high = level + HIGH * spread
         self._limits = (low, high, self.least_px2, self.most_px2)
         np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
@@ -235,8 +248,11 @@ class BlobFinder:
         if top == bottom:  # a picture with fewer rows than stripes
             return
         here = slice(top, bottom)
-        old, mask, was = self._fine[here], self._mask[here], self._was[here]
-        still, calm = mask & was, 1 - mask
+        old = self._fine[here]
+        mask = self._mask[here]
+        was = self._was[here]
+        still = mask & was
+        calm = 1 - mask
         was[:] = mask
         for left, upper, right, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
@@ -290,8 +306,10 @@ def _bodies(
         if moments["m00"] == 0:
             moments = cv2.moments(body, binaryImage=True)
         mass = moments["m00"]
-        xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
-        xy, middle = moments["mu11"] / mass, (xx + yy) / 2
+        xx = moments["mu20"] / mass + 1 / 12
+        yy = moments["mu02"] / mass + 1 / 12
+        xy = moments["mu11"] / mass
+        middle = (xx + yy) / 2
         spread = math.hypot((xx - yy) / 2, xy)
         yield Blob(
             x=left + moments["m10"] / mass,

@@ -58,12 +58,15 @@ BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
 WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 # standard deviation of unexplained turning [rad/s] with and without a known field
-TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
+TURN_KNOWN = 0.1
+TURN_UNKNOWN = 3.0
 DELAY_S = 0.015  # standard deviation of the delay
-SWAY_PRIOR, LEAD_SD = (0.8, 0.3), 0.3
+SWAY_PRIOR = (0.8, 0.3)
+LEAD_SD = 0.3
 # relative deviations of a mean speed and of a for what a picture does not show, as an axis that
 # leaves the picture's plane
-SPEED_ERROR, A_ERROR = 0.004, 0.02
+SPEED_ERROR = 0.004
+A_ERROR = 0.02
 
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""
@@ -81,11 +84,13 @@ def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
     """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
     numbers (12,) of its model, as in `kernels.helix_steps`; `known` as in `HelixFilter`.
     """
-    body, slowest = organism.body_um[0], organism.slowest_um_s
+    body = organism.body_um[0]
+    slowest = organism.slowest_um_s
     rate, rate_sd = math.tau * np.array(organism.helix_hz)
     helix = math.hypot(*organism.helix_um) / math.sqrt(2)
     turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if known else (TURN_UNKNOWN, 0.0, 1e-6)
-    mean, model = np.zeros(STATES), np.zeros(MODEL)
+    mean = np.zeros(STATES)
+    model = np.zeros(MODEL)
     mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
     pose = NEW[0] * body, NEW[0] * body, NEW[1], NEW[2] * slowest, helix, helix
     others = rate_sd, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1]
@@ -134,14 +139,16 @@ class HelixFilter:
     def copied(self, row: int) -> int:
         """Copy a row to a free row; return the index of the copy."""
         new = self._free()
-        self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
+        self.mean[new] = self.mean[row]
+        self.covariance[new] = self.covariance[row]
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
         """Copy a cell's row to a free row and move the copy to another pose, keeping speed, turning
         and helix rate; return the index of the copy.
         """
-        new, pose = self.copied(row), [X, Y, HEADING, C, S]
+        new = self.copied(row)
+        pose = [X, Y, HEADING, C, S]
         self.mean[new, pose] = x, y, heading, 0.0, 0.0
         self.covariance[new, pose, :] = self.covariance[new, :, pose] = 0.0
         self.covariance[new, pose, pose] = self._new[1][pose, pose]
@@ -184,7 +191,8 @@ class HelixFilter:
         """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and the covariances
         of its position (M, 2, 2) [um^2].
         """
-        bodies, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, STATES))
+        bodies = np.empty((len(rows), 3))
+        slopes = np.empty((len(rows), 3, STATES))
         helix_steps.expected(self.mean, rows, self._new[2][SLOWEST], bodies, slopes)
         places = slopes[:, :2]
         return bodies, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
@@ -198,7 +206,8 @@ class HelixFilter:
         Returns the measurements' log-likelihoods (M,) by Student's distribution, and their squared
         Mahalanobis distances (M,) from the prediction.
         """
-        likelihood, distance = np.empty(len(rows)), np.empty(len(rows))
+        likelihood = np.empty(len(rows))
+        distance = np.empty(len(rows))
         given = np.ascontiguousarray(measured), np.ascontiguousarray(deviation)
         state = self.mean, self.covariance, rows, self._new[2]
         helix_steps.update(*state, *given, likelihood, distance)

@@ -20,7 +20,8 @@ class IdentityWatch:
     """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
-        self._names, self._patience_ns = names, round(patience_s * SECOND)
+        self._names = names
+        self._patience_ns = round(patience_s * SECOND)
         self._since_ns: dict[int, int] = {}  # time when each unknown robot became unknown
         self.unknown: dict[int, str] = {}
 

@@ -30,7 +30,8 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
     far = max(abs(x), abs(y))
     if math.hypot(x, y) < LEAST or not far < MOST * min(one.shape):
         return 0.0, 0.0
-    apart, left = cv2.absdiff(one, two), cv2.absdiff(moved(one, (x, y)), two)
+    apart = cv2.absdiff(one, two)
+    left = cv2.absdiff(moved(one, (x, y)), two)
     changed = max(STANDS_OUT * float(np.median(apart)), 8.0)
     both = _both(y, one.shape[0]), _both(x, one.shape[1])
     counts = [np.count_nonzero(each[both] > changed) for each in (apart, left)]

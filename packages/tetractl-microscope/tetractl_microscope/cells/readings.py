@@ -11,10 +11,15 @@ from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.specks import usual_size
 
-POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
+# standard deviations of a blob's measured position
+POSITION_PX = 0.2
+POSITION_UM = 0.4
+AXIS = 0.02
 # deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
 # shared blob; and in a shared blob that is only as large as one of its cells
-ODD, MERGED, HIDDEN = (0.15, 0.5), (0.13, 10.0), (0.57, 10.0)
+ODD = (0.15, 0.5)
+MERGED = (0.13, 10.0)
+HIDDEN = (0.57, 10.0)
 ROUND = 0.01  # least elongation of a blob, 1 - width / length, of which the axis says something
 OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
 LONGER = 1.35  # ratio of blob to cell length above which it shows two cells in a row
@@ -66,7 +71,8 @@ def own_reading(
     """
     x, y, axis, long, wide = place.tolist()
     assert cell.blob is not None
-    cut, smaller = cell.blob.at_edge, long * wide < cell.long * cell.wide / LARGE**2
+    cut = cell.blob.at_edge
+    smaller = long * wide < cell.long * cell.wide / LARGE**2
     off = max(ODD[0] * body_um, OFF_SHARE * (long - cell.long))
     least = POSITION_UM + POSITION_PX * um_px
     deviations = least, least, AXIS / max(1 - wide / long, ROUND)

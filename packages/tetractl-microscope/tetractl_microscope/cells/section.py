@@ -49,14 +49,16 @@ class CellsSection(PictureSection):
         second point lies `um` micrometres from the first, in the direction of the spec's x axis.
         UsageError if the points are too close together.
         """
-        across, up = second[0] - first[0], first[1] - second[1]
+        across = second[0] - first[0]
+        up = first[1] - second[1]
         across = -across if self.mirrored else across
         long = math.hypot(across, up)
         if long < LEAST_PX:
             raise UsageError(
                 f"the two points are {long:.3g} px from each other; at least {LEAST_PX} are needed"
             )
-        um_px, rotation = um / long, -math.atan2(up, across)
+        um_px = um / long
+        rotation = -math.atan2(up, across)
         off = math.sqrt(2) * PLACED_PX / long
         lines = (
             f"{um_px:.4f} um/px +- {off * um_px:.4f}, if points are accurate to {PLACED_PX:g} px",
@@ -68,7 +70,8 @@ class CellsSection(PictureSection):
         """Convert a position, or positions (N,), in the picture [um] to the spec's coordinates,
         whose length unit is `metres` [m].
         """
-        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        cos = math.cos(self.rotation)
+        sin = math.sin(self.rotation)
         scale = 1e-6 / metres
         x = self.corner[0] + scale * (cos * x_um - sin * y_um)
         return x, self.corner[1] + scale * (sin * x_um + cos * y_um)

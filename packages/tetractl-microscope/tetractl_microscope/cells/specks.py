@@ -9,11 +9,14 @@ from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Entry
 from tetractl_microscope.organisms import Organism
 
-BORN, NEAR_BORN = 5, 7  # number of blobs after which a speck may be a cell: anywhere; near a cell
+BORN = 5  # number of blobs after which a speck may be a cell: anywhere
+NEAR_BORN = 7  # near a cell
 NEAR = 0.75  # distance of a speck that is near to a cell [lengths]
 WHOLE = 3  # fewest of these blobs that the picture's edge does not cut off
-SWUM, STRAY = 0.23, 0.1  # least way over these blobs, and largest distance from a line [lengths]
-ALONG, ROUND = 0.75, 1.3  # least cosine between a cell's axis and its path, unless it is this round
+SWUM = 0.23  # least way over these blobs [lengths]
+STRAY = 0.1  # largest distance of them from a line [lengths]
+ALONG = 0.75  # least cosine between a cell's axis and its path
+ROUND = 1.3  # greatest ratio of its sides at which a body has no axis
 EVEN = 0.2  # relative variation of a cell's size
 
 
@@ -21,8 +24,10 @@ def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
     """Return whether the newest blobs of an object, `needed` of them, have an organism's size and
     move fast, straight and along their axis.
     """
-    path, body_um = np.array(entries[-needed:]), organism.body_um[0]
-    moved, passed = math.hypot(*(path[-1, 1:3] - path[0, 1:3])), path[-1, 0] - path[0, 0]
+    path = np.array(entries[-needed:])
+    body_um = organism.body_um[0]
+    moved = math.hypot(*(path[-1, 1:3] - path[0, 1:3]))
+    passed = path[-1, 0] - path[0, 0]
     if len(path) < needed or moved < max(SWUM * body_um, organism.slowest_um_s * passed):
         return False
     if np.isfinite(path[:, 4]).sum() < WHOLE:
@@ -51,6 +56,7 @@ def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
     Returns the velocity [um/s] and the fitted positions (M, 2) [um].
     """
     middle = path[:, :3].mean(axis=0)
-    times, off = path[:, 0] - middle[0], path[:, 1:3] - middle[1:]
+    times = path[:, 0] - middle[0]
+    off = path[:, 1:3] - middle[1:]
     vx, vy = (times @ off / (times @ times)).tolist()
     return (vx, vy), middle[1:] + times[:, None] * (vx, vy)

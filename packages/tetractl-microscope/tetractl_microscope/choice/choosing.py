@@ -63,7 +63,8 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
     """Return the least difference between two cells in the logarithm of the turning rate a, minus
     that difference's standard deviation; inf for a single cell."""
     order = np.argsort(a)
-    logs, off = np.log(a[order]), a_sd[order] / a[order]
+    logs = np.log(a[order])
+    off = a_sd[order] / a[order]
     return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
 
 

@@ -50,7 +50,8 @@ def turn_field(
     tracker = tracker_of(rig)
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
-    began, before = rig.clock.now(), rig.frames.count
+    began = rig.clock.now()
+    before = rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
         walled |= {cell.number for cell in tracker.candidates() if not cell.free}

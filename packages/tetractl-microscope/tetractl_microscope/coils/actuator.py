@@ -47,9 +47,12 @@ class FieldActuator:
     def __init__(
         self, section: FieldSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
-        self.section, self.coils = section, section.coils
+        self.section = section
+        self.coils = section.coils
         self.driver = Driver(section.port, section.baud, clock, ports)
-        self._a, self._speed, self._clock = setup.a, setup.speed, clock
+        self._a = setup.a
+        self._speed = setup.speed
+        self._clock = clock
         self._reference_mt = section.reference_mt(setup)
         self._lock = threading.Lock()
         self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]
@@ -71,7 +74,8 @@ class FieldActuator:
 
     def settle(self, setup: Setup) -> None:
         """Take turning rates and speeds from a new setup, made after the cells have been chosen."""
-        self._a, self._speed = setup.a, setup.speed
+        self._a = setup.a
+        self._speed = setup.speed
 
     @property
     def period_ns(self) -> int:
@@ -152,7 +156,8 @@ class FieldActuator:
 
     def _transmission(self, action: Action, currents: Pair, headings: Floats) -> Transmission:
         x_mt, y_mt = self.coils.field(currents)
-        strength, towards = float(np.hypot(x_mt, y_mt)), float(np.arctan2(y_mt, x_mt))
+        strength = float(np.hypot(x_mt, y_mt))
+        towards = float(np.arctan2(y_mt, x_mt))
         a = self._a * (strength / self._reference_mt)
         turning = rates(headings, towards, a, self._speed)[2]
         return Transmission(
@@ -179,8 +184,10 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     if reply.version != VERSION:
         text = f"the current driver uses version {reply.version} of its protocol, not {VERSION}"
         return Health((text,))
-    most_a, slew_a_s = reply.current_max_ma / 1000, reply.slew_ma_s / 1000
-    volts, celsius = reply.supply_mv / 1000, reply.temperature_dc / 10
+    most_a = reply.current_max_ma / 1000
+    slew_a_s = reply.slew_ma_s / 1000
+    volts = reply.supply_mv / 1000
+    celsius = reply.temperature_dc / 10
     known = reply.temperature_dc != UNKNOWN_TEMPERATURE
     limit_ma = round(1000 * section.current_max_a)
     least_mt = section.coils.least_reach(section.current_max_a)

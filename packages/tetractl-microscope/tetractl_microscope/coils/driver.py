@@ -18,7 +18,8 @@ from tetractl.core.errors import WireError
 from tetractl.lab.cobs import Flag, Splitter, checked_flags, pack_fields, unpack_fields
 from tetractl.lab.serial_port import Ports, SerialPort
 
-COMMAND, REPLY = 0x53, 0x54
+COMMAND = 0x53
+REPLY = 0x54
 VERSION = 1
 UNKNOWN_TEMPERATURE = -32768
 _COMMAND = struct.Struct("<BBBhh")
@@ -106,7 +107,8 @@ class Driver:
         self._port = make(port, baud, "the current driver", clock, self._hear, HINT)
         self._splitter = Splitter()
         self._lock = threading.Lock()
-        self._sequence, self._latched = 0, Flag(0)
+        self._sequence = 0
+        self._latched = Flag(0)
         # number of frames since the last reply, and when the first of them was sent
         self._unanswered = 0
         self._unanswered_ns = 0
@@ -114,7 +116,8 @@ class Driver:
     @property
     def failure(self) -> str | None:
         """The reason why the driver no longer makes a field; None without a fault."""
-        newest, now_ns = self.newest, self._clock.now()
+        newest = self.newest
+        now_ns = self._clock.now()
         if self._port.failure is not None:
             return self._port.failure
         # some replies may be lost, or late

@@ -22,7 +22,8 @@ Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in th
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
     """Return `now` moved straight towards `wished`, each component by at most `step`."""
-    dx, dy = wished[0] - now[0], wished[1] - now[1]
+    dx = wished[0] - now[0]
+    dy = wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
     if peak <= step:
         return wished
@@ -82,7 +83,8 @@ class CoilsSection(Model):
         """
         strength = min(strength, self.reach(direction, current_max_a))
         along_x, along_y = self._axes(direction)
-        x, y = self.x, self.y
+        x = self.x
+        y = self.y
         return (
             (strength * along_x - x.offset_mt) / x.gain_mt_a,
             (strength * along_y - y.offset_mt) / y.gain_mt_a,
@@ -92,7 +94,8 @@ class CoilsSection(Model):
         """Return the field [mT], in the spec's axes, that the two coil currents [A] make."""
         pairs = zip((self.x, self.y), currents, strict=True)
         x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs)
-        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        cos = math.cos(self.rotation)
+        sin = math.sin(self.rotation)
         return cos * x - sin * y, sin * x + cos * y
 
     def _axes(self, direction: float) -> Pair:

@@ -71,7 +71,8 @@ def _single(name: str, log: TrackLog) -> Figure:
 
 
 def _headed(figure: Figure, log: TrackLog) -> Figure:
-    record, damage = log.record, "; ".join(log.damage[:1])
+    record = log.record
+    damage = "; ".join(log.damage[:1])
     seconds = record["pictures"] / record["rate_hz"]
     guessed = " (guessed)" if record["scale_guessed"] else ""
     style.headline(
@@ -104,7 +105,8 @@ def _paths(axes: Axes, log: TrackLog) -> None:
             look = {"color": _color(number), "weight": "bold", "path_effects": edge}
             axes.annotate(str(number), at, (3, 3), textcoords="offset points", fontsize=7, **look)
     bar = _round_length(BAR_SHARE * width)
-    x, y = 0.97 * width - bar, 0.04 * height
+    x = 0.97 * width - bar
+    y = 0.04 * height
     look: dict[str, Any] = {
         "color": "white",
         "path_effects": [withStroke(linewidth=4.5, foreground="black")],
@@ -166,7 +168,8 @@ def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], F
 
 def _stated(found: Distribution, decimals: int = 0, lines: bool = False) -> str:
     """Return a mean with its interval and n, as text in one line or three."""
-    ends, text = found.ci95, f"{found.mean:.{decimals}f}"
+    ends = found.ci95
+    text = f"{found.mean:.{decimals}f}"
     if ends.known:
         text += f" [{ends.low:.{decimals}f}, {ends.high:.{decimals}f}]"
     text += f", n = {found.n}"
@@ -178,7 +181,8 @@ def _turning(axes: Axes, log: TrackLog) -> None:
     each bin; the mean over the cells that respond; and a sin(angle) with the mean of their a.
     """
     edges = np.linspace(-math.pi, math.pi, BINS + 1)
-    middle, rates = (edges[:-1] + edges[1:]) / 2, []
+    middle = (edges[:-1] + edges[1:]) / 2
+    rates = []
     cells, values = known_values(log.record["cells"], "a_rad_s")
     responds = [each["cell"] for each in cells]
     for number, times, poses in log.tracks:
@@ -212,13 +216,16 @@ def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
     divided by the field's strength; over each TURN_S in which the field was constant and not 0.
     """
     since, x, y = (np.array(field[key]) for key in ("time_s", "x", "y"))
-    heading, step = np.unwrap(heading), float(np.median(np.diff(times)))
+    heading = np.unwrap(heading)
+    step = float(np.median(np.diff(times)))
     span = max(1, round(TURN_S / step))
-    first, last = np.arange(len(times) - span), np.arange(span, len(times))
+    first = np.arange(len(times) - span)
+    last = np.arange(span, len(times))
     row = np.searchsorted(since, times, side="right") - 1
     strength = np.hypot(x, y)[row]
     kept = (row[first] == row[last]) & (row[first] >= 0) & (strength[first] > 0)
-    first, last = first[kept], last[kept]
+    first = first[kept]
+    last = last[kept]
     rate = (heading[last] - heading[first]) / (times[last] - times[first]) / strength[first]
     angle = np.arctan2(y, x)[row[first]] - (heading[first] + heading[last]) / 2
     return (angle + math.pi) % (2 * math.pi) - math.pi, rate
@@ -230,7 +237,8 @@ def _displacement(axes: Axes, log: TrackLog) -> None:
     lengths = sorted((len(times) for _, times, _ in log.tracks), reverse=True)
     longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
     lags = np.unique(np.geomspace(1, max(longest, 2), LAGS).astype(int))
-    rows, by_number = [], {each["cell"]: each for each in log.record["cells"]}
+    rows = []
+    by_number = {each["cell"]: each for each in log.record["cells"]}
     for number, times, poses in log.tracks:
         row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
         axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)

@@ -10,13 +10,17 @@ from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells.detect_cells import BlobFinder
 from tetractl_microscope.cells.knocks import SIDE, shift_of
 
-STEP_S, EVERY = 0.2, 5  # time between examined pictures [s]; shifts are over so many
+STEP_S = 0.2  # time between examined pictures [s]
+EVERY = 5  # shifts are over so many
 TILES = 4, 4  # tiles of a picture whose light is compared
 WANDERS = 0.2  # range of a tile's share of the light above which the light wanders
 # least width [lengths] of what is no cell, and for so many pictures in turn: fewer show a crowd
-LARGE, IN_TURN = 4.0, 12
+LARGE = 4.0
+IN_TURN = 12
 # a drift's greatest speed [lengths/s], and least number and share of shifts that are alike
-FAST, PAIRS, ALIKE = 2.0, 3, 0.65
+FAST = 2.0
+PAIRS = 3
+ALIKE = 0.65
 
 
 @dataclass(slots=True)
@@ -37,7 +41,8 @@ class Disturbances:
         """Examine a picture taken at a time [s], of which a finder has just found the blobs."""
         if seconds < self._last_s + STEP_S:
             return
-        self._last_s, scale = seconds, min(1.0, SIDE / max(picture.shape))
+        self._last_s = seconds
+        scale = min(1.0, SIDE / max(picture.shape))
         small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         light = cv2.resize(small.astype(float), TILES, interpolation=cv2.INTER_AREA)
         self._lights.append(light / light.mean() if light.mean() >= 1 else np.ones(TILES))

@@ -169,7 +169,8 @@ def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     if not values.size:
         return 0.0, 1.0
-    least, most = float(values.min()), float(values.max())
+    least = float(values.min())
+    most = float(values.max())
     unit = least >= 0 and most <= 1
     step = 1 / 255 if unit else 2.0 ** max(0, math.ceil(math.log2(max(most, 1) + 1)) - 8)
     low, high = np.percentile(values, (SHARE, 100 - SHARE)).tolist()

@@ -43,20 +43,25 @@ from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 
-START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
+START_S = 0.5  # time that gives the first heading
+START = 5  # least number of pictures that do
 SHORTEST_S = 2.0  # duration of the shortest path of which a speed is stated [s]
 # distance to the picture's edge, in lengths of the cell, at which it may be cut off: if it has a
 # blob of its size, and if not
-EDGE_OWN, EDGE = 0.4, 0.6
+EDGE_OWN = 0.4
+EDGE = 0.6
 # helices and headings to start from: rates over the organism's, with the deviation among
 # organisms, and angles to the first way [rad]
-RATES, RATES_SD, ASIDE = (0.4, 0.6, 0.84, 1.12, 1.4), 0.28, (-0.6, 0.0, 0.6)
+RATES = (0.4, 0.6, 0.84, 1.12, 1.4)
+RATES_SD = 0.28
+ASIDE = (-0.6, 0.0, 0.6)
 # usual noise over that of a live cell: walk of the heading; noise of blobs; walks of the speed, and
 # of position and helix
 USUAL = np.array([1.0, 1.0, 4.0, 0.5])
 # blobs whose axis is further from the way over this time before and after [s], in the median
 # [rad], are too round, or too far out of focus, to show the cell's axis
-AROUND_S, ASTRAY = 0.1, 0.6
+AROUND_S = 0.1
+ASTRAY = 0.6
 NO_AXIS = 1e3  # deviation of such an axis [rad]
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
@@ -147,7 +152,8 @@ class _Measured:
         count little. The axis of a cell's blobs counts little if it is not along the cell's way.
         """
         body = followed.organism.body_um[0]
-        measured, shared = np.full((len(path.seen), 6), np.nan), MERGED[0] * body
+        measured = np.full((len(path.seen), 6), np.nan)
+        shared = MERGED[0] * body
         for k, cell in enumerate(path.seen):
             if cell.measured is not None:
                 measured[k] = cell.measured
@@ -158,7 +164,8 @@ class _Measured:
         lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
         own = measured[:, 3] < shared
         cut = edge < np.where(own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
-        measured[cut], own = np.nan, own & ~cut
+        measured[cut] = np.nan
+        own = own & ~cut
         before, after = _around(path.times, AROUND_S)
         way = measured[after, :2] - measured[before, :2]
         off = measured[:, 2] - np.arctan2(way[:, 1], way[:, 0])
@@ -174,7 +181,8 @@ class _Measured:
         mean, covariance, model = new_cell(followed.organism, field is not None)
         mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
         pieces_of = no_field if field is None else field.pieces
-        pieces, first = list[Piece](), [0, 0]
+        pieces = list[Piece]()
+        first = [0, 0]
         for start, end in pairwise(path.times.tolist()):
             pieces += pieces_of(start, end)
             first.append(len(pieces))
@@ -207,9 +215,11 @@ class _Measured:
         and a first state (n,).
         """
         last = mean.copy()
-        values, first = self.values[start:end], self.first[start : end and end + 1].copy()
+        values = self.values[start:end]
+        first = self.first[start : end and end + 1].copy()
         first[0] = first[1]
-        states, bodies = np.empty((len(values), STATES)), np.empty((len(values), 3))
+        states = np.empty((len(values), STATES))
+        bodies = np.empty((len(values), 3))
         given = self.models(noise[None])[0], values, self.deviations[start:end], self.pieces, first
         covariance = smooth(last, self.covariance, *given, states, bodies)
         return last, covariance, states, bodies
@@ -244,7 +254,8 @@ def _exact(measured: Sequence[_Measured]) -> Floats:
     off = off[np.isfinite(off).all(axis=1)]
     if not len(off):
         return np.ones(3)
-    place, axis = np.median(off[:, :2]) / 0.6745, np.median(off[:, 2]) / 0.6745
+    place = np.median(off[:, :2]) / 0.6745
+    axis = np.median(off[:, 2]) / 0.6745
     return np.array([min(place, 1.0), min(place, 1.0), axis])
 
 
@@ -273,7 +284,8 @@ class _Fit:
         starts[:, HEADING] += np.tile(ASIDE, len(RATES))
         likely = table.likelihood(np.zeros((len(starts), len(USUAL))), starts)
         likely -= ((starts[:, RATE] / table.mean[RATE] - 1) / RATES_SD) ** 2 / 2
-        mean, noise = starts[likely.argmax()], np.zeros((1, len(USUAL)))
+        mean = starts[likely.argmax()]
+        noise = np.zeros((1, len(USUAL)))
 
         def likelihood(tried: Floats) -> Floats:
             return table.likelihood(tried[0], np.tile(mean, (tried.shape[1], 1)))[None]
@@ -324,7 +336,8 @@ def _summary(
     speed = a = bias = magnetised = None
     spread = sway = hz = radius = math.nan
     if fit is not None and seconds >= SHORTEST_S - 0.5 / timing.rate_hz:
-        states, way = fit.states, float(fit.mean[WAY])
+        states = fit.states
+        way = float(fit.mean[WAY])
         wider = math.sqrt(
             max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
         )

@@ -25,7 +25,8 @@ from tetractl_microscope.organisms import Organism
 
 # median pace of the cells from one picture to the next, relative to their usual one, above which
 # pictures are missing between the two, and below which a picture is doubled
-LOST, DOUBLED = 1.6, 0.3
+LOST = 1.6
+DOUBLED = 0.3
 TELL = 3  # least number of cells in a picture from which its pace is computed
 ODD = 0.015, 3  # least share and least number of lost or doubled pictures that are reported
 FADED = 0.05  # share of cells' pictures without a blob above which a warning is given
@@ -167,7 +168,8 @@ def _pace_lines(where: Whereabouts) -> Iterator[str]:
     found = []
     for track, rows in where.tracks.items():
         for before, now in pairwise(rows):
-            one, two = before.cell.blob_um, now.cell.blob_um
+            one = before.cell.blob_um
+            two = now.cell.blob_um
             alone = not (before.cell.merged or now.cell.merged) and now.at == before.at + 1
             if alone and one is not None and two is not None:
                 way = math.dist(one[:2].tolist(), two[:2].tolist())
@@ -179,7 +181,8 @@ def _pace_lines(where: Whereabouts) -> Iterator[str]:
     seen = [speed[picture == k] for k in np.unique(picture)]
     pace = np.array([np.median(each) for each in seen if len(each) >= TELL])
     least = max(ODD[0] * len(pace), ODD[1])
-    lost, doubled = int((pace > LOST).sum()), int((pace < DOUBLED).sum())
+    lost = int((pace > LOST).sum())
+    doubled = int((pace < DOUBLED).sum())
     if doubled >= least:
         yield (
             f"in {doubled} of {len(pace)} pictures no cell moves: pictures are doubled. Remove "

@@ -17,10 +17,13 @@ from tetractl_microscope.film.pictures import ONE_PICTURE, ONE_PICTURE_HINT, Fil
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
 
-LOOK_S, LOOKED = 1.5, 40  # duration [s] and greatest number of the pictures that are searched,
-LATEST_S, ENOUGH = 9.0, 3  # or until this time if fewer objects than these were seen
+LOOK_S = 1.5  # duration of the pictures that are searched [s]
+LOOKED = 40  # greatest number of them
+LATEST_S = 9.0  # time until which more are searched if few objects were seen [s]
+ENOUGH = 3  # least number of objects that is not few
 COARSE_PX = 4.0  # width below which a large organism cannot be distinguished from a small one
-LEAST_PX, MOST_SHARE = 30.0, 0.02  # areas of objects: in pixels, and as a share of the picture
+LEAST_PX = 30.0  # least area of an object [px]
+MOST_SHARE = 0.02  # greatest, as a share of the picture
 REACH = 1.5  # way from one picture to the next, in lengths of the object, up to which it is itself
 SEEN = 6  # fewest pictures of an object whose speed is known
 MOVED = 0.3  # way over all its pictures, in lengths of the object, above which it moves
@@ -34,7 +37,8 @@ FAR = 2.0  # way of the fastest cells between pictures, in lengths, above which 
 KNOWN = 0.25  # least share of what swims that an organism must be like (beads in water 3 of 81)
 # mean cosine between successive parts of ways, below which what moves goes to and fro (beads in
 # water .23; Euglena .78, Paramecium .92), and fewest objects of which it is computed
-ONWARD, WAYS_MIN = 0.5, 10
+ONWARD = 0.5
+WAYS_MIN = 10
 TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 
@@ -65,7 +69,9 @@ def recognised(
     ways = _ways(film, copy.copy(finder))
     moving = _moving(ways)
     known = list(ORGANISMS.usable().values())
-    taken, scale, why = organism or known[0], um_px, ()
+    taken = organism or known[0]
+    scale = um_px
+    why = ()
     still = ()
     if _to_and_fro(ways):
         if organism is None:
@@ -124,7 +130,8 @@ def _sample(film: FilmPictures) -> list[Grey]:
     """Return pictures spread evenly over the film's first BACKGROUND_S, at least BACKGROUND and at
     most twice as many; all pictures if there are fewer. Of large pictures there are fewer.
     """
-    count, pixels = 0, 1
+    count = 0
+    pixels = 1
     for number, picture in film:
         count += 1
         pixels = picture.size
@@ -142,7 +149,8 @@ def _ways(film: FilmPictures, finder: BlobFinder) -> list[Floats]:
     paths: list[list[Floats]] = []
     going: list[list[Floats]] = []  # those of the newest picture
     for number, picture in film:
-        seconds, seen = film.seconds(number), sum(len(path) >= SEEN for path in paths)
+        seconds = film.seconds(number)
+        seen = sum(len(path) >= SEEN for path in paths)
         if seconds > (LOOK_S if seen >= ENOUGH else LATEST_S) and number > 2 * SEEN:
             break
         if number % step:
@@ -184,7 +192,8 @@ def _to_and_fro(ways: Sequence[Floats]) -> bool:
         apart = _pictures_apart(rows)
         if apart:
             moved = rows[apart:, 1:3] - rows[:-apart, 1:3]
-            before, after = moved[:-apart], moved[apart:]
+            before = moved[:-apart]
+            after = moved[apart:]
             alike += float(np.vdot(before, after))
             most += float(np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1))
             objects += 1

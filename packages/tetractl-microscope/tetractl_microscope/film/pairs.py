@@ -32,7 +32,8 @@ def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
     areas = [list(map(math.prod, _sizes(rows))) for rows in where.tracks.values()]
     off = [np.log(np.array(each) / np.median(each)) for each in areas if each]
     spread = float(np.median(np.abs(np.concatenate(off)))) / 0.6745 if off else 0.0
-    larger, names = max(LARGE, math.exp(SPREAD * spread)), where.new_names()
+    larger = max(LARGE, math.exp(SPREAD * spread))
+    names = where.new_names()
     return {
         track
         for first, track, other in where.partings
@@ -53,8 +54,11 @@ def _fill(
     that is `larger` than one cell shows two; nearer than `apart_um` [um] to its middle they cannot
     be distinguished.
     """
-    times, news, olds = where.times, where.tracks[track], where.tracks[other]
-    i, j = row_from(news, first), row_from(olds, first)
+    times = where.times
+    news = where.tracks[track]
+    olds = where.tracks[other]
+    i = row_from(news, first)
+    j = row_from(olds, first)
     if [row.at for row in olds[max(j - 1, 0) : j + 1]] != [first - 1, first]:
         return False
     end = where.index(times[first] + APART_S)
@@ -73,24 +77,34 @@ def _fill(
     since_s = times[olds[since].at]
     if times[first] - since_s < LASTS_S:
         return False
-    new, old = news[i].cell, olds[j].cell
-    apart, until_s, hidden = np.array((new.x - old.x, new.y - old.y)), times[first], False
-    named, added = (next(names), next(names)), list[TrackRow]()
+    new = news[i].cell
+    old = olds[j].cell
+    apart = np.array((new.x - old.x, new.y - old.y))
+    until_s = times[first]
+    hidden = False
+    named = (next(names), next(names))
+    added = list[TrackRow]()
     for row in reversed(olds[since:j]):
-        cell, half, now_s = row.cell, np.zeros(2), times[row.at]
-        x, y, axis = cell.x, cell.y, cell.axis
+        cell = row.cell
+        half = np.zeros(2)
+        now_s = times[row.at]
+        x = cell.x
+        y = cell.y
+        axis = cell.axis
         if cell.blob_um is not None and _sizes([row]):
             (x, y, axis), half = cell.blob_um[:3], _half(cell.blob_um, np.mean(sizes, axis=0))
         half, clear = half if half @ apart >= 0 else -half, np.hypot(*half) > apart_um
         begins = clear and hidden and min(until_s - now_s, now_s - since_s) > LASTS_S
         if begins:
-            named, until_s = (next(names), next(names)), now_s
+            named = (next(names), next(names))
+            until_s = now_s
         hidden = not clear or (hidden and not begins)
         both = replace(cell, axis=axis, merged=True, measured=None)
         one = replace(both, x=x + half[0], y=y + half[1], track=track)
         added.append(TrackRow(row.at, one, named[0], LIKELIER))
         row.cell = replace(both, x=x - half[0], y=y - half[1])
-        row.name, row.likely = named[1], LIKELIER
+        row.name = named[1]
+        row.likely = LIKELIER
         apart = half if half.any() else apart
     news[i:i] = reversed(added)
     return True

@@ -79,7 +79,8 @@ class PictureTimes:
         if self.stated is None or len(self.stated) < 2 or self.even:
             return None
         gaps = np.diff(self.stated)
-        least, most = float(gaps.min()), float(gaps.max())
+        least = float(gaps.min())
+        most = float(gaps.max())
         if most < UNEVEN * least:
             return None
         line = f"pictures are {least:.3g} to {most:.3g} s apart"
@@ -170,7 +171,8 @@ def _interpolated(numbers: Sequence[int], times: Sequence[float], count: int) ->
     """
     step = float(np.median(np.diff(times) / np.diff(numbers)))
     found = np.interp(np.arange(count), numbers, times)
-    head, tail = numbers[0], numbers[-1]
+    head = numbers[0]
+    tail = numbers[-1]
     found[:head] = times[0] - step * np.arange(head, 0, -1)
     found[tail + 1 :] = times[-1] + step * np.arange(1, count - tail)
     return found.tolist()

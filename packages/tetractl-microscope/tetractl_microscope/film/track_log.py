@@ -79,7 +79,9 @@ def read_track(path: Path) -> TrackLog:
     except (DecodeError, OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         said = f"{type(error).__name__}: {error}"
         raise LogError(f"{path}: the cells of the film cannot be read: {said}") from None
-    time, cell, poses = rows[:, 0], rows[:, 1], rows[:, 2:]
+    time = rows[:, 0]
+    cell = rows[:, 1]
+    poses = rows[:, 2:]
     problems = (*contents.problems, *(f"lost: {lost}" for lost in contents.lost))
     return TrackLog(str(path), record, time, cell, poses, picture, problems)
 

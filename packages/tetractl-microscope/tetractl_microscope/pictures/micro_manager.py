@@ -95,8 +95,10 @@ class MicroManagerFeed(Feed):
                 "a source of type micromanager needs pymmcore, which is not installed",
                 "pip install './packages/tetractl-microscope[micro-manager]'",
             ) from error
-        self._clock, self._closing = clock, threading.Event()
-        folder, config = adapter_folder(), Path(source.config).resolve()
+        self._clock = clock
+        self._closing = threading.Event()
+        folder = adapter_folder()
+        config = Path(source.config).resolve()
         require_adapters(config, folder)
         self._core: Any = core()
         try:

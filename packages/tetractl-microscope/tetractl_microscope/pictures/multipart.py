@@ -30,7 +30,8 @@ class Multipart:
         self._held += data
         while self._part() if self._inside else self._find():
             pass
-        bodies, self._bodies = self._bodies, []
+        bodies = self._bodies
+        self._bodies = []
         return bodies
 
     def _find(self) -> bool:
@@ -80,7 +81,8 @@ class Multipart:
 
     def _cut(self, at: int, inside: bool) -> None:
         del self._held[:at]
-        self._inside, self._scanned = inside, 0
+        self._inside = inside
+        self._scanned = 0
 
 
 def _content_length(head: bytes) -> int | None:

@@ -58,8 +58,10 @@ class PictureCamera(ABC, Generic[S]):
         wake: Callable[[], None],
         join: Join | None = None,
     ) -> None:
-        self._source, self._join = section, join
-        self._clock, self._wake = clock, wake
+        self._source = section
+        self._join = join
+        self._clock = clock
+        self._wake = wake
         self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
         self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
@@ -141,7 +143,8 @@ class PictureCamera(ABC, Generic[S]):
     def _stream_lines(self, looks: Sequence[Look[S]]) -> tuple[list[str], list[str]]:
         """Return problems and warnings of the stream of pictures."""
         rate = None if self._feed is None else self._feed.rate_hz
-        name, now_ns = self._source.source_name, self._clock.now()
+        name = self._source.source_name
+        now_ns = self._clock.now()
         return stream_lines(looks, name, self._ended, now_ns, rate, self.damaged)
 
     def _stream_facts(self, looks: Sequence[Look[S]]) -> dict[str, str]:
@@ -217,7 +220,8 @@ class PictureCamera(ABC, Generic[S]):
 
     def _repeats(self, grey: Grey) -> bool:
         """Return whether a picture is the newest one again, noise and all, and not just black."""
-        before, self._newest = self._newest, grey
+        before = self._newest
+        self._newest = grey
         return before is not None and np.array_equal(before, grey) and int(np.ptp(grey)) > 0
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:

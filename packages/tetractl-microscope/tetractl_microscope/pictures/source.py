@@ -28,7 +28,8 @@ from tetractl_microscope.pictures.picture_section import (
     MjpegSource,
 )
 
-JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+JPEG_START = b"\xff\xd8"
+JPEG_END = b"\xff\xd9"
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 
@@ -75,7 +76,8 @@ class DeviceFeed(_CaptureFeed):
 
     def __init__(self, source: DeviceSource, clock: Clock, timeout_s: float) -> None:
         self.rate_hz = source.rate
-        self._name, self._clock = f"camera {source.index}", clock
+        self._name = f"camera {source.index}"
+        self._clock = clock
         system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
         logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # its others go to stderr, as ours do
         self._capture = capture = cv2.VideoCapture(source.index, system)
@@ -131,7 +133,8 @@ class FileFeed(_CaptureFeed):
     emulated = True  # robots in a film cannot be steered
 
     def __init__(self, source: FileSource, clock: Clock, timeout_s: float) -> None:
-        self._path, self._clock = source.path, clock
+        self._path = source.path
+        self._clock = clock
         if not Path(source.path).is_file():
             raise AbortError(f"there is no file {source.path}", "see lab.camera.source.path")
         self._capture = cv2.VideoCapture(source.path)
@@ -160,7 +163,8 @@ class MjpegFeed(Feed):
     """A network camera's multipart stream over HTTP."""
 
     def __init__(self, source: MjpegSource, clock: Clock, timeout_s: float) -> None:
-        self._url, self._clock = source.url, clock
+        self._url = source.url
+        self._clock = clock
         url = urlsplit(source.url)
         self._connection = connection = http.client.HTTPConnection(url.netloc, timeout=timeout_s)
         path = (url.path or "/") + (f"?{url.query}" if url.query else "")
@@ -186,7 +190,8 @@ class MjpegFeed(Feed):
                 f"{source.url} does not answer: {said}",
                 "is the camera on, and is lab.camera.source.url its address?",
             ) from error
-        kind, boundary = self._answer.headers.get_content_type(), self._boundary()
+        kind = self._answer.headers.get_content_type()
+        boundary = self._boundary()
         if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
             self.close()
             raise AbortError(

@@ -35,8 +35,10 @@ def write_geff(
     from geff.core_io import write_arrays
     from geff_spec import Axis, PropMetadata
 
-    pixels, um = tracks.as_dict(), poses.as_dict()
-    cell, frame = np.array(pixels["id"], np.int64), np.array(pixels["t"], np.int64)
+    pixels = tracks.as_dict()
+    um = poses.as_dict()
+    cell = np.array(pixels["id"], np.int64)
+    frame = np.array(pixels["t"], np.int64)
     values = {
         "t": np.array(um["time_s"], float) if rate_hz is None else frame,
         "y": np.array(pixels["y"], float),

@@ -108,14 +108,16 @@ class Pipe(io.StringIO):
 @pytest.mark.parametrize(("system", "empty"), [("vrpn", 0), ("vicon", 2)])
 def test_a_turn_of_vrpn_without_news_is_no_frame(system, empty):
     """Regression, found with VRPN's own server: robots were lost in every other frame."""
-    library, out = {}, Pipe()
+    library = {}
+    out = Pipe()
     exec(LIBRARY + TURNS, library)
     stream(lambda *_: library["Turns"](), json.dumps([system, "", {}]), out)
     assert out.getvalue().count('"bodies": {}') == empty
 
 
 def test_the_process_prints_bodies_until_no_program_reads_them():
-    library, out = {}, Pipe()
+    library = {}
+    out = Pipe()
     exec(LIBRARY.replace("time.sleep(0.01)", "pass"), library)
     stream(library["connect"], '["vicon", "there", {}]', out)
     stamps, lines = zip(*(one.split(" ", 1) for one in out.getvalue().splitlines()), strict=True)
@@ -163,7 +165,8 @@ def test_a_process_that_cannot_connect_is_said(library):
 @pytest.mark.system
 def test_the_real_library_streams_from_its_mock_in_the_process():
     pytest.importorskip("motioncapture")
-    heard, clock = [], MonotonicClock()
+    heard = []
+    clock = MonotonicClock()
     port = ProcessPort('["mock", "", {}]', 0, "it", clock, lambda *one: heard.append(one), "")
     port.open()
     came = wait_for(clock, lambda: len(heard) > 3, 60)

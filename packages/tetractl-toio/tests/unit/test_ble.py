@@ -19,8 +19,11 @@ class Air:
     """What is in radio range, and what was written to it."""
 
     def __init__(self, *names, breaks=False):
-        self.names, self.breaks = names, breaks
-        self.written, self.notified, self.gone = queue.Queue(), {}, None
+        self.names = names
+        self.breaks = breaks
+        self.written = queue.Queue()
+        self.notified = {}
+        self.gone = None
 
     def module(self):
         air = self
@@ -57,7 +60,8 @@ class Air:
                 return bytearray([80])
 
         module = ModuleType("bleak")
-        module.BleakScanner, module.BleakClient = BleakScanner, BleakClient
+        module.BleakScanner = BleakScanner
+        module.BleakClient = BleakClient
         return module
 
 
@@ -68,8 +72,11 @@ def connect(monkeypatch):
     def connect(air, name="toio-M0p"):
         monkeypatch.setitem(sys.modules, "bleak", air.module())
         heard = queue.Queue()
-        take, clock = lambda data, at: heard.put(data), MonotonicClock()
-        port = BluetoothPort(name, 0, "the cube", clock, take, "hint")
+
+        def take(data, at_ns):
+            heard.put(data)
+
+        port = BluetoothPort(name, 0, "the cube", MonotonicClock(), take, "hint")
         opened.append(port)
         return port, heard
 

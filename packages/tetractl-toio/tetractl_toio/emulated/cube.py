@@ -20,15 +20,22 @@ from tetractl.model.wheels import Counts
 from tetractl_toio.cubes import SPEED
 from tetractl_toio.messages import SPEED_MIN, Characteristic, Unpacker, decode_motor, pack
 
-RUN, STOP = 1, 2  # flags of a command in the record: a cube knows no further stop than 0 and 0
-EMPTY_MV, FULL_MV = 4400, 5100  # guess: of the emulated battery
+RUN = 1  # flag of a command in the record
+STOP = 2  # the same: a cube knows no further stop than speeds 0 and 0
+EMPTY_MV = 4400  # guess: of the emulated battery
+FULL_MV = 5100  # guess
+
+
+READING_SETTINGS = (b"\x18", b"\x19")
+"""First bytes of the settings that say when a cube notifies its reading."""
 
 
 class CubeProgram:
     """The program of a cube: motor commands and settings in, motor speeds and answers out."""
 
     def __init__(self, _index: int = 0) -> None:
-        self._unpacker, self._answers = Unpacker(), b""
+        self._unpacker = Unpacker()
+        self._answers = b""
         self._speeds: Counts = (0, 0)
         self._ends_ms: int | None = None
         self._silent = True  # no command acts: the last one ended by itself
@@ -45,29 +52,37 @@ class CubeProgram:
                 self.asked = True
             elif characteristic == Characteristic.BATTERY and not payload:
                 self._answers += pack(Characteristic.BATTERY, bytes([self.charge]))
-            elif characteristic == Characteristic.CONFIGURATION and payload[:1] in (
-                b"\x18",
-                b"\x19",
-            ):
-                self.notifies = True
-                answer = bytes([0x80 | payload[0], 0, 0])
-                self._answers += pack(Characteristic.EMULATED, EMULATED_NAME.encode())
-                self._answers += pack(Characteristic.CONFIGURATION, answer)
+            elif characteristic == Characteristic.CONFIGURATION:
+                self._configure(payload)
+
+    def _configure(self, payload: bytes) -> None:
+        """Take a setting of the notifications of readings; others are ignored."""
+        if payload[:1] not in READING_SETTINGS:
+            return
+        self.notifies = True
+        is_set = bytes([0x80 | payload[0], 0, 0])
+        self._answers += pack(Characteristic.EMULATED, EMULATED_NAME.encode())
+        self._answers += pack(Characteristic.CONFIGURATION, is_set)
 
     def wheels(self, now_ms: int) -> Counts:
         """Return the motor speeds that act now."""
         if self._ends_ms is not None and now_ms >= self._ends_ms:
-            self._speeds, self._ends_ms, self._silent = (0, 0), None, True
+            self._speeds = (0, 0)
+            self._ends_ms = None
+            self._silent = True
         return self._speeds
 
     def status(self, now_ms: int) -> Status:
         """Return whether a motor is driven, or stands because its last command ended."""
         running = any(self.wheels(now_ms))
-        return Status.SILENT if self._silent else Status.RUNNING if running else Status(0)
+        if self._silent:
+            return Status.SILENT
+        return Status.RUNNING if running else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the answers since the last call."""
-        answers, self._answers = self._answers, b""
+        answers = self._answers
+        self._answers = b""
         return answers
 
     def set_battery(self, battery_mv: int) -> None:
@@ -77,12 +92,17 @@ class CubeProgram:
 
     def _motor(self, payload: bytes, now_ms: int) -> None:
         try:
-            left, right, duration_ms = decode_motor(payload)
+            command = decode_motor(payload)
         except WireError:
             return
-        left, right = (speed if abs(speed) >= SPEED_MIN else 0 for speed in (left, right))
-        self._speeds, self._silent = (left, right), False
-        self._ends_ms = now_ms + duration_ms if duration_ms else None
+        self._speeds = (_turning(command.left), _turning(command.right))
+        self._silent = False
+        self._ends_ms = now_ms + command.duration_ms if command.duration_ms else None
+
+
+def _turning(speed: int) -> int:
+    """Return the speed at which a motor turns that is set to one."""
+    return speed if abs(speed) >= SPEED_MIN else 0
 
 
 class Connection(RobotRadio):
@@ -101,15 +121,21 @@ class Connection(RobotRadio):
         seed: int,
     ) -> None:
         super().__init__(stage.timeline, port, SPEED, stage.note)
-        self.robot, self.loss, self._robots = robot, loss, robots
-        self._random, self._interval_ns = random.Random(seed), interval_ns
-        self._written, self._noted = list[bytes](), list[tuple[bytes, Any]]()
-        self._witnessing, self._heard_ns = Unpacker(), 0
+        self.robot = robot
+        self.loss = loss
+        self._robots = robots
+        self._random = random.Random(seed)
+        self._interval_ns = interval_ns
+        self._written = list[bytes]()
+        self._noted = list[tuple[bytes, Any]]()
+        self._witnessing = Unpacker()
+        self._heard_ns = 0
         self._timeline.at(self._timeline.now_ns + phase_ns, self._event)
 
     def hear(self, data: bytes) -> None:
         """Take bytes that a program has written; the cube hears them at the next event."""
-        self._written += [data] * (1 + self.doubled)
+        times = 2 if self.doubled else 1
+        self._written += [data] * times
 
     def notify(self, message: bytes, passed: Any) -> None:
         """Pass on a reading of the cube at the next event; `passed` is called then, if it is the
@@ -123,26 +149,34 @@ class Connection(RobotRadio):
         """Do nothing: answers are sent at the connection's events."""
 
     def _event(self) -> None:
-        written, self._written = self._written, []
-        noted, self._noted = self._noted, []
-        chance, now_ns = self._random, self._timeline.now_ns
+        """Pass on what was written to the cube, and what it has answered and read."""
+        written = self._written
+        self._written = []
+        noted = self._noted
+        self._noted = []
+        chance = self._random
+        now_ns = self._timeline.now_ns
         for data in written:
             if chance.random() >= max(self.loss, self.robot.deaf):
                 # a connection keeps the order of what it passes on
                 self._heard_ns = max(self._heard_ns, now_ns + self.late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
         if self.port.fd >= 0 and not self._down and self.robot.powered:
-            kept = [one for one in noted if chance.random() >= self.loss]
-            if data := b"".join(message for message, _ in kept) + self.robot.answer():
+            passed = [note for note in noted if chance.random() >= self.loss]
+            data = b"".join(message for message, _ in passed) + self.robot.answer()
+            if data:
                 self.port.write(data)
-            if kept:  # only the newest reading of an event counts
-                kept[-1][1]()
+            if passed:  # only the newest reading of an event counts
+                _, report = passed[-1]
+                report()
         self._timeline.at(now_ns + self._interval_ns, self._event)
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        left, right, _ = decode_motor(sealed)
-        drives = [robot is self.robot and bool(left or right) for robot in self._robots]
-        return {"flags": RUN if left or right else STOP, "motors": [left, right], "drives": drives}
+        command = decode_motor(sealed)
+        motors = [command.left, command.right]
+        runs = any(motors)
+        drives = [runs and robot is self.robot for robot in self._robots]
+        return {"flags": RUN if runs else STOP, "motors": motors, "drives": drives}
 
     def _witness(self, data: bytes) -> None:
         """Record motor commands as they are written."""

@@ -21,7 +21,11 @@ from tetractl_toio.emulated.side import ConnectedCube
 from tetractl_toio.messages import Characteristic, Reading, encode_reading, pack
 from tetractl_toio.section import ToioCameraSection
 
-LEFT, RIGHT, TOP, BOTTOM = 45, 955, 45, 455  # the print of toio Collection's mat, both sides
+# the print of toio Collection's mat, both sides [units of the mat]
+LEFT = 45
+RIGHT = 955
+TOP = 45
+BOTTOM = 455
 
 
 class MatSettings(Model):
@@ -35,7 +39,9 @@ class Eye:
     """What one cube reads: nothing while `hidden`, the last reading while `frozen`, another place
     while `shift` [mm] is not 0."""
 
-    hidden, frozen, carried = False, False, False
+    hidden = False
+    frozen = False
+    carried = False
     shift: tuple[float, float] = (0.0, 0.0)
     last: Reading | None = None
 
@@ -48,7 +54,8 @@ def _freeze(_: Any, device: Any) -> Undo:
     return together([setting(eye, frozen=True) for eye in device.eyes])
 
 
-SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
+SENT = Visible.SENT
+EXPOSED = Visible.EXPOSED
 FAULTS = (
     fault_kind("no_frames", "No cube reports.", settings(lambda f, d: d, silent=True), SENT),
     fault_kind("freeze", "All cubes report the same again and again.", _freeze, SENT),
@@ -87,10 +94,14 @@ class EmulatedMat:
         self.cubes = [body for body in bodies if isinstance(body, ConnectedCube)]
         if len(self.cubes) != len(bodies):
             raise SpecError("a camera of type toio is emulated with an actuator of type toio only")
-        self.names, self.eyes = stage.setup.names, [Eye() for _ in bodies]
-        self.join, self.silent = stage.wires.ports, False
+        self.names = stage.setup.names
+        self.eyes = [Eye() for _ in bodies]
+        self.join = stage.wires.ports
+        self.silent = False
         self.shown_ns = [0] * len(bodies)
-        self._stage, self._section, self._exposures = stage, section, 0
+        self._stage = stage
+        self._section = section
+        self._exposures = 0
         self._every_ns = ns(settings.notify)
         self._random = Random(stage.options.seed)
 
@@ -111,30 +122,37 @@ class EmulatedMat:
             eye.carried = hidden
 
     def _read(self, i: int) -> None:
-        timeline, cube, eye = self._stage.timeline, self.cubes[i], self.eyes[i]
+        timeline = self._stage.timeline
+        cube = self.cubes[i]
+        eye = self.eyes[i]
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
-        program, last = cube.program, eye.last
-        if (program.notifies or program.asked) and not self.silent:
-            if not eye.frozen:
-                eye.last = self._reading(cube, eye)
-            if last is None is eye.last and not program.asked:
-                return  # that it sees no mat it says once, and when it is asked
-            program.asked = False
-            message = pack(Characteristic.ID, encode_reading(eye.last))
-            seen, at_ns = eye.last is not None, timeline.now_ns
-            cube.connection.notify(message, lambda: self._passed(i, seen, at_ns))
+        program = cube.program
+        last = eye.last
+        if self.silent or not (program.notifies or program.asked):
+            return
+        if not eye.frozen:
+            eye.last = self._reading(cube, eye)
+        sees_mat = eye.last is not None
+        if not sees_mat and last is None and not program.asked:
+            return  # that it sees no mat it says once, and when it is asked
+        program.asked = False
+        message = pack(Characteristic.ID, encode_reading(eye.last))
+        at_ns = timeline.now_ns
+        cube.connection.notify(message, lambda: self._passed(i, sees_mat, at_ns))
 
     def _reading(self, cube: ConnectedCube, eye: Eye) -> Reading | None:
-        x, y = cube.x + eye.shift[0], cube.y + eye.shift[1]
-        origin, unit = self._section.origin, self._section.unit_mm
-        found = placed((x, y, cube.heading), origin, unit)
-        printed = LEFT <= found.x <= RIGHT and TOP <= found.y <= BOTTOM
-        return None if eye.hidden or eye.carried or not printed else found
+        x = cube.x + eye.shift[0]
+        y = cube.y + eye.shift[1]
+        origin = self._section.origin
+        unit = self._section.unit_mm
+        reading = placed((x, y, cube.heading), origin, unit)
+        printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
+        return None if eye.hidden or eye.carried or not printed else reading
 
-    def _passed(self, i: int, seen: bool, at_ns: int) -> None:
+    def _passed(self, i: int, sees_mat: bool, at_ns: int) -> None:
         """Record a report that has been passed on."""
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)
-        if seen and not self.eyes[i].frozen:
+        if sees_mat and not self.eyes[i].frozen:
             self.shown_ns[i] = max(self.shown_ns[i], at_ns)
         self._stage.sent(self._exposures)

@@ -61,7 +61,7 @@ class EmulatedCubes(PortedSide):
 
     Settings: ClassVar[type[Model]] = CubesSettings
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
-        one for one in WHEELED_FAULTS if one.__name__ not in NONE
+        kind for kind in WHEELED_FAULTS if kind.__name__ not in NONE
     )
 
     @classmethod
@@ -72,15 +72,18 @@ class EmulatedCubes(PortedSide):
             drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda s: round(s, 4))
             return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 
-        seen = f"{RADIO}|{SIGHT}"  # a cube tells its pose over the same connection
-        gone = FaultRow("radio unplugged", "unplug", seen)
+        reasons = f"{RADIO}|{SIGHT}"  # a cube tells its pose over the same connection
+        gone = FaultRow("radio unplugged", "unplug", reasons)
         return Rehearsal(rows=[gone], world=world)
 
     def __init__(self, stage: Stage, settings: CubesSettings) -> None:
-        section, names = stage.lab.actuator, stage.setup.names
+        section = stage.lab.actuator
+        names = stage.setup.names
         assert isinstance(section, ToioSection), "the actuator's section has the type toio"
-        own = [entry(section.robots, name) for name in names]
-        if stage.wires.ports is None and not all(one.cube.startswith(SCHEME) for one in own):
+        sections = [entry(section.robots, name) for name in names]
+        if stage.wires.ports is None and not all(
+            robot.cube.startswith(SCHEME) for robot in sections
+        ):
             raise UsageError(
                 "cubes cannot be emulated at a Bluetooth adapter",
                 hint=f"name them {SCHEME}127.0.0.1:9801 and so on, in camera and actuator",
@@ -91,13 +94,15 @@ class EmulatedCubes(PortedSide):
             for i, (name, true) in enumerate(zip(names, trues, strict=True))
         ]
         gains = gains_of(section.robots, names)
-        radii = np.array([one.radius_mm for one in own])
+        radii = np.array([robot.radius_mm for robot in sections])
         self.roll(stage, trues, gains, radii, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)
         self.radios = []
-        for i, (cube, one) in enumerate(zip(self.robots, own, strict=True)):
-            port, phase = stage.wires.port(one.cube), ns(settings.interval * i / len(own))
-            timing, seed = (interval, phase, settings.loss), stage.options.seed + i
+        for i, (cube, robot) in enumerate(zip(self.robots, sections, strict=True)):
+            port = stage.wires.port(robot.cube)
+            phase = ns(settings.interval * i / len(sections))
+            timing = (interval, phase, settings.loss)
+            seed = stage.options.seed + i
             cube.connection = Connection(stage, port, cube, self.robots, *timing, seed)
             self.radios.append(cube.connection)
 

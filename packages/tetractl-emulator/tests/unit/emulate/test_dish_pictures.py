@@ -12,7 +12,8 @@ PLAIN = PictureLook(width=160, height=120, vignetting=0.0, noise=0.0)
 
 def drawn(look, seed=1, **values):
     cells = Swimmers.drawn(np.random.default_rng(seed), 1)
-    cells.x[:], cells.y[:] = 180.0, 130.0
+    cells.x[:] = 180.0
+    cells.y[:] = 130.0
     for name, value in values.items():
         getattr(cells, name)[:] = value
     body = bodies(cells)
@@ -33,7 +34,8 @@ def test_the_middle_and_the_axis_of_a_body_are_where_they_are_said_to_be(bright,
     mass = ink.sum()
     middle = (x * ink).sum() / mass, (y * ink).sum() / mass
     assert middle == pytest.approx((body.x[0], body.y[0]), abs=0.4)
-    dx, dy = x - middle[0], y - middle[1]
+    dx = x - middle[0]
+    dy = y - middle[1]
     cross = 2 * (ink * dx * dy).sum(), (ink * (dx**2 - dy**2)).sum()
     off = np.arctan2(*cross) / 2 - body.axis[0]
     assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.03

@@ -70,7 +70,8 @@ def shipped():
 
 def state(lab):
     """All that a fault may change: of the camera's side, of the radio or the driver, of robots."""
-    camera, actuator = lab.camera, lab.actuator
+    camera = lab.camera
+    actuator = lab.actuator
     parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else [camera.swapped]
     if hasattr(camera, "trouble"):
         parts += [camera.trouble, camera.clock, camera.view]
@@ -115,7 +116,8 @@ def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault):
 @pytest.mark.parametrize("text", MICROSCOPE)
 def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
     pytest.importorskip("cv2")
-    side, many = EXAMPLES / "tetrahymena_dish.yaml", f"faults: [{{fault: {text}}}]"
+    side = EXAMPLES / "tetrahymena_dish.yaml"
+    many = f"faults: [{{fault: {text}}}]"
     with virtual_lab(tmp_path, spec=side, script=many) as lab:
         camera, (fault,) = lab.emulation.camera, lab.emulation.injector.faults
         stream = camera.camera
@@ -137,7 +139,8 @@ def test_pictures_are_late_lost_or_doubled_and_what_is_shown_is_known(tmp_path):
     faults = "{fault: late_pictures, since: start, at: 1, by: 0.2}"
     lost = "{fault: bad_pictures, since: start, at: 2, share: 1, how: lost}"
     with virtual_lab(tmp_path, spec=APRILTAG_SPEC, script=f"faults: [{faults}, {lost}]") as lab:
-        camera, clock = lab.emulation.camera, lab.clock
+        camera = lab.emulation.camera
+        clock = lab.clock
         latency_s = camera.camera.latency_ns / SECOND
         camera.join(lambda jpeg: came.append(clock.now() / SECOND))
         ages = []
@@ -194,7 +197,8 @@ def open_files():
 def test_a_fault_is_over_after_its_time(tmp_path):
     script = "faults: [{fault: untracked, robot: green, since: start, at: 0.1, for: 0.2}]"
     with virtual_lab(tmp_path, script=script) as lab:
-        body, tracked = lab.emulation.camera.tracked_body("green"), []
+        body = lab.emulation.camera.tracked_body("green")
+        tracked = []
         for tenth in range(5):
             lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
             tracked.append(body.tracked)
@@ -202,7 +206,8 @@ def test_a_fault_is_over_after_its_time(tmp_path):
 
 
 def test_a_fault_is_told_with_the_first_frame_that_was_exposed_during_it():
-    told, timeline = [], Timeline(lambda until_ns: None)
+    told = []
+    timeline = Timeline(lambda until_ns: None)
     hidden = fault_kind("hidden", "A fault.", lambda *_: lambda: None, Visible.EXPOSED)
     faults = (hidden(fault="hidden", since="start"),)
     injector = Injector(timeline, faults, lambda _: None, lambda phase, _: told.append(phase))
@@ -226,7 +231,8 @@ def test_nothing_is_left_open(tmp_path):
 
 
 class Thing:
-    value, other = 0, 0
+    value = 0
+    other = 0
 
 
 @pytest.mark.parametrize(
@@ -234,7 +240,8 @@ class Thing:
 )
 def test_what_faults_set_remains_until_each_has_ended(order):
     """Regression: a body that was tipped for a second hid for that second that it was untracked."""
-    thing, running = Thing(), {n: n + 1 for n in range(3)}
+    thing = Thing()
+    running = {n: n + 1 for n in range(3)}
     ends = [setting(thing, value=n + 1) for n in range(3)]
     for n in order:
         ends[n]()
@@ -244,7 +251,8 @@ def test_what_faults_set_remains_until_each_has_ended(order):
 
 def test_faults_that_set_other_values_do_not_meet():
     thing = Thing()
-    first, second = setting(thing, value=1), setting(thing, other=2)
+    first = setting(thing, value=1)
+    second = setting(thing, other=2)
     first()
     assert (thing.value, thing.other) == (0, 2)
     second()

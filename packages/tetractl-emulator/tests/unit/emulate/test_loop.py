@@ -7,7 +7,8 @@ from tetractl_emulator.loop import Loop, Timeline
 
 @given(st.lists(st.integers(0, 100), max_size=30), st.integers(0, 120))
 def test_events_happen_in_order_at_their_times(times, until):
-    moved, happened = [], []
+    moved = []
+    happened = []
     timeline = Timeline(moved.append)
     for number, when in enumerate(times):
         timeline.at(when, lambda n=number: happened.append((timeline.now_ns, n)))

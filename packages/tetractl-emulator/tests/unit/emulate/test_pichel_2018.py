@@ -19,7 +19,9 @@ def made(rng, slope, count=204):
 
 
 def test_the_interval_holds_the_slope_put_in():
-    rng, held, widths = np.random.default_rng(1), 0, []
+    rng = np.random.default_rng(1)
+    held = 0
+    widths = []
     for _ in range(200):
         slope = rng.uniform(0.5, 1.0)
         middle, low, high = fitted(*made(rng, slope))

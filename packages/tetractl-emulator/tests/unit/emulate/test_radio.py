@@ -35,7 +35,8 @@ def opened(tmp_path):
 
 def ask(lab, port, content):
     """Send a frame; return the one that comes."""
-    decoder, got = Decoder(), []
+    decoder = Decoder()
+    got = []
     port.write(encode(content))
 
     def enough():
@@ -77,7 +78,8 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
 
 def test_an_answer_keeps_the_air_until_it_is_acknowledged(opened):
     lab, _ = opened()
-    radio, arrived = lab.actuator.radio, []
+    radio = lab.actuator.radio
+    arrived = []
     radio._answer = lambda data: arrived.append(lab.timeline.now_ns)
     for _ in range(2):
         radio._reply(bytes(13))
@@ -110,7 +112,8 @@ def test_a_name_left_by_a_killed_emulation_is_taken_over_if_its_number_is_used_a
 
 
 def test_a_name_that_an_emulation_uses_is_refused(tmp_path):
-    first, second = PseudoPort(tmp_path / "radio"), PseudoPort(tmp_path / "radio")
+    first = PseudoPort(tmp_path / "radio")
+    second = PseudoPort(tmp_path / "radio")
     first.plug()
     try:
         with pytest.raises(UsageError, match="exists already"):

@@ -50,7 +50,9 @@ def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
 
 @given(st.lists(st.integers(1, 400 * MS), min_size=1, max_size=6), st.integers(-127, 127))
 def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, left):
-    watched, alone, now = robot(), robot(), 0
+    watched = robot()
+    alone = robot()
+    now = 0
     for k, gap in enumerate(gaps):  # 250 ms after a command, the watchdog stops the robots
         for one in (watched, alone):
             one.hear(frame(k + 1, (left, 60)))

@@ -26,12 +26,14 @@ class Module:
     """The other end of a port in memory: answers AT commands, keeps what is to be sent."""
 
     def __init__(self, answers=SERIES_1, respond=lambda frame: []):
-        self.name, self.clock = "radio", LabClock()
+        self.name = "radio"
+        self.clock = LabClock()
         self.wires = memory_wires(self.clock)
         self.port = self.wires.port(self.name)
         self.port.plug()
         self.port.written = self._hear
-        self.answers, self.respond = answers, respond
+        self.answers = answers
+        self.respond = respond
         self.decoder = Decoder()
         self.sent = []
 
@@ -91,7 +93,8 @@ class Sleepy(Module):
 
     def __init__(self, wakes_after):
         super().__init__()
-        self.wakes_after, self.held = wakes_after, []
+        self.wakes_after = wakes_after
+        self.held = []
 
     def say(self, frame):
         self.held.append(frame)
@@ -128,7 +131,8 @@ def test_a_broadcast_puts_every_robot_at_its_number():
 
 def test_an_answer_to_an_earlier_request_is_none_to_the_next():
     """A module that answers each request only after the next one."""
-    radio, heard = Module(), []
+    radio = Module()
+    heard = []
     link = radio.opened()
 
     def late():

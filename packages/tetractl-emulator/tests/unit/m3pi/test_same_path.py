@@ -45,7 +45,8 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     known_zone = trains[wheel_kernel.DEAD_ZONE]
     known = replace(true, gain=known_gain, dead_zone=known_zone)
     sent = iter(commands)
-    command, differences = next(sent), []
+    command = next(sent)
+    differences = []
     for number, sample in enumerate(samples):
         while command is not None and command.sent_ns <= sample.observation.sampled_ns:
             fleet.advance(command.sent_ns)

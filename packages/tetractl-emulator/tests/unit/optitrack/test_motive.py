@@ -24,7 +24,8 @@ class Client:
     """A bare NatNet client on one socket."""
 
     def __init__(self, lab):
-        self.motive, self.clock = lab.emulation.camera, lab.clock
+        self.motive = lab.emulation.camera
+        self.clock = lab.clock
         self.socket = lab.emulation.wires.bound("127.0.0.1", 0)
 
     def send(self, data):
@@ -51,7 +52,8 @@ def client(tmp_path):
 
 
 def test_unicast_clients_time_out_and_are_kept_alive(client):
-    motive, clock = client.motive, client.clock
+    motive = client.motive
+    clock = client.clock
     for _ in range(2):
         client.send(natnet.Connect())
         assert client.comes(natnet.ServerInfo)

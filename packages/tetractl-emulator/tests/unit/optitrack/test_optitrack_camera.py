@@ -85,7 +85,8 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
 @pytest.mark.parametrize("which", ["command", "data"])
 def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(tmp_path, which):
     with motive(tmp_path) as (lab, camera, clock), camera:
-        model, info = camera.stream.model, camera.stream.info
+        model = camera.stream.model
+        info = camera.stream.info
         offset = camera.stream.sync.to_host(0)
         sender = getattr(lab.camera, which)
         forged = (

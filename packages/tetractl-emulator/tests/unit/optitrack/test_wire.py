@@ -15,7 +15,8 @@ from tetractl.lab.cameras.optitrack.wire import datagram, number_in, pack, parse
 pytestmark = pytest.mark.slow
 
 EMPTY = natnet.NatNetFrame(1, ())
-V30, V41 = natnet.Version(3, 0), natnet.Version(4, 1)
+V30 = natnet.Version(3, 0)
+V41 = natnet.Version(4, 1)
 f32 = st.floats(width=32, allow_nan=False)
 i32 = st.integers(-(2**31), 2**31 - 1)
 u16, u64 = (st.integers(0, 2**bits - 1) for bits in (16, 64))

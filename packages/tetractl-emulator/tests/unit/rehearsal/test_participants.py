@@ -40,7 +40,8 @@ def test_days_of_cells_and_of_pictures_are_valid_scripts(name):
     """Every row is drawn; a dish from which trials choose has its own cells."""
     loaded = parse_spec(APRILTAG_SPEC, "lab.yaml")
     loaded = loaded if name == "tags" else load_spec(EXAMPLES / f"{name}.yaml")
-    lab, setup = loaded.experiment.lab, loaded.experiment.setup
+    lab = loaded.experiment.lab
+    setup = loaded.experiment.setup
     drawn = rehearsal_of(lab, setup, loaded.experiment.open)
     met = set()
     for day in range(400):

@@ -42,7 +42,10 @@ def test_every_tenth_day_is_a_valid_script():
 
 
 def test_every_fault_is_drawn_often_and_its_strongest_lasts():
-    random, counts, met, strong = Random(1), Counter(), Counter(), Counter()
+    random = Random(1)
+    counts = Counter()
+    met = Counter()
+    strong = Counter()
     for _ in range(20_000):
         faults = faults_of_day(random, NAMES)
         counts[len(faults)] += 1

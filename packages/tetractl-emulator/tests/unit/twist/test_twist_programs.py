@@ -27,7 +27,8 @@ needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C co
 @contextmanager
 def programs(**modules):
     """The folder of MicroPython programs on the path, with modules that only a robot has."""
-    folder, names = str(FOLDER / "micropython"), ["twist", "run_vectors", "main", *modules]
+    folder = str(FOLDER / "micropython")
+    names = ["twist", "run_vectors", "main", *modules]
     before = {name: sys.modules.pop(name, None) for name in names}
     sys.modules.update(modules)
     sys.path.insert(0, folder)
@@ -91,7 +92,8 @@ def test_the_programs_pass_their_tests_on_other_processors(everywhere, target, p
 
 def damaged(rng):
     """A line that is often a command, sometimes nearly one."""
-    count, kind = rng.randint(0, 4), rng.choice("TWTWS")
+    count = rng.randint(0, 4)
+    kind = rng.choice("TWTWS")
     numbers = [rng.randint(0, 260), rng.randint(0, 8)]
     for _ in range(count):
         numbers += [rng.randint(0, 33), rng.randint(-5100, 5100), rng.randint(-51_000, 51_000)]
@@ -111,13 +113,16 @@ def damaged(rng):
 
 @needs_compiler
 def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
-    rng, library = random.Random(3), firmware.load("twist", tmp_path)
+    rng = random.Random(3)
+    library = firmware.load("twist", tmp_path)
     seen = dict.fromkeys(CoreEvent, 0)
     with programs():
         from twist import Twist
 
         for _ in range(3000):
-            line, robot, core = damaged(rng), Twist(1, 43), TwistCore(1, 43, library)
+            line = damaged(rng)
+            robot = Twist(1, 43)
+            core = TwistCore(1, 43, library)
             events = core.push(line + b"\n", 0)
             robot.push(line + b"\n", 0)
             for event in events:
@@ -143,9 +148,16 @@ class Bench:
     run at a share of the speed that their duty stands for."""
 
     def __init__(self, steps, lines, share=0.8, battery_mv=5000, reset=0):
-        self.steps, self.lines, self.share, self.reset = steps, dict(lines), share, reset
-        self.now, self.speeds, self.counts, self.sent = 0, (0.0, 0.0), [0.0, 0.0], b""
-        self.path, self.fed = [], 0
+        self.steps = steps
+        self.lines = dict(lines)
+        self.share = share
+        self.reset = reset
+        self.now = 0
+        self.speeds = (0.0, 0.0)
+        self.counts = [0.0, 0.0]
+        self.sent = b""
+        self.path = []
+        self.fed = 0
         self.battery_mv = battery_mv
 
     def sleep_ms(self, ms):
@@ -171,10 +183,13 @@ class Bench:
         machine, time, pololu = (
             ModuleType(n) for n in ("machine", "time", "pololu_3pi_2040_robot")
         )
-        machine.UART, machine.Pin = lambda *_, **__: radio, lambda number: number
-        machine.WDT, machine.WDT_RESET = lambda timeout: SimpleNamespace(feed=feed), 3
+        machine.UART = lambda *_, **__: radio
+        machine.Pin = lambda number: number
+        machine.WDT = lambda timeout: SimpleNamespace(feed=feed)
+        machine.WDT_RESET = 3
         machine.reset_cause = lambda: self.reset
-        time.sleep_ms, time.ticks_ms = self.sleep_ms, lambda: self.now
+        time.sleep_ms = self.sleep_ms
+        time.ticks_ms = lambda: self.now
         time.ticks_diff = lambda now, before: now - before
         pololu.robot = SimpleNamespace(
             Motors=lambda: SimpleNamespace(set_speeds=self.drive),
@@ -211,7 +226,9 @@ def test_a_robot_drives_at_its_speed_and_stops_by_its_watchdog():
     sent = lines(*[(at, Flag.RUN, ((0, 150, -75),)) for at in range(20, 1000, 25)])
     bench = Bench(1600, sent)
     play(bench)
-    settled, last = bench.path[400:990], max(sent)  # single steps jitter by a count of the encoder
+    # single steps jitter by a count of the encoder
+    settled = bench.path[400:990]
+    last = max(sent)
     left, right = (sum(side) / len(settled) for side in zip(*settled, strict=True))
     assert (left, right) == (pytest.approx(150, abs=4), pytest.approx(-75, abs=4))
     stopped = next(i for i, speeds in enumerate(bench.path) if i > last and speeds == (0, 0))

@@ -66,32 +66,37 @@ class Optics:
         centres = np.array([tag.at for tag in floor]) * metres
         # from the centre of the largest card to its corner, rounded up [m]
         around = 0.75 * max(tag.size_mm for tag in floor) * MM
-        low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
+        low = centres.min(axis=0) - around
+        high = centres.max(axis=0) + around
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
         x, y = ((low + high) / 2).tolist()
-        made = cls(width, height, width / VIEW, (x, y, 0.0), (x, y, 0.0))
+        camera = cls(width, height, width / VIEW, (x, y, 0.0), (x, y, 0.0))
         for distance in (np.geomspace(0.05, 100.0, 800) * np.hypot(*(high - low))).tolist():
-            at = (x, y - distance * math.sin(tilt), distance * math.cos(tilt))
-            made = replace(made, position=at)
-            if (np.ptp(made.project(corners), axis=0) < (0.96 * width, 0.96 * height)).all():
-                return made.centred(corners)
+            position = (x, y - distance * math.sin(tilt), distance * math.cos(tilt))
+            camera = replace(camera, position=position)
+            if (np.ptp(camera.project(corners), axis=0) < (0.96 * width, 0.96 * height)).all():
+                return camera.centred(corners)
         raise ValueError("the camera cannot see all floor tags in one picture")
 
     def centred(self, corners: Floats) -> Self:
         """Return the camera turned so that `corners` (M, 3) [m] lie around the picture's middle."""
-        made, at = self, np.array(self.position)
+        camera = self
+        position = np.array(self.position)
         for _ in range(8):
-            pixels = made.project(corners)
-            off = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - made.matrix[:2, 2]
-            ray = np.append(off / made.focal_px, 1.0) @ made.axes
-            x, y, _ = (at - ray * at[2] / ray[2]).tolist()  # where the ray meets the floor
-            made = replace(made, target=(x, y, 0.0))
-        return made
+            pixels = camera.project(corners)
+            off = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - camera.matrix[:2, 2]
+            ray = np.append(off / camera.focal_px, 1.0) @ camera.axes
+            x, y, _ = (
+                position - ray * position[2] / ray[2]
+            ).tolist()  # where the ray meets the floor
+            camera = replace(camera, target=(x, y, 0.0))
+        return camera
 
     @property
     def matrix(self) -> Floats:
         """The intrinsic matrix K, (3, 3); pixel centres are at whole numbers."""
-        across, down = (self.width - 1) / 2, (self.height - 1) / 2
+        across = (self.width - 1) / 2
+        down = (self.height - 1) / 2
         return np.array([[self.focal_px, 0, across], [0, self.focal_px, down], [0, 0, 1]])
 
     @property
@@ -107,11 +112,14 @@ class Optics:
 
     def project(self, points: Floats) -> Floats:
         """Return the pixels (M, 2) of points (M, 3) [m], before distortion."""
-        seen = (points - np.array(self.position)) @ self.axes.T
-        return (seen[:, :2] / seen[:, 2:]) * self.focal_px + self.matrix[:2, 2]
+        in_camera = (points - np.array(self.position)) @ self.axes.T
+        return (in_camera[:, :2] / in_camera[:, 2:]) * self.focal_px + self.matrix[:2, 2]
 
 
-FLOOR, WHITE, BLACK = 150.0, 225.0, 25.0  # grey levels at gain 1
+# grey levels at gain 1
+FLOOR = 150.0
+WHITE = 225.0
+BLACK = 25.0
 MODULE_PX = 16  # side of a tag's module in its texture [px]
 CARD = MODULES + 2  # side of a printed tag in modules, including the white margin
 FINE = 4  # sub-pixels along a pixel's side: a pixel is the mean over its area
@@ -149,7 +157,7 @@ class Renderer:
         for i, robot in enumerate(self.robots):
             if robot.tag in self.hidden:
                 continue
-            corners = [self.card(robot, each, i) for each in poses]
+            corners = [self.card(robot, moment_poses, i) for moment_poses in poses]
             still = np.ptp(corners, axis=0).max() < 0.05
             self._stamp(canvas, texture(robot.tag), corners[:1] if still else corners)
         for stray in self.strays:
@@ -165,12 +173,13 @@ class Renderer:
         return self._card((poses.x[i], poses.y[i]), robot.height_mm, heading, robot.size_mm)
 
     def _card(
-        self, at: tuple[float, float], height_mm: float, heading: float, side_mm: float
+        self, position: tuple[float, float], height_mm: float, heading: float, side_mm: float
     ) -> Floats:
         half = side_mm * MM * CARD / MODULES / 2
         square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
-        cos, sin = math.cos(heading), math.sin(heading)
-        flat = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(at)
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        flat = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(position)
         return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
@@ -200,8 +209,8 @@ class Renderer:
         side = len(texture)
         source = np.array([(0, 0), (side, 0), (side, side), (0, side)], np.float32) - 0.5
         ink = np.zeros((down, across, 2), np.float32)
-        for each in exposures:
-            fine = (each - low + 0.5) * FINE - 0.5
+        for exposed in exposures:
+            fine = (exposed - low + 0.5) * FINE - 0.5
             turn = cv2.getPerspectiveTransform(source, fine.astype(np.float32))
             drawn = cv2.warpPerspective(texture, turn, (across * FINE, down * FINE))
             ink += cv2.resize(drawn, (across, down), interpolation=cv2.INTER_AREA)
@@ -287,7 +296,8 @@ class EmulatedAprilTag(StreamedCamera):
         super().__init__(stage, settings)
         section = stage.lab.camera
         assert isinstance(section, AprilTagSection), "the camera's section has the type apriltag"
-        self._bodies, self._section = bodies, section
+        self._bodies = bodies
+        self._section = section
         metres = stage.setup.metres
         optics = replace(
             Optics.facing(section.floor, metres, settings.width, settings.height),

@@ -53,9 +53,13 @@ class Dish:
         seed: int,
         walls: Bounds | None = None,
     ) -> None:
-        self.driver, self.coils, self.cells = driver, coils, cells
-        self.held, self.steered = True, False
-        self._walls, self._reference_mt = walls, reference_mt
+        self.driver = driver
+        self.coils = coils
+        self.cells = cells
+        self.held = True
+        self.steered = False
+        self._walls = walls
+        self._reference_mt = reference_mt
         self._random = np.random.default_rng(seed)
         self._now_ns = self._swum_ns = start_ns
         self.drop()
@@ -64,14 +68,16 @@ class Dish:
         """Scatter the cells around the middle of the dish, like a fresh drop from a pipette; do
         nothing in a dish without edges.
         """
-        if (walls := self._walls) is None:
+        walls = self._walls
+        if walls is None:
             return
-        count, random = len(self.cells), self._random
-        for at, low, size in (
+        count = len(self.cells)
+        random = self._random
+        for positions, low, size in (
             (self.cells.x, walls.left, walls.width),
             (self.cells.y, walls.bottom, walls.height),
         ):
-            at[:] = low + size * random.uniform(0.5 - DROP, 0.5 + DROP, count)
+            positions[:] = low + size * random.uniform(0.5 - DROP, 0.5 + DROP, count)
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
@@ -110,7 +116,9 @@ class CellBody:
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:
-        self.name, self.dish, self.row = name, dish, row
+        self.name = name
+        self.dish = dish
+        self.row = row
 
     @property
     def x(self) -> float:
@@ -134,8 +142,11 @@ class CellBody:
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the cell at a pose [mm, rad], where it stays if the dish's cells are `held`."""
-        cells, row = self.dish.cells, self.row
-        cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
+        cells = self.dish.cells
+        row = self.row
+        cells.x[row] = x * UM_MM
+        cells.y[row] = y * UM_MM
+        cells.heading[row] = heading
         cells.resting[row] = self.dish.held
 
 
@@ -144,8 +155,10 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
     random walk `walk` of the heading [rad/sqrt(s)]; other properties are drawn at random.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
-    cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
-    cells.bias[:], cells.walk[:] = 0.0, walk
+    cells.a = setup.a.copy()
+    cells.speed = setup.speed * setup.metres * 1e6
+    cells.bias[:] = 0.0
+    cells.walk[:] = walk
     return cells
 
 

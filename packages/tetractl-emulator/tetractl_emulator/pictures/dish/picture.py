@@ -129,10 +129,12 @@ class DishPainter:
 
     def change(self, **values: Any) -> None:
         """Give the named fields of `look` new values."""
-        self.look, self._still, self._shade = replace(self.look, **values), None, None
+        self.look = replace(self.look, **values)
+        self._still = None
+        self._shade = None
 
     def picture(
-        self, cells: Swimmers, moments: Sequence[Bodies], shown: Bools, seconds: float
+        self, cells: Swimmers, moments: Sequence[Bodies], is_shown: Bools, seconds: float
     ) -> Grey:
         """Return a grey picture (height, width) of N `cells`, taken at a time [s].
 
@@ -149,7 +151,7 @@ class DishPainter:
                     y=speck.y + speck.drift[1] * seconds,
                 )
                 self._draw_speck(ink, moved)
-        for i in np.flatnonzero(shown):
+        for i in np.flatnonzero(is_shown):
             self._draw_cell(ink, cells, moments, int(i))
         light = 1 + look.light_drift * seconds
         light *= 1 + look.flicker * math.sin(2 * math.pi * 100 * seconds + 0.3)
@@ -184,7 +186,8 @@ class DishPainter:
     def _pixels(self, x: float, y: float) -> tuple[float, float]:
         """Return the column and row of a position [um]."""
         look = self.look
-        across, up = x - look.corner_um[0], y - look.corner_um[1]
+        across = x - look.corner_um[0]
+        up = y - look.corner_um[1]
         return across / look.um_px - 0.5, look.height - 0.5 - up / look.um_px
 
     def _patch(
@@ -194,11 +197,10 @@ class DishPainter:
         (upwards) of their pixels relative to the position [px]; None outside the picture.
         """
         column, row = self._pixels(x, y)
-        left, right = (
-            max(0, int(column - reach_px)),
-            min(self.look.width, int(column + reach_px) + 2),
-        )
-        top, bottom = max(0, int(row - reach_px)), min(self.look.height, int(row + reach_px) + 2)
+        left = max(0, int(column - reach_px))
+        right = min(self.look.width, int(column + reach_px) + 2)
+        top = max(0, int(row - reach_px))
+        bottom = min(self.look.height, int(row + reach_px) + 2)
         if left >= right or top >= bottom:
             return None
         across = np.arange(left, right, dtype=float) - column
@@ -211,8 +213,10 @@ class DishPainter:
         if patch is None:
             return
         where, across, up = patch
-        cos, sin = math.cos(speck.turn), math.sin(speck.turn)
-        along, aside = across * cos + up * sin, up * cos - across * sin
+        cos = math.cos(speck.turn)
+        sin = math.sin(speck.turn)
+        along = across * cos + up * sin
+        aside = up * cos - across * sin
         radius = np.hypot(along / speck.stretch, aside) - half
         if speck.rim:  # bright, even if the cells are dark
             sign = 0.8 if self.look.bright else -0.8
@@ -224,7 +228,8 @@ class DishPainter:
     def _draw_cell(self, ink: Shades, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
         scale = self.look.um_px
         middle = moments[len(moments) // 2]
-        half_long, half_wide = cells.length[i] / 2 / scale, cells.width[i] / 2 / scale
+        half_long = cells.length[i] / 2 / scale
+        half_wide = cells.width[i] / 2 / scale
         defocus = SPREAD * abs(middle.height[i] - self.look.focus_um) / scale
         soft = math.hypot(LENS_PX, defocus)
         patch = self._patch(middle.x[i], middle.y[i], half_long + 3 * soft + 6)
@@ -233,7 +238,8 @@ class DishPainter:
         where, across, up = patch
         drawn = np.zeros((up.size, across.size))
         for body in moments:
-            cos, sin = math.cos(body.axis[i]), math.sin(body.axis[i])
+            cos = math.cos(body.axis[i])
+            sin = math.sin(body.axis[i])
             long = math.hypot(
                 half_long * math.cos(body.tilt[i]), half_wide * math.sin(body.tilt[i])
             )

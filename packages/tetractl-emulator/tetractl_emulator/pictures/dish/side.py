@@ -146,7 +146,8 @@ class EmulatedMicroscope(StreamedCamera):
             )
         self._dish = cells[0].dish
         self._dish.held = False  # the camera would not recognise a cell that does not swim
-        um, arena = stage.setup.metres * 1e6, stage.setup.arena
+        um = stage.setup.metres * 1e6
+        arena = stage.setup.arena
         corner = section.corner[0] * um, section.corner[1] * um
         sides = (  # the same margin beyond the arena as at the lower left
             (arena.right + arena.left) * um - 2 * corner[0],
@@ -170,7 +171,8 @@ class EmulatedMicroscope(StreamedCamera):
             self.seed,
         )
         self._bodies = cells
-        self.hidden, self._mirrored = set[str](), settings.mirrored  # names of cells
+        self.hidden = set[str]()  # names of cells
+        self._mirrored = settings.mirrored
 
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
@@ -188,18 +190,18 @@ class EmulatedMicroscope(StreamedCamera):
         return [body.name not in self.hidden for body in self._bodies]
 
     def _scene(self) -> Floats:
-        seen = bodies(self._dish.cells)
-        return np.array([seen.x, seen.y, seen.height, seen.axis, seen.tilt])
+        scene = bodies(self._dish.cells)
+        return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
     def _draw(self, exposed_ns: int) -> Grey:
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
         # a cell divided during the exposure appears in the next picture
-        there = min(len(moment.x) for moment in moments)
-        moments = [Bodies(*(part[:there] for part in astuple(moment))) for moment in moments]
-        cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < there)
-        shown = np.ones(there, bool)
-        shown[: len(self._bodies)] = self._visible_now()
-        picture = self.painter.picture(cells, moments, shown, exposed_ns / SECOND)
+        count = min(len(moment.x) for moment in moments)
+        moments = [Bodies(*(part[:count] for part in astuple(moment))) for moment in moments]
+        cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < count)
+        is_shown = np.ones(count, bool)
+        is_shown[: len(self._bodies)] = self._visible_now()
+        picture = self.painter.picture(cells, moments, is_shown, exposed_ns / SECOND)
         return picture[:, ::-1] if self._mirrored else picture

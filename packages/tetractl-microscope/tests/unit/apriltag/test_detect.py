@@ -48,7 +48,9 @@ def truth(renderer, i):
 
 @pytest.mark.parametrize(("size", "bound"), [(SMALL, 0.2), (LARGE, 0.1)])
 def test_corners_are_found_within_a_fraction_of_a_pixel(size, bound):
-    detector, renderer, off = Detector(), rendered(size), []
+    detector = Detector()
+    renderer = rendered(size)
+    off = []
     for _ in range(10):
         found = {each.tag: each for each in detector.find(renderer.picture(lambda t: STANDING, 0))}
         off += [found[robot.tag].corners - truth(renderer, i) for i, robot in enumerate(ROBOTS)]

@@ -58,7 +58,8 @@ def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
         y = STANDING.y + t * speed * np.sin(STANDING.heading)
         return Poses(x, y, STANDING.heading + 2.0 * t)
 
-    mine, distances = tracker(), []
+    mine = tracker()
+    distances = []
     for k in range(10):
         at = k * 33_000_000
         seen = mine.see(renderer.picture(moving, at))
@@ -78,7 +79,8 @@ def test_the_height_of_the_tags_is_accounted_for():
 def test_straight_down_a_known_focal_length_is_needed():
     renderer = rendered(LARGE, facing=OVERHEAD)
     lens = {"focal_px": renderer.optics.focal_px}
-    blind, known = tracker(), tracker(lens=lens)
+    blind = tracker()
+    known = tracker(lens=lens)
     guessed, _, _ = errors(blind, renderer, pictures=5)
     right, _, _ = errors(known, renderer, pictures=5)
     assert np.median(right) < 0.3
@@ -88,7 +90,8 @@ def test_straight_down_a_known_focal_length_is_needed():
 
 
 def test_tilted_the_focal_length_is_found():
-    renderer, mine = rendered(LARGE), tracker()
+    renderer = rendered(LARGE)
+    mine = tracker()
     look(mine, renderer, times=8)
     assert mine.floor.plane.focal_px == pytest.approx(renderer.optics.focal_px, rel=0.005)
     assert mine.floor.plane.doubt_mm < 1.5
@@ -106,7 +109,8 @@ def test_a_calibrated_lens_is_straightened():
 
 @pytest.mark.parametrize("bend", [-0.2, 0.05])
 def test_the_bend_of_a_simple_lens_is_found_from_the_floor(bend):
-    renderer, mine = rendered(LARGE, distortion=(bend, 0.0, 0.0, 0.0)), tracker()
+    renderer = rendered(LARGE, distortion=(bend, 0.0, 0.0, 0.0))
+    mine = tracker()
     right, _, _ = errors(mine, renderer, pictures=10)
     assert np.median(right) < 0.5
     assert mine.floor.plane.distortion[0] == pytest.approx(bend, abs=0.02)
@@ -116,7 +120,8 @@ def test_the_bend_of_a_simple_lens_is_found_from_the_floor(bend):
 
 
 def test_nothing_is_tracked_before_all_floor_tags_were_seen_at_once():
-    mine, renderer = tracker(), rendered()
+    mine = tracker()
+    renderer = rendered()
     renderer.hidden = {102}
     assert look(mine, renderer).poses == (None, None, None)
     renderer.hidden = {101}
@@ -130,7 +135,8 @@ def test_nothing_is_tracked_before_all_floor_tags_were_seen_at_once():
 
 
 def test_a_camera_that_is_moved_is_calibrated_again_but_not_by_part_of_the_floor():
-    mine, renderer = tracker(), rendered()
+    mine = tracker()
+    renderer = rendered()
     look(mine, renderer, times=3)
     x, y, z = renderer.optics.position
     moved = rendered(position=(x + 0.1, y, z))
@@ -149,7 +155,8 @@ def test_a_floor_that_does_not_fit_the_spec_is_not_used():
 
 
 def test_a_number_seen_twice_is_no_robot_and_no_stranger():
-    mine, renderer = tracker(), rendered()
+    mine = tracker()
+    renderer = rendered()
     renderer.strays = [FloorTag(tag=0, at=(1900, 900), size_mm=100)]
     seen = look(mine, renderer)
     assert seen.poses[0] is None
@@ -159,7 +166,8 @@ def test_a_number_seen_twice_is_no_robot_and_no_stranger():
 
 
 def test_unknown_tags_are_strangers():
-    mine, renderer = tracker(), rendered()
+    mine = tracker()
+    renderer = rendered()
     renderer.strays = [FloorTag(tag=55, at=(1900, 900), size_mm=100, heading=1.0)]
     (stranger,) = look(mine, renderer).strangers
     assert (stranger.x, stranger.y) == pytest.approx((1900, 900), abs=2.0)

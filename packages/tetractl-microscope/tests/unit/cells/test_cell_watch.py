@@ -76,7 +76,9 @@ def test_the_most_similar_free_cell_replaces_a_lost_one(cells, number):
 
 
 def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
-    lab, sure, waiting = fake_lab(SETUP, LabLimits(identity=1.0)), [1.0, 1.0, 1.0], deque()
+    lab = fake_lab(SETUP, LabLimits(identity=1.0))
+    sure = [1.0, 1.0, 1.0]
+    waiting = deque()
     frames = lab.camera.frames
 
     def filmed():
@@ -86,7 +88,8 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
 
     lab.camera.frames = filmed
     lab.camera.watch = lambda setup, limits: CellWatch(Dish(), waiting, setup, limits.identity)
-    plant, notes = lab.plant, []
+    plant = lab.plant
+    notes = []
     plant.open()
     with pytest.raises(AbortError, match="for 1 s it has not been known which cell is blue"):
         for k in range(10):

@@ -9,7 +9,8 @@ from tetractl_microscope.cells.detect_cells import BlobFinder
 
 pytestmark = pytest.mark.slow
 
-SIDE, LIGHT = 320, 160.0
+SIDE = 320
+LIGHT = 160.0
 BODY = 11.3, 5.7  # half the length and half the width of a cell [px]
 
 
@@ -29,14 +30,17 @@ class Dish:
     def __init__(self, contrast=-0.17, noise=8.0, rim=0.0, bubble=0.5):
         self.bubble = bubble
         self.random = np.random.default_rng(5)
-        self.contrast, self.noise, self.rim = contrast, noise, rim
+        self.contrast = contrast
+        self.noise = noise
+        self.rim = rim
         self.down, self.across = np.mgrid[0:SIDE, 0:SIDE].astype(float)
         self.still = {}  # specks and bubble by their shift
         self.specks = self.random.uniform((10, 10, 1.5), (SIDE - 10, SIDE - 10, 5), (12, 3))
 
     def body(self, x, y, axis, here):
         """How far pixels `here` are from a body's middle; its outline is at 1."""
-        across, down = self.across[here] - x, self.down[here] - y
+        across = self.across[here] - x
+        down = self.down[here] - y
         along = across * math.cos(axis) + down * math.sin(axis)
         aside = down * math.cos(axis) - across * math.sin(axis)
         return np.hypot(along / BODY[0], aside / BODY[1])
@@ -56,7 +60,8 @@ class Dish:
             self.still[shift] = self.things(*shift)
         drawn = self.still[shift].copy()
         for x, y, axis in cells:
-            column, row = x + shift[0], y + shift[1]
+            column = x + shift[0]
+            row = y + shift[1]
             here = around(row), around(column)
             far = self.body(column, row, axis, here)
             drawn[here] += self.contrast * step(8 * (far - 1))
@@ -88,7 +93,9 @@ def matched(blobs, cells, shift=(0.0, 0.0)):
 @pytest.mark.parametrize("contrast", [-0.17, 0.17, -0.035])
 def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     dish = Dish(contrast)
-    found, shifts, missed = finder(dish), [], 0
+    found = finder(dish)
+    shifts = []
+    missed = 0
     for k in range(15, 45):
         shift = (6.0, -5.0) if k >= 30 else (0.0, 0.0)
         blobs = found.find(dish.picture(cells_at(k), shift))
@@ -114,9 +121,12 @@ def test_a_small_knock_is_seen_by_little_debris():
 @pytest.mark.parametrize(("contrast", "rim"), [(0.2, -0.3), (-0.2, 0.3), (0.05, -0.35)])
 def test_a_body_and_its_rim_are_one_blob(contrast, rim):
     dish = Dish(contrast, noise=4.0, rim=rim)
-    found, off, turned = finder(dish), [], []
+    found = finder(dish)
+    off = []
+    turned = []
     for k in range(15, 30):
-        blobs, cells = found.find(dish.picture(cells_at(k))), cells_at(k)
+        blobs = found.find(dish.picture(cells_at(k)))
+        cells = cells_at(k)
         for (x, y, axis), blob in zip(cells, matched(blobs, cells), strict=True):
             assert blob is not None
             assert sum(math.dist((b.x, b.y), (x, y)) < 20 for b in blobs) == 1
@@ -128,7 +138,9 @@ def test_a_body_and_its_rim_are_one_blob(contrast, rim):
 
 def test_positions_are_finer_than_pixels():
     dish = Dish(-0.4, noise=3.0)
-    found, off, turned = finder(dish), [], []
+    found = finder(dish)
+    off = []
+    turned = []
     for k in range(15, 30):
         cells = cells_at(k)
         pairs = matched(found.find(dish.picture(cells)), cells)
@@ -140,8 +152,10 @@ def test_positions_are_finer_than_pixels():
 
 
 def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
-    dish, found = Dish(-0.4, noise=3.0), BlobFinder(90, 2800)
-    rested, gone = (160.0, 160.0, 0.4), (260.0, 160.0, 0.4)
+    dish = Dish(-0.4, noise=3.0)
+    found = BlobFinder(90, 2800)
+    rested = (160.0, 160.0, 0.4)
+    gone = (260.0, 160.0, 0.4)
     found.learn([dish.picture([rested])] * 9)
     found.find(dish.picture([gone]))
     blobs = found.find(dish.picture([gone]))
@@ -162,7 +176,8 @@ def test_a_cell_that_rests_stays_as_long_as_it_is_kept():
 
 
 def test_a_dish_that_was_exchanged_is_learned_again():
-    dish, other = Dish(-0.4, noise=3.0), Dish(-0.4, noise=3.0)
+    dish = Dish(-0.4, noise=3.0)
+    other = Dish(-0.4, noise=3.0)
     found = finder(dish)
     shade = np.where(other.across > 150, 0.5, 1.0)
 

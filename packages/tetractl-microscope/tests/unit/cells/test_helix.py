@@ -36,7 +36,8 @@ from tetractl.model.swimmers import Swimmers, bodies
 
 pytestmark = pytest.mark.slow
 
-POSITION, AXIS = 0.5, 0.03
+POSITION = 0.5
+AXIS = 0.03
 
 
 def followed(seed, known=True, seconds=6.0, cells=8):
@@ -44,7 +45,8 @@ def followed(seed, known=True, seconds=6.0, cells=8):
     made = film(seed=seed, seconds=seconds, cells=cells)
     random = np.random.default_rng(seed)
     seen = made.body + random.normal(0, 1, made.body.shape) * (POSITION, POSITION, AXIS)
-    bank, field = HelixFilter(known), record(made).pieces
+    bank = HelixFilter(known)
+    field = record(made).pieces
     rows = []
     for i in range(cells):
         vx, vy = np.polyfit(made.times[:6], seen[:6, i, :2], 1)[0]
@@ -64,7 +66,8 @@ def wrapped(angle):
 
 @pytest.mark.parametrize("known", [True, False])
 def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(known):
-    off, sway = [], []
+    off = []
+    sway = []
     for seed in range(3):
         made, bank, rows = followed(seed, known)
         off.append(wrapped(bank.mean[rows, HEADING] - made.heading[-1]))
@@ -112,7 +115,8 @@ def test_rows_are_used_again_and_an_outlier_moves_little():
 
 
 def test_a_long_gap_is_moved_over_in_steps():
-    long, short = HelixFilter(), HelixFilter()
+    long = HelixFilter()
+    short = HelixFilter()
     for bank in (long, short):
         bank.mean[bank.add(0.0, 0.0, 0.0, 400.0), [A, TURN]] = 5.0, 0.0
         bank.covariance[0, :, :] *= 1e-6
@@ -129,13 +133,16 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
     def learned(near_wall):
         random = np.random.default_rng(3)
         cells = Swimmers.drawn(random, 12)
-        cells.x[:], cells.y[:], cells.heading[:] = -250.0, 300.0 * np.arange(12), 0.0
+        cells.x[:] = -250.0
+        cells.y[:] = 300.0 * np.arange(12)
+        cells.heading[:] = 0.0
         bank = HelixFilter(near_wall=near_wall)
         rows = np.array([bank.add(x, y, 0.0, 400.0) for x, y in zip(cells.x, cells.y, strict=True)])
         deviation = np.tile((POSITION, POSITION, AXIS), (12, 1))
         for k in range(150):
             angle = (0.8, -0.8, 0.8, 2.5, 3.8)[k // 30]  # to and along the wall, and away from it
-            ux, uy = math.cos(angle), math.sin(angle)
+            ux = math.cos(angle)
+            uy = math.sin(angle)
             for _ in range(8):
                 cells.swim((ux, uy), 1 / 240, random, walls=Bounds(-1e6, -1e6, 0.0, 1e6))
             bank.predict([(1 / 30, ux, uy)])
@@ -153,11 +160,16 @@ def test_a_heading_that_walks_does_not_lower_a():
     """The heading's walk takes a cell with it within a step: its way does not say where the cell
     headed before.
     """
-    random, count, sd = np.random.default_rng(4), 24, np.array((0.1, 0.1, 0.012))
-    cells, seen = Swimmers.drawn(random, count), []
+    random = np.random.default_rng(4)
+    count = 24
+    sd = np.array((0.1, 0.1, 0.012))
+    cells = Swimmers.drawn(random, count)
+    seen = []
     cells.walk[:] = 0.15
     mean, start, model = new_cell(TETRAHYMENA, known=True)
-    model[[X, Y, C, S]], model[HEADING], model[SPEED] = 0.2, 0.15, 5.0
+    model[[X, Y, C, S]] = 0.2
+    model[HEADING] = 0.15
+    model[SPEED] = 5.0
     first = cells.copy()
     angles = np.repeat(random.uniform(-math.pi, math.pi, 12), 20)
     pieces = np.column_stack([np.full(len(angles), 1 / 30), np.cos(angles), np.sin(angles)])
@@ -167,9 +179,11 @@ def test_a_heading_that_walks_does_not_lower_a():
         body = bodies(cells)
         pose = np.column_stack([body.x, body.y, body.axis])
         seen.append(pose + random.normal(0, sd, (count, 3)))
-    ratios, pictures = [], np.arange(len(angles) + 1)
+    ratios = []
+    pictures = np.arange(len(angles) + 1)
     for i in range(count):
-        m, states = mean.copy(), np.empty((len(seen), STATES))
+        m = mean.copy()
+        states = np.empty((len(seen), STATES))
         m[[HEADING, SPEED]] = first.heading[i], first.speed[i]
         given = np.array(seen)[:, i], np.tile(sd, (len(seen), 1)), pieces, pictures
         smooth(m, start, model, *given, states, np.empty((len(seen), 3)))
@@ -182,7 +196,8 @@ def test_a_new_cell_is_like_those_of_its_organism():
         organism = named(name)
         bank = HelixFilter(organism=organism)
         row = bank.add(0.0, 0.0, 0.0, organism.speed_um_s[0])
-        mean, covariance = bank.mean[row], bank.covariance[row]
+        mean = bank.mean[row]
+        covariance = bank.covariance[row]
         assert mean[RATE] == pytest.approx(2 * math.pi * organism.helix_hz[0])
         radius = math.sqrt(covariance[C, C] + covariance[S, S])  # of c and s together
         assert radius == pytest.approx(math.hypot(*organism.helix_um))
@@ -199,19 +214,22 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
     bank.mean[row, [C, S, TURN, DELAY, LEAD]] = 4.0, -3.0, 0.1, 0.01, 0.2
     root = random.normal(0, 0.3, (STATES, STATES))
     bank.covariance[row] += root @ root.T
-    m, p = bank.mean[row].copy(), bank.covariance[row].copy()
+    m = bank.mean[row].copy()
+    p = bank.covariance[row].copy()
     *_, model = new_cell(TETRAHYMENA, known=True)
     bank.predict(pieces)
     for k, (seconds, *field) in enumerate(pieces):
         if k and not walled:
             change = (0.6, 0.8), (-0.8, 0.6), model[SLOWEST]
             f = oracle.slopes(lambda state, change=change: oracle.switched(state, *change), m)
-            m, p = oracle.switched(m, *change), f @ p @ f.T
+            m = oracle.switched(m, *change)
+            p = f @ p @ f.T
         m, p, _ = oracle.move(m, p, model, walled, seconds, field)
     assert bank.mean[row] == pytest.approx(m, rel=1e-8)
     assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
     for near in (1.0, 60.0):  # and an outlier
-        bank.mean[row], bank.covariance[row] = m, p
+        bank.mean[row] = m
+        bank.covariance[row] = p
         measured = oracle.body(m, model[SLOWEST]) + np.array([near, 0.5, 0.1])
         deviation = np.array([1.0, 1.0, 0.05])
         *found, likelihood, distance = oracle.correct(m, p, model, measured, deviation)
@@ -223,21 +241,26 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
 
 def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     _, bank, rows = followed(2, seconds=1.5, cells=1)
-    random, count = np.random.default_rng(1), 30
+    random = np.random.default_rng(1)
+    count = 30
     pieces = [(1 / 30, 0.6, 0.8)] * 15 + [(1 / 30, -0.8, 0.6)] * 14
-    m, p = bank.mean[rows[0]].copy(), bank.covariance[rows[0]].copy()
+    m = bank.mean[rows[0]].copy()
+    p = bank.covariance[rows[0]].copy()
     *_, model = new_cell(TETRAHYMENA, known=True)
-    truth, measured = m.copy(), []
+    truth = m.copy()
+    measured = []
     for k in range(count):
         if k:
             seconds, *field = pieces[k - 1]
             truth = oracle.moved(truth, 0 * p, seconds, field, model[SLOWEST])
         body = oracle.body(truth, model[SLOWEST])
         measured.append(body + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
-    measured, deviation = np.array(measured), np.tile((POSITION, POSITION, AXIS), (count, 1))
+    measured = np.array(measured)
+    deviation = np.tile((POSITION, POSITION, AXIS), (count, 1))
     measured[12:16] = np.nan
     wanted = oracle.smooth(m, p, model, measured, deviation, pieces)
-    found, first = np.empty((count, STATES)), np.maximum(np.arange(count + 1) - 1, 0)
+    found = np.empty((count, STATES))
+    first = np.maximum(np.arange(count + 1) - 1, 0)
     bodies = np.empty((count, 3))
     smooth(m.copy(), p, model, measured, deviation, np.array(pieces), first, found, bodies)
     assert bodies[3] == pytest.approx(oracle.body(found[3], model[SLOWEST]))

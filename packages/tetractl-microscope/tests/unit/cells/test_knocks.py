@@ -15,7 +15,8 @@ def test_a_picture_far_wider_than_high_has_no_shift() -> None:
 @pytest.mark.parametrize("by", [(12, 7), (40, -200), (-280, 90)])
 def test_a_far_knock_is_seen_under_uneven_light(by) -> None:
     """Regression: light moved with the debris hid a knock by a fifth of the picture."""
-    random, side = np.random.default_rng(5), 1024
+    random = np.random.default_rng(5)
+    side = 1024
     rows, columns = np.mgrid[:side, :side].astype(np.float32)
     light = 160 * (1 - 0.2 * np.hypot(rows - side / 2, columns - side / 2) / side * 1.41)
     specks = random.uniform(-200, side + 200, (30, 2))

@@ -112,7 +112,8 @@ def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
     tracks = [dish.track(500.0, 500.0), dish.track(500.0, 503.0)]
     dish.names.meet(tracks, 1.0, False)
     tracks[0].merged = merged
-    uncertain, name = dish.names.probabilities(tracks)[0], tracks[0].identity
+    uncertain = dish.names.probabilities(tracks)[0]
+    name = tracks[0].identity
     assert uncertain < ASSERTED
     dish.names.give_up(tracks[1], 1.5, may_return=False)
     assert tracks[0].identity != name and dish.bank.used.sum() == 1

@@ -16,9 +16,12 @@ pytestmark = pytest.mark.slow
 def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measured(
     rotation, tmp_path
 ):
-    um_px, um = 2.3, 1000.0
+    um_px = 2.3
+    um = 1000.0
     first = 700.0, 650.0
-    long, axis = um / um_px, -rotation  # of the spec's x axis in the picture, y upwards
+    # of the spec's x axis in the picture, y upwards
+    long = um / um_px
+    axis = -rotation
     second = first[0] + long * math.cos(axis), first[1] - long * math.sin(axis)
     places = ",".join(f"{each!r}" for each in (*first, *second, um))
     out = tmp_path / "scale.yaml"

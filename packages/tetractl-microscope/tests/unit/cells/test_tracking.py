@@ -79,7 +79,9 @@ def test_numbers_are_kept_through_crossings():
 def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
     times = np.arange(12) / rate_hz
     path = np.zeros((12, 6))
-    path[:, 0], path[:, 1], path[:, 4:] = times, 330 * times, (50.0, 25.0)
+    path[:, 0] = times
+    path[:, 1] = 330 * times
+    path[:, 4:] = (50.0, 25.0)
     assert len(own_path(path, 50.0, 25.0, 52.3)) == 12
     path[:5, 2] = 60.0  # on the way of another cell
     assert len(own_path(path, 50.0, 25.0, 52.3)) == 6
@@ -159,13 +161,15 @@ def drawn(cells, size):
 
 def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
     halves = [(12.0, 6.0)] * 6 + [(16.0, 9.0)]
-    rows, since = 40.0 + 40 * np.arange(7), [0] * 6 + [20]
+    rows = 40.0 + 40 * np.arange(7)
+    since = [0] * 6 + [20]
 
     def picture(k):
         seen = [i for i in range(7) if k >= since[i]]
         return drawn([(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in seen], (320, 600))
 
-    tracker, stated = CellTracker(2.3, known=False), []
+    tracker = CellTracker(2.3, known=False)
+    stated = []
     tracker.finder.learn([picture(12 * k) for k in range(9)])
     for k in range(80):
         seen = [c for c in tracker.see(picture(k), k / 30, no_field) if c.wide_um > 34]
@@ -199,7 +203,8 @@ def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
 
 def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
     def picture(k):  # a cell comes near another, swims next to it, and is not seen any more
-        middle, aside = 30 + 5 * k, [0, max(40 - 2 * k, 9)] if k < 25 else [0]
+        middle = 30 + 5 * k
+        aside = [0, max(40 - 2 * k, 9)] if k < 25 else [0]
         return drawn([(middle, 60 + each, 12, 6) for each in aside], (140, 600))
 
     tracker = CellTracker(2.3, known=False, splits=True)

@@ -22,7 +22,8 @@ from tetractl.core.poses import Pose
 from tetractl.lab.cobs import Flag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
-A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
+A = np.array([5.0, 3.5])
+SPEED = np.array([300.0, 330.0])
 SETUP = SimpleNamespace(a=A, speed=SPEED, strength=None, strength_unit="mT")
 POSES = (Pose(0, 0, 0.2), Pose(1, 1, -2.0))
 BOTH = (True, True)
@@ -61,7 +62,8 @@ def test_the_field_turns_cells_by_the_papers_law(direction):
 
 
 def test_the_spec_may_state_the_strength_instead():
-    clock, setup = VirtualClock(), SimpleNamespace(**vars(SETUP) | {"strength": 1.5})
+    clock = VirtualClock()
+    setup = SimpleNamespace(**vars(SETUP) | {"strength": 1.5})
     alone = section(strength_mt=None, slew_max_a_s=10_000)
     actuator = FieldActuator(alone, setup, clock)
     actuator.driver = Wire(clock)
@@ -98,7 +100,8 @@ def test_where_the_current_limit_binds_cells_turn_more_slowly():
 
 def test_the_slew_limit_is_kept_and_what_was_really_asked_is_told():
     actuator, clock = virtual(slew_max_a_s=10)
-    before, told = (0.0, 0.0), []
+    before = (0.0, 0.0)
+    told = []
     for k in range(60):
         clock.sleep_until(k * actuator.period_ns)
         sent = actuator.send(Steer(0.0 if k < 20 else 3.0), POSES, BOTH, 0)

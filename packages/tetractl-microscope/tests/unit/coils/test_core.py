@@ -78,7 +78,9 @@ class Twin:
             self.wished = tuple(1000 * part for part in wished)
             self.running = True
         if is_new:
-            self.sequence, self.heard, self.silent = command.sequence, now_ms, False
+            self.sequence = command.sequence
+            self.heard = now_ms
+            self.silent = False
         if Flag.POLL in command.flags and (is_new or not runs):
             self.reply = command.sequence
         return CoreEvent.ACCEPTED if is_new else CoreEvent.STALE
@@ -116,7 +118,8 @@ class Twin:
     def take_reply(self, now_ms):
         if self.reply is None:
             return b""
-        sequence, self.reply = self.reply, None
+        sequence = self.reply
+        self.reply = None
         limits = self.limits.current_max_ma, self.limits.slew_ma_s, self.limits.watchdog_ms
         counts = self.received, self.rejected
         status = self.status(now_ms)
@@ -156,7 +159,8 @@ acts = st.tuples(pauses, lines, st.none() | st.none() | readings)
 @given(limits, st.integers(0, 2**32 - 1), st.lists(acts, max_size=30))
 @settings(max_examples=300)
 def test_core_and_twin_agree_on_everything(limits, start, acts):
-    core, twin = DriverCore(limits, start), Twin(limits, start)
+    core = DriverCore(limits, start)
+    twin = Twin(limits, start)
     now = start
     for pause, data, measured in acts:
         now = (now + pause) % 2**32
@@ -171,7 +175,9 @@ def test_core_and_twin_agree_on_everything(limits, start, acts):
 
 @given(limits, st.lists(acts, max_size=30))
 def test_no_bytes_break_the_limits(limits, acts):
-    core, before, now = DriverCore(limits), (0, 0), 0
+    core = DriverCore(limits)
+    before = (0, 0)
+    now = 0
     for pause, data, _ in acts:
         now += min(pause, 300)
         core.push(data, now)

@@ -19,7 +19,9 @@ from tetractl.lab.cobs import Flag
 COILS = FieldCommand(7, Flag.RUN | Flag.POLL, 300, -250)
 DRIVER = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
 
-i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
+i16 = st.integers(-32_768, 32_767)
+u8 = st.integers(0, 255)
+u16 = st.integers(0, 65_535)
 commands = st.builds(FieldCommand, u8, st.integers(0, 7).map(Flag), i16, i16)
 replies = st.builds(
     FieldReply,
@@ -85,7 +87,10 @@ def test_unknown_status_bits_of_a_driver_are_dropped():
 
 def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
     """A driver that answers each poll only after the next one."""
-    sent, waiting, hear, clock = [], [], [], LabClock()
+    sent = []
+    waiting = []
+    hear = []
+    clock = LabClock()
 
     class Port:
         failure = None

@@ -9,7 +9,8 @@ from tetractl_microscope.organisms import TETRAHYMENA
 
 pytestmark = pytest.mark.slow
 
-SIDE, RATE = 256, 10.0
+SIDE = 256
+RATE = 10.0
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,8 @@ def turned_by(field, rates=(3.0, 4.0, 5.0, 3.5)):
     times = np.arange(0, 9, 1 / 300)
     found = []
     for start, a in enumerate(rates):
-        heading, headings = 1.5 * start, []
+        heading = 1.5 * start
+        headings = []
         for acts in field.at(times):
             heading += a * (acts * np.exp(-1j * heading)).imag / 300
             headings.append(heading)

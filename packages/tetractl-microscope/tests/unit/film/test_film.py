@@ -26,7 +26,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.long
 def test_a_speeds_and_biases_are_within_their_intervals():
-    inside, found = [], 0
+    inside = []
+    found = 0
     for seed in (31, 33, 35, 39):
         made = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
         seen, cells = fit_cells(followed(made), record(made))
@@ -91,7 +92,9 @@ def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
 
 @pytest.mark.parametrize(("seed", "turned"), [(0, 1.5), (1, 2.1), (7, 2.1), (8, 1.5)])
 def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed, turned):
-    random, times, begun = np.random.default_rng(seed), np.arange(160) / 30, 160 / 60
+    random = np.random.default_rng(seed)
+    times = np.arange(160) / 30
+    begun = 160 / 60
     backs = (times > begun) & (times < begun + 0.5)
     heading = random.normal(0, 0.07 / 30**0.5, 160).cumsum() + turned * (times > begun + 0.25)
     way = np.where(backs, -150.0, 330.0) / 30 * np.exp(1j * heading)
@@ -100,7 +103,8 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
     places += random.normal(0, 0.5, (160, 2)) @ (1, 1j)
     swing = np.arctan(0.8 * 8 * 6 * np.pi * np.sin(turn) / 330)
     axes = heading + swing + random.normal(0, 0.02, 160)
-    state, seen = np.zeros(15), []
+    state = np.zeros(15)
+    seen = []
     for x, y, axis in zip(places.real.tolist(), places.imag.tolist(), axes.tolist(), strict=True):
         own = (x, y, axis, 0.86, 0.86, 0.04), None
         seen.append(
@@ -358,7 +362,8 @@ def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tra
 def test_a_cell_is_in_a_picture_once():
     """A lost cell that is found again has its name in pictures before, where it may be in use."""
     pictures = [{1: seen_cell(7, 9.0 * k, 0.0, 1)} for k in range(30)]
-    pictures[20][2], pictures[21][2] = seen_cell(7, -500.0, 0, 2), seen_cell(7, -500.0, 0, 2, 0.3)
+    pictures[20][2] = seen_cell(7, -500.0, 0, 2)
+    pictures[21][2] = seen_cell(7, -500.0, 0, 2, 0.3)
     (path,) = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
     assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
 

@@ -75,7 +75,8 @@ def test_a_film_without_a_rate_needs_one(tmp_path, write):
 
 
 def test_a_folder_may_have_a_file_of_times(tmp_path):
-    path, file = folder(tmp_path / "film", made(3)), tmp_path / "film" / "times.csv"
+    path = folder(tmp_path / "film", made(3))
+    file = tmp_path / "film" / "times.csv"
     file.write_text("time_s\n5.0\n5.5\n5.6\n")
     film = open_film(path)
     assert [film.seconds(number) for number, _ in film] == [5.0, 5.5, 5.6]

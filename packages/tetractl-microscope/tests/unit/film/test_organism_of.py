@@ -22,7 +22,9 @@ from tetractl.core.errors import Exit, TetractlError
 
 pytestmark = pytest.mark.slow
 
-SIDE, RATE_HZ, COUNT = 400, 30.0, 6
+SIDE = 400
+RATE_HZ = 30.0
+COUNT = 6
 
 
 @dataclass
@@ -45,8 +47,10 @@ class Ellipses:
             way = self.speed_px_s * self.seconds(number)
             for i in range(COUNT):
                 angle = 0.3 * i - 0.8
-                x, y = 70 + way * math.cos(angle), 60 + 55 * i + way * math.sin(angle)
-                centre, axes = (round(16 * x), round(16 * y)), (8 * self.long, 8 * self.wide)
+                x = 70 + way * math.cos(angle)
+                y = 60 + 55 * i + way * math.sin(angle)
+                centre = (round(16 * x), round(16 * y))
+                axes = (8 * self.long, 8 * self.wide)
                 size = tuple(round(axis) for axis in axes)
                 turned = math.degrees(angle)
                 cv2.ellipse(picture, centre, size, turned, 0, 360, 90, -1, cv2.LINE_AA, 4)
@@ -129,7 +133,8 @@ class Circles(Ellipses):
                 angle = i + turned
                 x = 50 + 75 * (i % 5) + radius_px * math.cos(angle)
                 y = 50 + 75 * (i // 5) + radius_px * math.sin(angle)
-                centre, axes = (round(16 * x), round(16 * y)), (8 * self.long, 8 * self.wide)
+                centre = (round(16 * x), round(16 * y))
+                axes = (8 * self.long, 8 * self.wide)
                 size = tuple(round(axis) for axis in axes)
                 along = math.degrees(angle) + 90
                 cv2.ellipse(picture, centre, size, along, 0, 360, 90, -1, cv2.LINE_AA, 4)
@@ -177,7 +182,8 @@ def test_if_nothing_swims_the_scale_cannot_be_guessed_and_the_organism_is_said()
 
 
 def test_drifting_specks_do_not_outvote_the_cells_that_swim():
-    cells, specks = swimming(TETRAHYMENA, 2.3), swimming(HELICAL_MICROROBOT, 2.3)
+    cells = swimming(TETRAHYMENA, 2.3)
+    specks = swimming(HELICAL_MICROROBOT, 2.3)
 
     class Both(Ellipses):
         def __iter__(self):

@@ -11,7 +11,9 @@ from tetractl_microscope.film.who import Whereabouts
 
 pytestmark = pytest.mark.slow
 
-BODY_UM, LONG, WIDE = 50.0, 52.0, 26.0
+BODY_UM = 50.0
+LONG = 52.0
+WIDE = 26.0
 APART_AT = 30  # the picture in which the second cell has a blob of its own
 TIMES = [k / 30 for k in range(45)]
 

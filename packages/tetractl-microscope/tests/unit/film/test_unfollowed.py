@@ -10,8 +10,13 @@ from tetractl_microscope.film.film_tables import notes
 from tetractl_microscope.film.unfollowed import BLOBS_MIN, EVERY, Unfollowed
 from tetractl_microscope.film.who import CellPath
 
-UM_PX, BODY_UM, SIDE, COUNT = 2.0, 50.0, 200, 90
-LONG, WIDE = 25, 12  # of a body [px]
+UM_PX = 2.0
+BODY_UM = 50.0
+SIDE = 200
+COUNT = 90
+# of a body [px]
+LONG = 25
+WIDE = 12
 LIMIT = 4.0  # difference that is noise [grey levels]
 STEP_PX = 4  # way from one picture to the next
 

@@ -24,7 +24,8 @@ GOOD = {"ended": "", "now": 0.7, "declared": 30.0, "damaged": 0, "every": 1, "hz
 )
 def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
     given = GOOD | changes
-    every, hz = given["every"], given["hz"]
+    every = given["every"]
+    hz = given["hz"]
     looks = [Look(k * every, round(k * every * SECOND / hz), 5_000_000, None) for k in range(20)]
     now_ns = round(given["now"] * SECOND) + (every - 1) * 19 * SECOND // 30
     problems, warnings = stream_lines(

@@ -28,7 +28,9 @@ COLOUR = np.array([[0x00102030]], np.uint32)  # a byte each: blue, green, red, n
 class Core:
     """What is used of CMMCore; `waiting` are the pictures in its buffer."""
 
-    fails, depth, waiting = None, 12, ()
+    fails = None
+    depth = 12
+    waiting = ()
 
     def __init__(self):
         self.done, self.left = [], list(self.waiting)

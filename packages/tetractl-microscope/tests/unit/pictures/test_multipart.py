@@ -20,11 +20,14 @@ def part(body, length=True, mark=MARK):
 
 def fed(parser, stream, sizes=(7, 1, 64)):
     """Feed a stream in pieces of these sizes, over and over."""
-    bodies, at, turn = [], 0, 0
+    bodies = []
+    at = 0
+    turn = 0
     while at < len(stream):
         size = max(1, sizes[turn % len(sizes)])
         bodies += parser.feed(stream[at : at + size])
-        at, turn = at + size, turn + 1
+        at = at + size
+        turn = turn + 1
     return bodies
 
 

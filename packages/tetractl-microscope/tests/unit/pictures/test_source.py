@@ -69,10 +69,13 @@ def test_a_camera_that_is_not_there_is_said_once(capfd):
 class Capture:
     """Stands in for cv2.VideoCapture: a camera of one size that delivers three pictures."""
 
-    opened, size, left = True, (640, 480), 3
+    opened = True
+    size = (640, 480)
+    left = 3
 
     def __init__(self, index, system):
-        self.settings, self.released = {}, False
+        self.settings = {}
+        self.released = False
         Capture.last = self
 
     def isOpened(self):  # noqa: N802

@@ -23,7 +23,8 @@ def arrive(m, p, total, model, pieces, first, k):
     """Move a cell's state m and covariance p to picture k; pieces `first[k]` to `first[k + 1]` of
     the field (P, 3) are before it.
     """
-    i, end = first[k], first[k + 1]
+    i = first[k]
+    end = first[k + 1]
     if i < end:
         forward(m, p, total, model, False, pieces[max(i - 1, 0)], pieces[i:end])
 
@@ -48,10 +49,15 @@ def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
     a mean (V, n) at the first picture, where `start` (n, n) is the covariance, and a model (V, 12).
     `mean` is that after the last picture at the end.
     """
-    h, gain, weighed = np.empty((3, STATES)), np.empty((3, STATES)), np.empty(3)
+    h = np.empty((3, STATES))
+    gain = np.empty((3, STATES))
+    weighed = np.empty(3)
     none = np.empty((0, 0))
     for v in range(len(mean)):
-        m, p, odd, found[v] = mean[v], start.copy(), 0, 0.0
+        m = mean[v]
+        p = start.copy()
+        odd = 0
+        found[v] = 0.0
         for k in range(len(measured)):
             arrive(m, p, none, models[v], pieces, first, k)
             if np.isfinite(measured[k, 0]):
@@ -71,22 +77,30 @@ def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
     measurements", Int. J. Control 18, 1973), which inverts no covariance: `pull` is how
     strongly later measurements pull at each state.
     """
-    count, p = len(measured), start.copy()
-    covariances, totals = np.empty((count, STATES, STATES)), np.zeros((count, STATES, STATES))
-    h, gain = np.zeros((count, 3, STATES)), np.zeros((count, 3, STATES))
-    weighed, turned, odd = np.zeros((count, 3)), np.zeros(count, np.bool_), 0
+    count = len(measured)
+    p = start.copy()
+    covariances = np.empty((count, STATES, STATES))
+    totals = np.zeros((count, STATES, STATES))
+    h = np.zeros((count, 3, STATES))
+    gain = np.zeros((count, 3, STATES))
+    weighed = np.zeros((count, 3))
+    turned = np.zeros(count, np.bool_)
+    odd = 0
     for k in range(count):
         for i in range(STATES):
             totals[k, i, i] = 1.0
         arrive(m, p, totals[k], model, pieces, first, k)
-        seen, distance = np.isfinite(measured[k, 0]), 0.0
+        seen = np.isfinite(measured[k, 0])
+        distance = 0.0
         if seen:
             given = measured[k], deviation[k], h[k], gain[k], weighed[k]
             _, distance, turned[k] = correct(m, p, model, *given)
-        means[k], covariances[k] = m, p
+        means[k] = m
+        covariances[k] = p
         if seen:
             odd = loosen(p, start, odd, distance)
-    pull, before = np.zeros(STATES), np.empty(STATES)
+    pull = np.zeros(STATES)
+    before = np.empty(STATES)
     for k in range(count - 1, -1, -1):
         for i in range(STATES):
             for j in range(STATES):

@@ -17,11 +17,15 @@ STATES = 16
 # the numbers of a `model` (12,): of the states X to BIAS, the growth of the standard deviation per
 # sqrt(s); of TURN, its standard deviation; the factor EXACT from stated deviations of measurements
 # to their own; the speed SLOWEST below which a cell rests, and its helix does not give its axis
-EXACT, SLOWEST, MODEL = 10, 11, 12
+EXACT = 10
+SLOWEST = 11
+MODEL = 12
 
 # further growth per sqrt(s) at rest, of the heading, and of the speed in SLOWEST, since a cell may
 # go on in any direction; and of the heading near a wall
-RESTING_HEADING, RESTING_SPEED, WALL_TURN = 0.5, 2.5, 1.0
+RESTING_HEADING = 0.5
+RESTING_SPEED = 2.5
+WALL_TURN = 1.0
 HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 STEP_S = 0.04  # longest step of the motion [s]
@@ -30,7 +34,8 @@ TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers c
 ODD = 9.0  # squared distance, in standard deviations, above which a measurement gets less weight
 # squared distance above which a measurement counts as far, and number of successive ones that are
 # far which make the filter uncertain
-ODD_DISTANCE, ODD_RUN = 30.0, 3
+ODD_DISTANCE = 30.0
+ODD_RUN = 3
 
 
 torque = exact(swimming.torque)
@@ -44,7 +49,8 @@ def apply(f, p, total):
     f (n, n) is the unit matrix but for few entries, so that zeros are skipped.
     """
     size = len(f)
-    part, done = np.zeros((size, size)), np.zeros(total.shape)
+    part = np.zeros((size, size))
+    done = np.zeros(total.shape)
     for i in range(size):
         for k in range(size):
             if f[i, k] != 0.0:
@@ -100,7 +106,8 @@ def move(m, p, total, model, walled, piece):
     heading that walks takes the cell with it, which is seen in its way as in its axis.
     """
     seconds, ux, uy = piece
-    half, resting = seconds / 2, m[SPEED] < model[SLOWEST]
+    half = seconds / 2
+    resting = m[SPEED] < model[SLOWEST]
     grow(p, model, resting, walled, half)
     along = math.exp(-p[HEADING, HEADING] / 2)
     round = math.exp(-(p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]) / 2)
@@ -108,11 +115,13 @@ def move(m, p, total, model, walled, piece):
     towards, slope = torque(m[HEADING] + m[BIAS], ux, uy)
     middle = m[HEADING] + (a * towards + m[TURN]) * half
     towards_2, slope_2 = torque(middle + m[BIAS], ux, uy)
-    bend, bend_2 = a * slope, a * slope_2
+    bend = a * slope
+    bend_2 = a * slope_2
     # derivatives of the heading halfway, along which the cell moves; at the end: see below
     learns = 0.0 if walled or resting else round
     f = np.eye(STATES)
-    cos, sin = along * math.cos(middle), along * math.sin(middle)
+    cos = along * math.cos(middle)
+    sin = along * math.sin(middle)
     for state, part, direct in (
         (HEADING, 1 + bend * half, 0.0),
         (A, learns * towards * half, learns * towards_2),
@@ -122,19 +131,28 @@ def move(m, p, total, model, walled, piece):
         f[X, state] = -m[SPEED] * sin * seconds * part
         f[Y, state] = m[SPEED] * cos * seconds * part
         f[HEADING, state] += seconds * (direct + bend_2 * part)
-    f[X, SPEED], f[Y, SPEED] = cos * seconds, sin * seconds
+    f[X, SPEED] = cos * seconds
+    f[Y, SPEED] = sin * seconds
     f[X, FLOW_X] = f[Y, FLOW_Y] = f[WAY, SPEED] = seconds
     angle = m[RATE] * seconds
-    keep, forget = math.exp(-seconds / HELIX_S), math.exp(-seconds / TURN_S)
-    cos_h, sin_h = keep * math.cos(angle), keep * math.sin(angle)
-    c, s = m[C] * cos_h - m[S] * sin_h, m[C] * sin_h + m[S] * cos_h
-    f[C, C], f[C, S], f[C, RATE] = cos_h, -sin_h, -s * seconds
-    f[S, C], f[S, S], f[S, RATE] = sin_h, cos_h, c * seconds
+    keep = math.exp(-seconds / HELIX_S)
+    forget = math.exp(-seconds / TURN_S)
+    cos_h = keep * math.cos(angle)
+    sin_h = keep * math.sin(angle)
+    c = m[C] * cos_h - m[S] * sin_h
+    s = m[C] * sin_h + m[S] * cos_h
+    f[C, C] = cos_h
+    f[C, S] = -sin_h
+    f[C, RATE] = -s * seconds
+    f[S, C] = sin_h
+    f[S, S] = cos_h
+    f[S, RATE] = c * seconds
     f[TURN, TURN] = forget
     m[X] += (m[SPEED] * cos + m[FLOW_X]) * seconds
     m[Y] += (m[SPEED] * sin + m[FLOW_Y]) * seconds
     m[HEADING] += (a * towards_2 + m[TURN]) * seconds
-    m[C], m[S] = c, s
+    m[C] = c
+    m[S] = s
     m[TURN] *= forget
     m[WAY] += m[SPEED] * seconds
     apply(f, p, total)
@@ -165,8 +183,10 @@ def expect(m, slowest, expected, h):
     """Write the predicted x, y and axis of the body (3,), and their derivatives h (3, n) with
     respect to the states.
     """
-    cos, sin = math.cos(m[HEADING]), math.sin(m[HEADING])
-    speed, swing = max(m[SPEED], slowest), m[SWAY] * m[S] + m[LEAD] * m[C]
+    cos = math.cos(m[HEADING])
+    sin = math.sin(m[HEADING])
+    speed = max(m[SPEED], slowest)
+    swing = m[SWAY] * m[S] + m[LEAD] * m[C]
     across = m[RATE] * swing
     slope = -speed / (speed**2 + across**2)
     expected[0] = m[X] - m[C] * sin
@@ -174,9 +194,14 @@ def expect(m, slowest, expected, h):
     expected[2] = m[HEADING] - math.atan2(across, speed)
     h[:] = 0.0
     h[0, X] = h[1, Y] = h[2, HEADING] = 1.0
-    h[0, HEADING], h[1, HEADING], h[2, RATE] = -m[C] * cos, -m[C] * sin, slope * swing
-    h[0, C], h[1, C], h[2, C] = -sin, cos, slope * m[RATE] * m[LEAD]
-    h[2, S], h[2, SWAY] = slope * m[RATE] * m[SWAY], slope * m[RATE] * m[S]
+    h[0, HEADING] = -m[C] * cos
+    h[1, HEADING] = -m[C] * sin
+    h[2, RATE] = slope * swing
+    h[0, C] = -sin
+    h[1, C] = cos
+    h[2, C] = slope * m[RATE] * m[LEAD]
+    h[2, S] = slope * m[RATE] * m[SWAY]
+    h[2, SWAY] = slope * m[RATE] * m[S]
     h[2, LEAD] = slope * m[RATE] * m[C]
     h[2, SPEED] = -slope * across / speed if m[SPEED] > slowest else 0.0
 
@@ -190,7 +215,10 @@ def correct(m, p, model, measured, deviation, h, gain, weighed):
     Returns ln of the likelihood by Student's distribution, the squared Mahalanobis distance
     from the prediction, and whether the heading was reversed.
     """
-    off, moved, distance, spread = np.empty(3), np.zeros(STATES), 0.0, 0.0
+    off = np.empty(3)
+    moved = np.zeros(STATES)
+    distance = 0.0
+    spread = 0.0
     expect(m, model[SLOWEST], off, h)
     for i in range(3):
         off[i] = measured[i] - off[i]
@@ -249,7 +277,9 @@ def update(mean, covariance, rows, model, measured, deviation, likelihood, dista
     """Update rows (M,) by measurements (M, 3), and write ln of their likelihoods and squared
     distances (M,).
     """
-    h, gain, weighed = np.empty((3, STATES)), np.empty((3, STATES)), np.empty(3)
+    h = np.empty((3, STATES))
+    gain = np.empty((3, STATES))
+    weighed = np.empty(3)
     for i, row in enumerate(rows):
         given = measured[i], deviation[i], h, gain, weighed
         likelihood[i], distance[i], _ = correct(mean[row], covariance[row], model, *given)

@@ -142,7 +142,7 @@ class EmulatedPlantSection(RigSection):
         if live:
             rig.after_close(clock.start())
         else:
-            clock.steps.append(rig.loop.turn)
+            clock.steps.append(rig.loop.step_if_due)
         if record is not None:
             clock.steps.append(lambda: emulation.ruled(rig.guard.state, rig.guard.reason))
             rig.after_close(lambda: outlive(emulation))

@@ -80,7 +80,7 @@ def joined(lab, clock):
     Joined.lab = lab
 
     def close(loop):
-        if loop.turn in clock.steps:
+        if loop.step_if_due in clock.steps:
             clock.steps.remove(loop.step_if_due)
 
     def live(own):

@@ -1,8 +1,16 @@
 """The paper's Figure 5: the paths of the robots in one trial or several; for a dish, over the
 microscope's picture.
+
+`trajectory_figure` draws, in this order: the scene (`draw_scene`), the limits of the axes, the
+paths (`_draw_one` or `_draw_several`), their ends, and a legend of robots above and of signs below.
+Limits come before paths, since times are written where the figure has space.
+
+Shapes: T trials of N robots; a trail is (M, N, 2), NaN where a robot was not seen. Places are in
+the trials' unit of length, sizes on paper in points [1/72 inch] or inches.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,38 +40,62 @@ from tetractl.view.figures.axes import (
     unfinished,
 )
 
+WIDTH_IN = style.COLUMN_IN
+BESIDE_AXES_IN = 0.55
+BESIDE_AXES_AT_LABELS_IN = 0.65
+ABOVE_AND_BELOW_AXES_IN = 0.5
+"""Space of the axes' own labels; the second counts the frame's line, for the size of a point."""
+LEGEND_LINE_IN = 0.156
+"""Height of a line of a legend."""
+SHAPE_LEAST = 0.3
+SHAPE_MOST = 2.0
+"""Height of the axes over their width: the arena's, within these."""
+PARTS_OF_ARENA = 9
+"""Parts at most into which ticks divide the arena's longer side."""
+NAMED_MOST = 30
+"""Robots at most that have an entry in the legend."""
+LETTER_PT = 3.9
+SIGN_PT = 20.0
+"""Widths of a letter of the legend, and of a sign with its gaps."""
+LEGEND_COLUMNS_MOST = 6
+SIGNS_IN_A_LINE = 5
+"""Signs at most that fit in one line; others are in two lines of three."""
 
-class DishGround:
-    """Shows a microscope's pictures behind the axes of a trial; nothing if its log has none."""
+MARGIN = 0.02
+"""Between a path that leaves the arena and the frame, over the arena's longer side."""
+FAR = 2.0
+"""How far from the arena a path is shown, over its longer side: an outlier does not hide the
+rest."""
+TRUTH_SEEN = 0.005
+"""From which distance to the measured one a true path is drawn, over the longer side."""
 
-    def __init__(self, axes: Axes, log: TrialLog) -> None:
-        self._pictures, self._shown, self._image = DishPictures(log), -1, None
-        if not self._pictures.times:
-            return
-        low, right, up = self._pictures.corners
-        place = Affine2D(np.vstack([np.column_stack([right - low, up - low, low]), [0, 0, 1]]))
-        limits = axes.axis()
-        self._image = axes.imshow(
-            self._pictures.grey(0), cmap="gray", vmin=0, vmax=255, alpha=0.55, zorder=0,
-            extent=(0, 1, 0, 1), interpolation="bilinear", transform=place + axes.transData,
-        )  # fmt: skip
-        axes.axis(limits)
+TIMES_MOST = 5
+LAST_TIME = 0.92
+"""Times marked at most, and before which part of the trial: the end has its own sign."""
+TICK = 0.028
+"""Length of a tick that shows a heading, over the arena's longer side."""
+LABEL_PT = (9.0, 6.5)
+"""Half axes of the ellipse around a mark on which the centre of its label may lie."""
+LABEL_DIRECTIONS = 12
+LABEL_REACH_PT = 4.0
+"""From the centre of a label to its ends."""
+HIGHER = 1.5
+"""By how much vertical gaps count more: a label is wider than high."""
+MARK_RADIUS_PT = 4.0
+"""Size of starts, targets and ends, which labels keep clear of."""
+FRAMES_APART = 6
+"""Labels keep clear of each so many-th frame of a trail."""
+EDGE_POINTS = 60
+"""Points of each side of the arena, which labels keep clear of."""
 
-    def show(self, when_ns: int) -> bool:
-        """Show the last picture taken up to a time of the trial's clock [ns]; return whether the
-        picture shown changed.
-        """
-        which = self._pictures.at(when_ns)
-        if which is None or which == self._shown:
-            return False
-        assert self._image is not None, "`_image` is set if there are pictures"
-        self._image.set_data(self._pictures.grey(which))
-        self._shown = which
-        return True
-
-
+DASHED: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
+"""A true path, and the arena's edge in the legend."""
+EDGE: dict[str, Any] = {"fill": False, "edgecolor": style.GREY, "linewidth": 0.6, "linestyle": "--"}
+DOTTED: dict[str, Any] = {"lw": 0.6, "ls": ":"}
+"""The error at the end."""
+END: dict[str, Any] = {"mec": "white", "mew": 0.5, "zorder": 6}
 HALO = [withStroke(linewidth=1.6, foreground="white")]
-LEGEND_LINE_IN = 0.156  # height of a line of the legend [in]
+PICTURE: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255, "alpha": 0.55, "zorder": 0}
 
 
 @style.styled()
@@ -74,43 +106,32 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     Trails are measured positions; true paths are dashed if they differ visibly. Raises UsageError
     for logs of different robots, arenas or obstacles.
     """
+    check_alike(logs)
     setups = [log.start.setup for log in logs]
     setup = setups[0]
-    check_alike(logs)
     colors = robot_colors(setup.names, setup.colors)
-    ends = np.array([final_poses(log)[:, :2] for log in logs])
-    errors = [of.distances(end) for of, end in zip(setups, ends, strict=True)]
-    title, names = _errors(logs, np.array(errors))
-    columns = _columns(names)
-    rows = title.count("\n") + 1 + -(-len(names) // columns)
-    width = style.COLUMN_IN
-    shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
-    figure = style.figure(width, (width - 0.55) * shape + 0.5 + LEGEND_LINE_IN * rows)
-    axes = figure.subplots()
-    named = zip(names, colors, strict=False)  # there may be no names
-    figure.legend(
-        handles=[style.sign(name, color=color, ls="-") for name, color in named],
-        title=title, title_fontsize=7, loc="outside upper center", ncols=columns,
-        columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
-    )  # fmt: skip
     trails = [tracked(log.mocap, log.valid) for log in logs]
+    ends = np.array([final_poses(log)[:, :2] for log in logs])  # (T, N, 2)
+    alone = len(logs) == 1
+
+    heading = _heading(logs, ends)
+    figure = style.figure(WIDTH_IN, _height_in(setup.arena, heading))
+    axes = figure.subplots()
+    _name_robots(figure, heading, colors)
     draw_scene(axes, setups, colors, trails)
-    truth = _visible_truth(logs[0]) if len(logs) == 1 else None
-    if len(logs) == 1:
-        last = int(logs[0].mocap_ns.max(initial=0))
-        DishGround(axes, logs[0]).show(logs[0].stop.sent_ns if logs[0].stop else last)
-        _one(axes, logs[0], colors, truth)
+    leaves = _set_limits(axes, setup.arena, [ends, *trails])
+    truth = _visible_truth(logs[0]) if alone else None
+    if alone:
+        _draw_one(axes, logs[0], colors, truth)
     else:
-        alpha = max(0.75 / len(logs) ** 0.25, 0.1)
-        for trail in trails:
-            for robot, color in enumerate(colors):
-                axes.plot(*trail[:, robot].T, color=color, lw=0.6, alpha=alpha, zorder=3)
-    size = 5 if len(logs) == 1 else 3
+        _draw_several(axes, trails, colors)
     for robot, color in enumerate(colors):
-        axes.plot(*ends[:, robot].T, "D", ms=size, color=color, mec="white", mew=0.5, zorder=6)
-    beyond = _limits(axes, setup.arena, [ends, *trails])
-    _signs(figure, logs, beyond, truth is not None)
+        axes.plot(*ends[:, robot].T, "D", ms=5 if alone else 3, color=color, **END)
+    _name_signs(figure, logs, leaves=leaves, truth=truth is not None)
     return figure
+
+
+# ---- The scene ----
 
 
 def draw_scene(
@@ -122,212 +143,355 @@ def draw_scene(
     setup = setups[0]
     unit = unit_of(setup.unit)
     axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
-    ticks = _nice_step(max(setup.arena.width, setup.arena.height), 9)
+    ticks = _nice_step(_longer_side(setup.arena), PARTS_OF_ARENA)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(ticks))
     for side in ("top", "right"):
         axes.spines[side].set_visible(True)
     for obstacle in setup.obstacles:
         axes.add_patch(Polygon(obstacle.outline(), zorder=1, **style.OBSTACLE))
-    of_trials = zip(trails, setups, strict=True)
-    starts = np.array([first_seen(trail, of.starts.xy) for trail, of in of_trials])
-    targets = np.unique([of.targets for of in setups], axis=0)  # (K, N, 2)
-    hold = setup.hold
+    starts = np.array(
+        [first_seen(trail, of.starts.xy) for trail, of in zip(trails, setups, strict=True)]
+    )
+    targets = np.unique([of.targets for of in setups], axis=0)  # (K, N, 2), K assignments
     for robot, color in enumerate(colors):
-        look: dict[str, Any] = {"mec": color, "zorder": 4, "clip_on": False}
-        axes.plot(*starts[:, robot].T, "o", ms=6, mfc="white", **look)
-        look["mec"] = style.GREY if len(targets) > 1 else color
-        axes.plot(*targets[:, robot].T, "s", ms=7, mfc="none", **look)
+        target_color = style.GREY if len(targets) > 1 else color
+        look: dict[str, Any] = {"zorder": 4, "clip_on": False}
+        axes.plot(*starts[:, robot].T, "o", ms=6, mfc="white", mec=color, **look)
+        axes.plot(*targets[:, robot].T, "s", ms=7, mfc="none", mec=target_color, **look)
         for point in setup.legs[:-1, robot]:
-            axes.plot(*point, "s", ms=4, mfc="none", **look)
-        for target in targets[:, robot]:
-            if hold is not None:
-                axes.add_patch(Circle(target, hold.radius, fill=False, ec=look["mec"], lw=0.6))
+            axes.plot(*point, "s", ms=4, mfc="none", mec=target_color, **look)
+        if setup.hold is not None:
+            for target in targets[:, robot]:
+                circle = Circle(target, setup.hold.radius, fill=False, ec=target_color, lw=0.6)
+                axes.add_patch(circle)
     if len(setup.names) >= NUMBERED:
         for robot, color in enumerate(colors):
-            for place, aside in ((starts[0, robot], (0, 0)), (setup.targets[robot], (6.5, 4))):
-                axes.annotate(
-                    str(robot + 1), tuple(place), aside, textcoords="offset points", ha="center",
-                    va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
-                )  # fmt: skip
+            _number(axes, robot, color, starts[0, robot], aside_pt=(0, 0))
+            _number(axes, robot, color, setup.targets[robot], aside_pt=(6.5, 4))
 
 
-def _one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
-    """Draw trails with times and headings, the `truth` (M, N, 2) if it is given, and the errors."""
-    trail = tracked(log.mocap, log.valid)
-    times = _marked_times(log)
-    final, setup = final_poses(log)[:, :2], log.start.setup
-    ahead = 0.028 * max(setup.arena.width, setup.arena.height)
-    point = setup.arena.width / (72 * (style.COLUMN_IN - 0.65))
-    ring = 4 * point * np.exp(1j * np.arange(0, 2 * np.pi, np.pi / 4))
-    starts = first_seen(trail, setup.starts.xy)
-    marks = np.concatenate([final, setup.targets, starts])[:, None]
-    marks = marks + np.column_stack([ring.real, ring.imag])
-    covered = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), _edge(setup.arena)]
-    labels = Labels(axes, np.concatenate(covered), point)
-    for robot, color in enumerate(colors):
-        xy = trail[:, robot]
-        axes.plot(xy[:, 0], xy[:, 1], color=color, zorder=3, gid=f"trail-{robot}")
-        if truth is not None:
-            axes.plot(*truth[:, robot].T, color=style.INK, lw=0.6, ls=(0, (3, 2)), zorder=3.5)
-        for time_s in times:
-            index = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
-            x, y, heading = log.mocap[min(index, len(log.mocap) - 1), robot]
-            tip = x + ahead * np.cos(heading), y + ahead * np.sin(heading)
-            axes.plot([x, tip[0]], [y, tip[1]], color=color, lw=1.0, zorder=3.6)
-            axes.plot(x, y, ".", color=color, ms=4, zorder=3.6)
-            if len(colors) < NUMBERED:
-                labels.write(np.array([x, y]), np.array(tip), f"{time_s:g} s")
-        gap = np.array([final[robot], setup.targets[robot]])
-        axes.plot(*gap.T, color=color, lw=0.6, ls=":", zorder=2)
+def _number(
+    axes: Axes, robot: int, color: str, place: Floats, aside_pt: tuple[float, float]
+) -> None:
+    """Write a robot's number, from 1, aside of a place."""
+    axes.annotate(
+        str(robot + 1), tuple(place), aside_pt, textcoords="offset points", ha="center",
+        va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
+    )  # fmt: skip
 
 
-def _edge(arena: Bounds) -> Floats:
-    """Return points along the edge of the arena, shape (M, 2)."""
-    x = np.linspace(arena.left, arena.right, 60)
-    y = np.linspace(arena.bottom, arena.top, 60)
-    rows = [np.column_stack([x, np.full(60, end)]) for end in (y[0], y[-1])]
-    columns = [np.column_stack([np.full(60, end), y]) for end in (x[0], x[-1])]
-    return np.concatenate([*rows, *columns])
+class DishGround:
+    """Shows a microscope's pictures behind the axes of a trial; nothing if its log has none."""
 
-
-class Labels:
-    """Writes times next to the trails, each where it is farthest from other marks."""
-
-    def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
-        """Place labels away from `trails` (M, 2); `point` is the number of length units that 1/72
-        inch of the figure shows.
-        """
-        self._axes, self._point = axes, point
-        self._taken = trails[np.isfinite(trails).all(axis=1)]
-
-    def write(self, xy: Floats, tip: Floats, text: str) -> None:
-        """Write text next to a tick, which is drawn from `xy` to `tip`."""
-        self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
-        angles = np.arange(0, 2 * np.pi, np.pi / 6)
-        aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])
-        spots = xy + aside * self._point
-        gaps = spots[:, None] - self._taken
-        gaps[..., 1] *= 1.5  # a label is wider than high
-        best = int(np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf).argmax())
-        width = np.linspace(-4, 4, 5) * self._point
-        label = np.column_stack([spots[best, 0] + width, np.full(5, spots[best, 1])])
-        self._taken = np.concatenate([self._taken, label])
-        self._axes.annotate(
-            text, (float(xy[0]), float(xy[1])), tuple(aside[best]), textcoords="offset points",
-            ha="center", va="center", fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
+    def __init__(self, axes: Axes, log: TrialLog) -> None:
+        self._pictures = DishPictures(log)
+        self._shown = -1
+        self._image = None
+        if not self._pictures.times:
+            return
+        low, right, up = self._pictures.corners
+        place = Affine2D(np.vstack([np.column_stack([right - low, up - low, low]), [0, 0, 1]]))
+        limits = axes.axis()
+        self._image = axes.imshow(
+            self._pictures.grey(0), extent=(0, 1, 0, 1), interpolation="bilinear",
+            transform=place + axes.transData, **PICTURE,
         )  # fmt: skip
+        axes.axis(limits)
+
+    def show(self, when_ns: int) -> bool:
+        """Show the last picture taken up to a time of the trial's clock [ns]; return whether the
+        picture shown changed.
+        """
+        picture = self._pictures.at(when_ns)
+        if picture is None or picture == self._shown:
+            return False
+        assert self._image is not None, "`_image` is set if there are pictures"
+        self._image.set_data(self._pictures.grey(picture))
+        self._shown = picture
+        return True
 
 
-def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths; dash the arena's edge if a path leaves it.
-
-    Points further from the arena than twice its longer side are cut off, so that one outlier does
-    not hide the rest.
+def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
+    """Show the whole arena and all paths, as far as FAR; dash the arena's edge if a path leaves it,
+    and return whether one does.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
     points = points[np.isfinite(points).all(axis=1)]
-    margin = 0.02 * max(arena.width, arena.height)
-    least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    far = 2.0 * max(arena.width, arena.height)
+    margin = MARGIN * _longer_side(arena)
+    far = FAR * _longer_side(arena)
+    least = points.min(axis=0, initial=np.inf)
+    most = points.max(axis=0, initial=-np.inf)
     low = np.where(least < corners[0], np.maximum(least - margin, corners[0] - far), corners[0])
     high = np.where(most > corners[1], np.minimum(most + margin, corners[1] + far), corners[1])
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    beyond = bool((low < corners[0]).any() or (high > corners[1]).any())
-    if beyond:
-        frame = Rectangle(tuple(corners[0]), arena.width, arena.height)
-        frame.set(fill=False, edgecolor=style.GREY, linewidth=0.6, linestyle="--")
-        axes.add_patch(frame)
-    return beyond
+    leaves = bool((low < corners[0]).any() or (high > corners[1]).any())
+    if leaves:
+        edge = Rectangle((arena.left, arena.bottom), arena.width, arena.height)
+        axes.add_patch(edge).set(**EDGE)
+    return leaves
 
 
-def _errors(logs: Sequence[TrialLog], errors: Floats) -> tuple[str, list[str]]:
-    """Return the title of the robots' legend, and its entries: names and `errors` (trials, N); no
-    entries for more than 30 robots.
+# ---- Paths ----
 
-    Means over several trials leave out incomplete ones; trials of several folders have no means.
+
+def _draw_several(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> None:
+    """Draw the trails of several trials, the fainter the more there are."""
+    alpha = max(0.75 / len(trails) ** 0.25, 0.1)
+    for trail in trails:
+        for robot, color in enumerate(colors):
+            axes.plot(*trail[:, robot].T, color=color, lw=0.6, alpha=alpha, zorder=3)
+
+
+def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
+    """Draw the trails of a trial over its last picture, with times and headings, the `truth`
+    (M, N, 2) if it is given, and the errors at the end.
+    """
+    setup = log.start.setup
+    trail = tracked(log.mocap, log.valid)
+    ends = final_poses(log)[:, :2]
+    last_ns = log.stop.sent_ns if log.stop else int(log.mocap_ns.max(initial=0))
+    DishGround(axes, log).show(last_ns)
+    labels = TimeLabels(axes, _marks(log, trail, ends, _point(axes)))
+    for robot, color in enumerate(colors):
+        axes.plot(*trail[:, robot].T, color=color, zorder=3, gid=f"trail-{robot}")
+        if truth is not None:
+            axes.plot(*truth[:, robot].T, color=style.INK, zorder=3.5, **DASHED)
+        for time_s in _marked_times(log):
+            tick = _Tick.at(log, robot, time_s)
+            axes.plot(*np.array([tick.foot, tick.tip]).T, color=color, lw=1.0, zorder=3.6)
+            axes.plot(*tick.foot, ".", color=color, ms=4, zorder=3.6)
+            if len(colors) < NUMBERED:
+                labels.write(tick, f"{time_s:g} s")
+        error = np.array([ends[robot], setup.targets[robot]])
+        axes.plot(*error.T, color=color, zorder=2, **DOTTED)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tick:
+    """The mark of a robot's pose: from its place `foot` (2,) ahead to `tip` (2,)."""
+
+    foot: Floats
+    tip: Floats
+
+    @classmethod
+    def at(cls, log: TrialLog, robot: int, time_s: float) -> "_Tick":
+        """Return the mark at a time since the first direction."""
+        frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
+        x, y, heading = log.mocap[min(frame, len(log.mocap) - 1), robot]
+        ahead = TICK * _longer_side(log.start.setup.arena)
+        tip = np.array([x + ahead * np.cos(heading), y + ahead * np.sin(heading)])
+        return cls(np.array([x, y]), tip)
+
+
+class TimeLabels:
+    """Writes times next to ticks, each where it is farthest from other marks (M, 2)."""
+
+    def __init__(self, axes: Axes, marks: Floats) -> None:
+        self._axes = axes
+        self._point = _point(axes)
+        self._marks = marks[np.isfinite(marks).all(axis=1)]
+
+    def write(self, tick: _Tick, text: str) -> None:
+        """Write text next to a tick, and keep later texts clear of both; nothing where the robot
+        was not seen."""
+        if not np.isfinite(tick.tip).all():
+            return
+        self._keep_clear_of(np.array([tick.tip, (tick.foot + tick.tip) / 2]))
+        angles = np.arange(0, 2 * np.pi, 2 * np.pi / LABEL_DIRECTIONS)
+        aside_pt = np.column_stack([LABEL_PT[0] * np.cos(angles), LABEL_PT[1] * np.sin(angles)])
+        centres = tick.foot + aside_pt * self._point
+        gaps = centres[:, None] - self._marks
+        gaps[..., 1] *= HIGHER
+        nearest = np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf)
+        best = int(nearest.argmax())
+        along = np.linspace(-LABEL_REACH_PT, LABEL_REACH_PT, 5) * self._point
+        self._keep_clear_of(
+            np.column_stack([centres[best, 0] + along, np.full(len(along), centres[best, 1])])
+        )
+        self._axes.annotate(
+            text, tuple(tick.foot.tolist()), tuple(aside_pt[best]), textcoords="offset points",
+            ha="center", va="center", fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
+        )  # fmt: skip
+
+    def _keep_clear_of(self, marks: Floats) -> None:
+        self._marks = np.concatenate([self._marks, marks])
+
+
+def _point(axes: Axes) -> float:
+    """Return how long 1/72 inch of the figure is in the trial, by the limits of the axes."""
+    left, right = axes.get_xlim()
+    return (right - left) / (72 * (WIDTH_IN - BESIDE_AXES_AT_LABELS_IN))
+
+
+def _marks(log: TrialLog, trail: Floats, ends: Floats, point: float) -> Floats:
+    """Return points (M, 2) of what labels keep clear of: trails, the outlines of starts, targets
+    and ends (N, 2), and the arena's edge.
+    """
+    setup = log.start.setup
+    around = np.arange(0, 2 * np.pi, np.pi / 4)
+    circle = MARK_RADIUS_PT * point * np.column_stack([np.cos(around), np.sin(around)])
+    centres = np.concatenate([ends, setup.targets, first_seen(trail, setup.starts.xy)])
+    outlines = centres[:, None] + circle
+    path = trail[::FRAMES_APART]
+    return np.concatenate([path.reshape(-1, 2), outlines.reshape(-1, 2), _edge(setup.arena)])
+
+
+def _edge(arena: Bounds) -> Floats:
+    """Return points along the edge of the arena, shape (M, 2)."""
+    x = np.linspace(arena.left, arena.right, EDGE_POINTS)
+    y = np.linspace(arena.bottom, arena.top, EDGE_POINTS)
+    bottom = np.column_stack([x, np.full(EDGE_POINTS, y[0])])
+    top = np.column_stack([x, np.full(EDGE_POINTS, y[-1])])
+    left = np.column_stack([np.full(EDGE_POINTS, x[0]), y])
+    right = np.column_stack([np.full(EDGE_POINTS, x[-1]), y])
+    return np.concatenate([bottom, top, left, right])
+
+
+def _visible_truth(log: TrialLog) -> Floats | None:
+    """Return the true positions (M, N, 2); None if they are unknown, or if none is further from the
+    measured position than TRUTH_SEEN.
+    """
+    if log.truth is None or not len(log.truth):
+        return None
+    truth = log.truth[..., :2]
+    gaps = np.linalg.norm(truth - tracked(log.mocap, log.valid), axis=-1)
+    differs = np.nanmax(gaps, initial=0.0) > TRUTH_SEEN * _longer_side(log.start.setup.arena)
+    return truth if differs else None
+
+
+def _marked_times(log: TrialLog) -> list[float]:
+    """Return at most TIMES_MOST times to mark [s since the first direction]: multiples of 1, 2 or 5
+    times 10^n.
+    """
+    end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
+    if end_s <= 0:
+        return []
+    step_s = _nice_step(end_s, TIMES_MOST)
+    return [float(time_s) for time_s in np.arange(step_s, end_s * LAST_TIME, step_s)]
+
+
+# ---- Legends ----
+
+
+@dataclass(frozen=True, slots=True)
+class _Heading:
+    """What stands above the axes: a title, and an entry per robot in `columns`."""
+
+    title: str
+    entries: list[str]
+
+    @property
+    def columns(self) -> int:
+        """The number of columns in which the entries fit."""
+        longest = max((len(entry) for entry in self.entries), default=0)
+        fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
+        return max(min(len(self.entries), fit, LEGEND_COLUMNS_MOST), 1)
+
+    @property
+    def lines(self) -> int:
+        """The number of lines of title and entries."""
+        full, rest = divmod(len(self.entries), self.columns)
+        return self.title.count("\n") + 1 + full + (1 if rest else 0)
+
+
+def _heading(logs: Sequence[TrialLog], ends: Floats) -> _Heading:
+    """Return the heading of trials that end at `ends` (T, N, 2): the robots' names and errors.
+
+    Means over several trials leave out incomplete ones; trials of several folders have no means,
+    and more than NAMED_MOST robots no entries.
     """
     setup = logs[0].start.setup
-    unit, names = unit_of(setup.unit), robot_labels(setup.names)
+    unit = unit_of(setup.unit)
+    errors = np.array([log.start.setup.distances(end) for log, end in zip(logs, ends, strict=True)])
+    names = robot_labels(setup.names)
+    folders = {log.log.rpartition("/")[0] for log in logs}
     if len(logs) == 1:
-        show = lengths(float(errors.sum()))
-        words = [show(error) for error in errors[0]]
-        title = f"error at the end [{unit}], total {show(errors.sum())}"
-    elif (folders := len({log.log.rpartition("/")[0] for log in logs})) > 1:
-        title, words = f"{len(logs)} trials of {folders} folders", []
+        total = float(errors.sum())
+        show = lengths(total)
+        title = f"error at the end [{unit}], total {show(total)}"
+        entries = _with_errors(names, [show(error) for error in errors[0]])
+    elif len(folders) > 1:
+        title = f"{len(logs)} trials of {len(folders)} folders"
+        entries = names
     else:
         whole = np.array([not unfinished(log) for log in logs])
         counted = errors[whole] if whole.any() else errors
-        words = [_spread(robot) for robot in counted.T]
-        title = f"{len(logs)} trials, error at the end [{unit}], total "
-        title += _spread(counted.sum(axis=1))
-    texts = [f"{name}: {word}" for name, word in zip(names, words, strict=True)] if words else names
-    return title, texts if len(texts) <= 30 else []
+        total = _mean_and_std(counted.sum(axis=1))
+        title = f"{len(logs)} trials, error at the end [{unit}], total {total}"
+        entries = _with_errors(names, [_mean_and_std(of_robot) for of_robot in counted.T])
+    return _Heading(title, entries if len(entries) <= NAMED_MOST else [])
 
 
-def _columns(texts: Sequence[str]) -> int:
-    """Return the number of columns in which the entries of a legend fit."""
-    width_pt = 3.9 * max(map(len, texts), default=0) + 20.0  # of the text, and of a sign with gaps
-    return max(min(len(texts), int((72 * style.COLUMN_IN + 1) // width_pt), 6), 1)
+def _with_errors(names: list[str], errors: list[str]) -> list[str]:
+    return [f"{name}: {error}" for name, error in zip(names, errors, strict=True)]
 
 
-def _spread(errors: Floats) -> str:
+def _mean_and_std(errors: Floats) -> str:
     """Return the mean and, of two or more errors, the standard deviation (n - 1) as text."""
     mean = float(errors.mean())
-    digits = 0 if mean >= 100 else 1 if mean >= 10 else 2
+    digits = 2
+    if mean >= 10:
+        digits = 1
+    if mean >= 100:
+        digits = 0
     if len(errors) < 2:
         return f"{mean:.{digits}f}"
     std = float(errors.std(ddof=1))
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
-def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool, truth: bool) -> None:
-    """Draw the legend of the markers below the axes."""
-    alone, setup = len(logs) == 1, logs[0].start.setup
-    dashed: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
+def _height_in(arena: Bounds, heading: _Heading) -> float:
+    """Return the height of the figure, whose axes have the shape of the arena."""
+    shape = min(max(arena.height / arena.width, SHAPE_LEAST), SHAPE_MOST)
+    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
+    return axes_in + ABOVE_AND_BELOW_AXES_IN + LEGEND_LINE_IN * heading.lines
+
+
+def _name_robots(figure: Figure, heading: _Heading, colors: list[str]) -> None:
+    """Draw the legend of the robots above the axes; there may be no entries."""
+    named = zip(heading.entries, colors, strict=False)
+    figure.legend(
+        handles=[style.sign(entry, color=color, ls="-") for entry, color in named],
+        title=heading.title, title_fontsize=7, loc="outside upper center",
+        ncols=heading.columns, columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
+    )  # fmt: skip
+
+
+def _name_signs(figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: bool) -> None:
+    """Draw the legend of the markers below the axes; `leaves` is whether a path leaves the arena,
+    `truth` whether true paths are drawn."""
+    alone = len(logs) == 1
+    setup = logs[0].start.setup
     signs: list[Artist] = [
         style.sign("start", marker="o", mfc="white", ms=5),
         style.sign("target", marker="s", mfc="none", ms=5),
         style.sign("end", marker="D", ms=4),
     ]
     if alone:
-        signs.append(style.sign("error", lw=0.6, ls=":"))
+        signs.append(style.sign("error", **DOTTED))
     if setup.obstacles:
         signs.append(Patch(label="obstacle", **style.OBSTACLE))
-    if alone and len(setup.names) >= NUMBERED and (times := _marked_times(logs[0])):
-        signs.append(style.sign(f"every {times[0]:g} s", marker=".", ms=4))
-    if beyond:
-        signs.append(style.sign("arena", **dashed))
+    times_s = _marked_times(logs[0]) if alone and len(setup.names) >= NUMBERED else []
+    if times_s:
+        signs.append(style.sign(f"every {times_s[0]:g} s", marker=".", ms=4))
+    if leaves:
+        signs.append(style.sign("arena", **DASHED))
     if truth:
-        signs.append(style.sign("true path", color=style.INK, **dashed))
-    if len(signs) > 5:  # two lines are needed
+        signs.append(style.sign("true path", color=style.INK, **DASHED))
+    columns = len(signs)
+    if len(signs) > SIGNS_IN_A_LINE:
+        columns = 3
         figure.set_figheight(figure.get_figheight() + LEGEND_LINE_IN)
-    columns = len(signs) if len(signs) < 6 else 3
     style.legend(figure, signs, columns, fontsize=6, columnspacing=1.2)
 
 
-def _visible_truth(log: TrialLog) -> Floats | None:
-    """Return the true positions (M, N, 2); None if they are unknown, or if none is further from the
-    measured position than 0.5 % of the arena's longer side.
-    """
-    if log.truth is None or not len(log.truth):
-        return None
-    gap = np.linalg.norm(log.truth[..., :2] - tracked(log.mocap, log.valid), axis=-1)
-    arena = log.start.setup.arena
-    differs = np.nanmax(gap, initial=0.0) > 0.005 * max(arena.width, arena.height)
-    return log.truth[..., :2] if differs else None
+# ---- Sizes ----
 
 
-def _marked_times(log: TrialLog) -> list[float]:
-    """Return at most five times to mark [s since the first direction]: multiples of 1, 2 or 5
-    times 10^n.
-    """
-    end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
-    if end_s <= 0:
-        return []
-    step = _nice_step(end_s, 5)
-    return [float(t) for t in np.arange(step, end_s * 0.92, step)]
+def _longer_side(arena: Bounds) -> float:
+    return max(arena.width, arena.height)
 
 
 def _nice_step(length: float, most: int) -> float:
@@ -335,4 +499,7 @@ def _nice_step(length: float, most: int) -> float:
     parts.
     """
     power = 10.0 ** np.floor(np.log10(length / most))
-    return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))
+    for multiple in (1, 2, 5):
+        if length / (multiple * power) <= most:
+            return float(multiple * power)
+    return float(10 * power)

@@ -53,6 +53,17 @@ def estimated(log, **more):
     return replace(log, steps=steps)
 
 
+def test_a_robot_that_was_never_seen_puts_no_label_at_the_place_of_others(log):
+    """Regression: its place of NaN was the nearest mark of every later label, so that all stood
+    to the right of their ticks."""
+    poses = log.mocap.copy()
+    poses[:, 0] = np.nan
+    figure = trajectory_figure([replace(log, mocap=poses, valid=np.isfinite(poses[..., 0]))])
+    aside = {text.xyann for text in figure.axes[0].texts}
+    assert len(figure.axes[0].texts) > 0
+    assert len(aside) > 1
+
+
 def many(log, count):
     """The trial with its robots copied, a little apart, until there are `count`."""
     spec = experiment(

@@ -1,7 +1,9 @@
 """Computes each decision of a trial again with the controller rebuilt from the log.
 
-There are two methods. *Re-computed*: every search is run again and must give the same bits, as it
-does on the machine and with the versions that wrote the log. *Re-evaluated*: the searches' results
+`recompute` goes through the steps: `_step_difference` lets the controller decide on the logged
+frames, and compares. The controller's searches are answered in one of two ways. *Re-computed*
+(`SearchesAgain`): every search is run again and must give the same bits, as it does on the machine
+and with the versions that wrote the log. *Re-evaluated* (`LoggedSearches`): the searches' results
 are read from the log; their J, the choice among them and the predicted path are computed again, and
 must agree within TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
 difference in the last bit of one cost may change the leading particle and then the whole search.
@@ -9,7 +11,7 @@ difference in the last bit of one cost may change the leading particle and then 
 
 import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,8 +43,11 @@ TOLERANCE = 1e-9
 ROUNDING = 1e-12
 """Additional tolerance relative to the largest coordinate: a cost near 0 is a small difference of
 much larger coordinates."""
-
+AFTER_EVERY_DEADLINE_NS = 1 << 62
+"""A time that no deadline of a controller is after."""
 GOES_ON = "goes on"
+CANNOT_GO_ON = "cannot go on"
+"""What is said of a controller that plans, and of one that fails, in place of an outcome."""
 
 
 class NoSearchError(Exception):
@@ -61,64 +66,97 @@ class Asked:
     limits: Limits
 
 
-class Rerun:
-    """Repeats the logged searches of a trial, in place of a controller's optimisers.
+# ---- The searches of a step ----
 
-    A search that was ended by the deadline is repeated with a deadline that passes once the logged
-    number of evaluations is done. With `search_again` False, nothing is searched: the logged
-    searches are returned, and contradictions are added to `wrong`. `asked` are the present step's
-    searches by their index in the log. Searches may take `limits.seconds_limit` of processor time,
-    read from `cpu` [s]; the time of compiling does not count.
+
+class LoggedSearches:
+    """Answers the searches of a controller with the logged ones of the present step, and evaluates
+    each again: this is re-evaluation.
+
+    Call `begin` before each step. Then `asked` are the step's searches by their index in the log,
+    and `contradiction` is the field and text of the first that contradicts its problem or its
+    optimiser. Processor time, read from `cpu` [s], may take `limits.seconds_limit`.
     """
 
-    def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
-        self._search_again = search_again
-        self._cpu = cpu
-        self._compiled = not search_again  # searches are compiled by the first one
-        self._until_s = cpu() + limits.seconds_limit()  # of processor time, once compiled
-        self.wrong: list[tuple[str, str]] = []
+    def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
         self.asked: dict[int, Asked] = {}
-        self._left: list[tuple[int, Search]] = []
+        self.contradiction: tuple[str, str] | None = None
+        self._to_come: list[tuple[int, Search]] = []
+        self._cpu = cpu
+        self._until_s = cpu() + limits.seconds_limit()
 
     def controller(self, log: TrialLog, key: int) -> Controller:
-        """Return the controller of a log, with the logged searches and the random key `key`."""
-        host = Host(lambda optimizer: _Repeated(optimizer, self), self._timer)
+        """Return the controller of a log, whose searches come here, with the random key `key`."""
+        host = Host(lambda optimizer: _Repeated(optimizer, self), self._time_ns)
         return CheckedController(log.experiment.controller, log.start.setup, key, host)
-
-    def expired(self) -> bool:
-        """Return whether the time limit is exceeded."""
-        return self._compiled and self._cpu() > self._until_s
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Continue with the logged searches of a step; given signals need no search."""
-        self._left = [
-            (i, search) for i, search in enumerate(searches) if search.stopped != StopReason.FIXED
+        self._to_come = [
+            (index, search)
+            for index, search in enumerate(searches)
+            if search.stopped != StopReason.FIXED
         ]
-        self.wrong = []
+        self.contradiction = None
         self.asked = {}
 
-    def _timer(self) -> int:
-        """Return the time [ns] for the controller's deadline: 0 while logged searches are left,
-        then a time after every deadline.
-        """
-        return 0 if self._left else 1 << 62
-
     def search(self, asked: Asked) -> Search:
-        """Run the next logged search again, or return it; TooLongError beyond the limits."""
-        if not self._left:
+        """Answer a search of the controller; NoSearchError if the log has no other one,
+        TooLongError beyond the limits."""
+        if not self._to_come:
             raise NoSearchError
-        index, logged = self._left.pop(0)
+        index, logged = self._to_come.pop(0)
         self.asked[index] = asked
-        if not self._search_again:
-            self._evaluate(asked, f"searches.{index}", logged)
-            return logged
+        return self._answer(asked, logged, f"searches.{index}")
+
+    def require_time(self) -> None:
+        """Raise TooLongError if the time limit is exceeded."""
+        if self.expired():
+            raise TooLongError
+
+    def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
+        """Return the logged search; note how it contradicts what was asked."""
+        if logged.length != asked.length or len(logged.signals) != asked.length:
+            self._note(f"{name}.length", f"{logged.length}, not {asked.length}")
+            raise NoSearchError
+        for field, text in _contradictions(asked, logged, name):
+            self._note(field, text)
+        return logged
+
+    def _note(self, field: str, text: str) -> None:
+        """Store a contradiction, unless there is an earlier one."""
+        if self.contradiction is None:
+            self.contradiction = (field, text)
+
+    def expired(self) -> bool:
+        """Return whether the time limit is exceeded."""
+        return self._cpu() > self._until_s
+
+    def _time_ns(self) -> int:
+        """Return the time for the controller's deadline: as the searches were logged before it or
+        cut short by it, no time passes until the last of them, and then every deadline has passed.
+        """
+        return 0 if self._to_come else AFTER_EVERY_DEADLINE_NS
+
+
+class SearchesAgain(LoggedSearches):
+    """Runs each logged search of a controller again: this is re-computation.
+
+    A search that was ended by the deadline is ended after its logged number of evaluations. The
+    first search compiles, which takes no part of the time limit.
+    """
+
+    def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
+        super().__init__(cpu)
+        self._compiled = False
+
+    def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
         if not self._compiled:
             self._compile(asked)
         most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
         limited = replace(asked.limits, expired=lambda spent: self.expired() or spent >= most)
         search = asked.optimizer.search(asked.problem, asked.length, asked.warm, asked.key, limited)
-        if self.expired():
-            raise TooLongError
+        self.require_time()
         return search
 
     def _compile(self, asked: Asked) -> None:
@@ -128,38 +166,63 @@ class Rerun:
         self._compiled = True
         self._until_s = self._cpu() + limits.seconds_limit()
 
-    def _evaluate(self, asked: Asked, name: str, logged: Search) -> None:
-        """Add to `wrong` how a logged search contradicts its problem or its optimiser."""
-        problem, length, wrong = asked.problem, asked.length, self.wrong
-        if logged.length != length or len(logged.signals) != length:
-            wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
-            raise NoSearchError
-        cost = float(evaluate(problem, logged.signals[None]).total[0])
-        tolerance = _tolerance(problem.poses.xy, problem.targets)
-        wrong += filter(None, [first_difference(cost, logged.cost, tolerance, f"{name}.cost")])
-        history = logged.history
-        if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
-            wrong.append((f"{name}.history", "does not decrease to the stated cost"))
-        warmed = asked.warm is not None
-        for field in asked.optimizer.contradictions(logged, warmed, asked.limits):
-            value = getattr(logged, field)
-            text = f"logged {value}, which contradicts its history and the spec's limits"
-            wrong.append((f"{name}.{field}", text))
+    def expired(self) -> bool:
+        """Return whether the time limit is exceeded."""
+        return self._compiled and super().expired()
 
 
 @dataclass(frozen=True, slots=True)
 class _Repeated:
-    """An `Optimizer` for verification, whose searches `rerun` repeats."""
+    """An `Optimizer` whose searches `searches` answers."""
 
     optimizer: OptimizerSection
-    rerun: Rerun
+    searches: LoggedSearches
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Run the next logged search again, or return it."""
-        kept = None if warm is None else warm.copy()
-        return self.rerun.search(Asked(self.optimizer, problem, length, kept, key, limits))
+        """Return the answer to a search; `warm` is copied, as the controller goes on using it."""
+        start = None if warm is None else warm.copy()
+        return self.searches.search(Asked(self.optimizer, problem, length, start, key, limits))
+
+
+def _contradictions(asked: Asked, logged: Search, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the field and text of each way in which a logged search contradicts its problem or its
+    optimiser."""
+    problem = asked.problem
+    cost = float(evaluate(problem, logged.signals[None]).total[0])
+    tolerance = _tolerance(problem.poses.xy, problem.targets)
+    difference = first_difference(cost, logged.cost, tolerance, f"{name}.cost")
+    if difference is not None:
+        yield difference
+    history = logged.history
+    if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
+        yield f"{name}.history", "does not decrease to the stated cost"
+    warmed = asked.warm is not None
+    for field in asked.optimizer.contradictions(logged, warmed, asked.limits):
+        value = getattr(logged, field)
+        text = f"logged {value}, which contradicts its history and the spec's limits"
+        yield f"{name}.{field}", text
+
+
+# ---- The decisions of a trial ----
+
+
+@dataclass(frozen=True, slots=True)
+class _Tolerances:
+    """How far a decision may be from the logged one, and how far its predicted path."""
+
+    decision: Tolerance
+    path: Tolerance
+
+    @classmethod
+    def of(cls, log: TrialLog, search_again: bool) -> "_Tolerances":
+        """Return those of a log: none if searches are run again."""
+        if search_again:
+            return cls(SAME_BITS, SAME_BITS)
+        setup = log.start.setup
+        decision = _tolerance(setup.starts.xy, setup.targets)
+        return cls(decision, replace(decision, relative=2 * DRAWN_PRECISION))
 
 
 def recompute(
@@ -175,46 +238,65 @@ def recompute(
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"seed {log.start.seed} has no trial {log.start.trial}")
-    setup, rerun = log.start.setup, Rerun(search_again, cpu)
-    controller = rerun.controller(log, key)
-    tolerance = of_path = SAME_BITS
-    if not search_again:
-        tolerance = _tolerance(setup.starts.xy, setup.targets)
-        of_path = replace(tolerance, relative=2 * DRAWN_PRECISION)
+    searches = SearchesAgain(cpu) if search_again else LoggedSearches(cpu)
+    controller = searches.controller(log, key)
+    tolerances = _Tolerances.of(log, search_again)
+    steps = first_steps(log)
     last: Step | None = None
-    for step in first_steps(log):
-        rerun.begin(step.plan.searches)
-        try:
-            decision = plan_again(controller, log, last, step.observation)
-            if rerun.expired():
-                raise TooLongError
-        except (TooLongError, MemoryError):
-            limit_s = f"{limits.seconds_limit():g} s"
-            text = f"not computed again: the rest takes over {limit_s} or much memory"
-            return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
-        except NoSearchError:
-            found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
-            return Difference(step.k, *found)
-        except TetractlError as error:
-            return Difference(step.k, "plan", error.message)
-        if not isinstance(decision, Plan):
-            return Difference(step.k, "plan", f"the controller ends the trial: {_named(decision)}")
-        if decision.generator != step.plan.generator:
-            text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
-            return Difference(step.k, "generator", text)
-        path, decision = drawn(decision.path[..., :2]), replace(decision, path=step.plan.path)
-        found = (
-            next(iter(rerun.wrong), None)
-            or first_difference(decision, step.plan, tolerance)
-            or first_difference(path, step.plan.path[..., :2], of_path, "path")
-        )
-        if found:
-            return Difference(step.k, *found)
+    for step in steps:
+        difference = _step_difference(controller, searches, tolerances, log, last, step)
+        if difference is not None:
+            return difference
         last = step
-    if len(first_steps(log)) < len(log.steps):
+    if len(steps) < len(log.steps):
         return None
-    rerun.begin(())
-    return _outcome(log, controller, last)
+    searches.begin(())
+    return _outcome_difference(log, controller, last)
+
+
+def _step_difference(
+    controller: Controller,
+    searches: LoggedSearches,
+    tolerances: _Tolerances,
+    log: TrialLog,
+    last: Step | None,
+    step: Step,
+) -> Difference | None:
+    """Decide the step that follows `last` again; return the first difference from the logged one,
+    None if there is none."""
+    searches.begin(step.plan.searches)
+    try:
+        decision = plan_again(controller, log, last, step.observation)
+        searches.require_time()
+    except (TooLongError, MemoryError):
+        limit_s = f"{limits.seconds_limit():g} s"
+        text = f"not computed again: the rest takes over {limit_s} or much memory"
+        return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
+    except NoSearchError:
+        too_few = ("searches", f"only {len(step.plan.searches)} logged")
+        return Difference(step.k, *(searches.contradiction or too_few))
+    except TetractlError as error:
+        return Difference(step.k, "plan", error.message)
+    if not isinstance(decision, Plan):
+        return Difference(step.k, "plan", f"the controller ends the trial: {_named(decision)}")
+    if decision.generator != step.plan.generator:
+        text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
+        return Difference(step.k, "generator", text)
+    if searches.contradiction is not None:
+        return Difference(step.k, *searches.contradiction)
+    return _plan_difference(decision, step, tolerances)
+
+
+def _plan_difference(plan: Plan, step: Step, tolerances: _Tolerances) -> Difference | None:
+    """Return the first difference of a plan from the logged one, whose path is rounded and has no
+    headings."""
+    logged = step.plan
+    same_path = replace(plan, path=logged.path)
+    difference = first_difference(same_path, logged, tolerances.decision)
+    if difference is None:
+        path = drawn(plan.path[..., :2])
+        difference = first_difference(path, logged.path[..., :2], tolerances.path, "path")
+    return None if difference is None else Difference(step.k, *difference)
 
 
 def plan_again(
@@ -223,11 +305,13 @@ def plan_again(
     """Return a controller's decision on an observation that follows the control step `last` of a
     log, or on the first observation if `last` is None. FaultyPluginError if a plug-in fails.
     """
-    command, earlier = None, []
+    command = None
+    earlier: list[Observation] = []
     if last is not None:
-        began, times = last.observation.sampled_ns, log.mocap_ns
-        between = np.flatnonzero((times > began) & (times < observation.sampled_ns))
-        command, earlier = last.command, [log.sample(int(i)).observation for i in between]
+        command = last.command
+        after = log.mocap_ns > last.observation.sampled_ns
+        between = np.flatnonzero(after & (log.mocap_ns < observation.sampled_ns))
+        earlier = [log.sample(int(row)).observation for row in between]
     with plugins_blamed():
         return controller.plan(observation, command, earlier)
 
@@ -236,56 +320,93 @@ def first_steps(log: TrialLog) -> list[Step]:
     """Return the control steps before the first missing step or, in a damaged log, before the first
     missing camera frame.
     """
-    lost = log.damage.lost if log.damage else ()
-    torn = len(lost) > (log.result is None)  # not only the end of the log is lost
-    gap = min((gap.first for gap in frame_gaps(log)), default=np.inf) if torn else np.inf
-    return [
-        step for k, step in enumerate(log.steps) if step.k == k and step.observation.frame < gap
-    ]
+    first_missing = np.inf
+    if _lost_more_than_its_end(log):
+        first_missing = min((gap.first for gap in frame_gaps(log)), default=np.inf)
+    steps = []
+    for number, step in enumerate(log.steps):
+        if step.k == number and step.observation.frame < first_missing:
+            steps.append(step)
+    return steps
 
 
-def _outcome(log: TrialLog, controller: Controller, last: Step | None) -> Difference | None:
+def _lost_more_than_its_end(log: TrialLog) -> bool:
+    """Return whether a log has lost more than its result and what follows it."""
+    lost = len(log.damage.lost) if log.damage else 0
+    return lost > 1 if log.result is None else lost > 0
+
+
+# ---- The end of a trial ----
+
+
+def _outcome_difference(
+    log: TrialLog, controller: Controller, last: Step | None
+) -> Difference | None:
     """Check that the controller, on a camera frame of the last control period, ends the trial with
     the logged outcome.
 
-    The log does not name the frame on which the trial ended: in a simulation it is the newest frame
-    one control period after the last command, in the lab one of the newest. The stop may have been
-    sent later.
+    The log does not name the frame on which the trial ended: it is one of `_last_frames`. An abort
+    or an interrupt is checked only where the controller may have decided it (`_stopped_by_itself`),
+    and then only if it ends the trial on the newest of these frames.
     """
-    result, stop = log.result, log.stop
-    if result is None or stop is None:
+    result = log.result
+    if result is None or log.stop is None:
         return None
     if not result.outcome.complete and not _stopped_by_itself(log, result):
         return None
-    since = last.observation.received_ns if last else -1
-    newest = np.flatnonzero((log.received_ns > since) & (log.received_ns <= stop.sent_ns))[::-1]
-    if log.start.plant.simulated:
-        pause_s = PAUSE_S if last and last.plan.pauses else 0.0
-        wait_ns = round((log.experiment.controller.period + pause_s) * SECOND)
-        due = last.command.sent_ns + wait_ns if last else stop.sent_ns
-        newest = newest[log.received_ns[newest] <= due][:1]
-    said: list[str] = []
-    for i in newest:
-        try:
-            seen = log.sample(int(i)).observation
-            said.append(_named(plan_again(copy.deepcopy(controller), log, last, seen)))
-        except NoSearchError:
-            said.append(GOES_ON)
-        except TetractlError:
-            said.append("cannot go on")
-        if said[-1] == result.outcome.value:
+    decisions: list[str] = []
+    for frame in _last_frames(log, last, log.stop.sent_ns):
+        observation = log.sample(frame).observation
+        decision = _decided(copy.deepcopy(controller), log, last, observation)
+        if decision == result.outcome.value:
             return None
-    if not result.outcome.complete and (not said or said[0] in (GOES_ON, "cannot go on")):
+        decisions.append(decision)
+    does_not_end = not decisions or decisions[0] in (GOES_ON, CANNOT_GO_ON)
+    if not result.outcome.complete and does_not_end:
         return None
-    why = f"the controller decides {said[0]!r}" if said else "there is no frame to decide on"
+    why = "there is no frame to decide on"
+    if decisions:
+        why = f"the controller decides {decisions[0]!r}"
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
+
+
+def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
+    """Return the rows of the camera frames on which a trial that was stopped at `stop_ns` may have
+    ended, the newest first.
+
+    In the lab it is any after the last step, as the stop may have been sent later; in a simulation
+    the newest one control period after the last command.
+    """
+    since_ns = last.observation.received_ns if last else -1
+    after = (log.received_ns > since_ns) & (log.received_ns <= stop_ns)
+    newest_first = np.flatnonzero(after)[::-1]
+    if log.start.plant.simulated:
+        due_ns = stop_ns
+        if last is not None:
+            pause_s = PAUSE_S if last.plan.pauses else 0.0
+            wait_ns = round((log.experiment.controller.period + pause_s) * SECOND)
+            due_ns = last.command.sent_ns + wait_ns
+        newest_first = newest_first[log.received_ns[newest_first] <= due_ns][:1]
+    return newest_first.tolist()
+
+
+def _decided(
+    controller: Controller, log: TrialLog, last: Step | None, observation: Observation
+) -> str:
+    """Return the outcome that a controller decides, GOES_ON or CANNOT_GO_ON."""
+    try:
+        return _named(plan_again(controller, log, last, observation))
+    except NoSearchError:
+        return GOES_ON
+    except TetractlError:
+        return CANNOT_GO_ON
 
 
 def _named(decision: Plan | Outcome | End) -> str:
     """Return the outcome that a controller decides, GOES_ON for a plan."""
     if isinstance(decision, Plan):
         return GOES_ON
-    return (decision.outcome if isinstance(decision, End) else decision).value
+    return decision.outcome.value if isinstance(decision, End) else decision.value
 
 
 def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
@@ -294,8 +415,8 @@ def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
     the same time, and a trial also counts as aborted if the robots did not come to rest after its
     end.
     """
-    told = any(note.level == "error" and note.text == result.reason for note in log.notes)
-    return log.start.plant.simulated and not told
+    is_error = any(note.level == "error" and note.text == result.reason for note in log.notes)
+    return log.start.plant.simulated and not is_error
 
 
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:

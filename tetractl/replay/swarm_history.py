@@ -16,7 +16,7 @@ from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recompute import NoSearchError, Rerun
+from tetractl.replay.recompute import LoggedSearches, NoSearchError
 from tetractl.run.task import trial_seeds
 
 GRID = 61
@@ -61,18 +61,21 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     Raises LogError for a search that was not by a particle swarm, has a single signal, does not
     follow from the log, or takes longer than `limits` allows.
     """
-    rerun, step = Rerun(False), log.steps[0]
-    rerun.begin(step.plan.searches)
+    step = log.steps[0]
+    searches = LoggedSearches()
+    searches.begin(step.plan.searches)
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
-        rerun.controller(log, key).plan(step.observation)
-    asked = rerun.asked.get(step.plan.chosen)
+        searches.controller(log, key).plan(step.observation)
+    asked = searches.asked.get(step.plan.chosen)
     if step.k != 0 or asked is None:
         raise LogError(
             f"{log.log}: the first search of the trial cannot be run again",
             "tetractl verify prints the difference",
         )
-    section, problem, logged = asked.optimizer, asked.problem, step.plan.search
+    section = asked.optimizer
+    problem = asked.problem
+    logged = step.plan.search
     if not isinstance(section, Pso):
         raise LogError(
             f"{log.log}: has no swarm: its optimiser is {section.type}",
@@ -82,24 +85,26 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
         raise LogError(f"{log.log}: the plan has one signal, but the figure needs two")
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
-    frames, path, again = list[Frame](), [], []
+    frames: list[Frame] = []
+    path: list[Floats] = []
+    costs: list[float] = []
     swarm = section.swarm(problem, asked.length, asked.warm, asked.key)
     for z in range(last + 1):
-        if rerun.expired():
+        if searches.expired():
             raise LogError(f"{log.log}: the first search of the trial takes too long to run again")
         if z > 0:
             swarm.iterate()
-        seen = swarm.u[SEEN].T.copy()
-        path.append(seen[0])
-        again.append(swarm.best.cost)
+        particles = swarm.u[SEEN].T.copy()
+        path.append(particles[0])
+        costs.append(swarm.best.cost)
         if z in wanted:
-            frames.append(Frame(z, seen, swarm.best.signals[SEEN], swarm.best.cost))
+            frames.append(Frame(z, particles, swarm.best.signals[SEEN], swarm.best.cost))
     return SwarmHistory(
         tuple(frames),
         np.array(path),
         swarm.u_lb[SEEN, 0],
         _landscape(problem, swarm.best.signals),
-        bool(np.array_equal(again, logged.history)),
+        bool(np.array_equal(costs, logged.history)),
     )
 
 
@@ -108,9 +113,10 @@ def _landscape(problem: Problem, u_gb: Floats) -> Floats:
     `u_gb`.
     """
     axis = np.linspace(LOWER, UPPER, GRID)
-    costs, of = np.empty((GRID, GRID)), compiled_costs(problem, GRID)
+    costs = np.empty((GRID, GRID))
+    cost_of = compiled_costs(problem, GRID)
     for row, value in enumerate(axis):
         signals = np.repeat(u_gb[None], GRID, axis=0)
         signals[:, SEEN] = np.column_stack([axis, np.full(GRID, value)])
-        costs[row] = of(np.ascontiguousarray(signals.T))
+        costs[row] = cost_of(np.ascontiguousarray(signals.T))
     return costs

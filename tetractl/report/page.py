@@ -1,4 +1,8 @@
-"""Makes the report of logs: one HTML file that needs no network and no other file."""
+"""Makes the report of logs: one HTML file that needs no network and no other file.
+
+`report` reads the logs (`_read`), and puts the parts of the page together in their order: header,
+player of the trials, errors over time, statistics, figures of the first trial, its provenance.
+"""
 
 import hashlib
 import json
@@ -6,11 +10,11 @@ import math
 import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.table.table import NONE, Column, Table
@@ -26,16 +30,55 @@ from tetractl.results.contrast import BatchComparison, contrast
 from tetractl.results.describe import BatchStatistics, describe
 from tetractl.results.open_batch import counts, sources
 from tetractl.results.outcomes import SAFETY, counted_by
-from tetractl.results.tables import error_format, finest, page_trials, tables
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from tetractl.results.tables import (
+    decimals_shown,
+    differences_table,
+    error_format,
+    page_trials,
+    tables,
+)
 
 ASSETS = files("tetractl.report") / "assets"
-MANY, CARRIED = 100, 61
-"""With more than MANY trials, the page carries about CARRIED of them, without plans and searches,
-to stay below 5 MB; its tables have all."""
+MANY = 100
+"""Trials at most that a page carries all, with plans and searches."""
+CARRIED = 61
+"""Trials, about, that it carries of more, without plans and searches, to stay below 5 MB; its
+tables have all."""
+COMPARED_MOST = 10
+"""Comparisons at most that stand at the top."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
+
+
+@dataclass(frozen=True, slots=True)
+class _Carried:
+    """A trial that the page carries: the path of its log, its name in the player, and its data."""
+
+    path: str
+    name: str
+    data: dict[str, Any]
+
+
+@dataclass(slots=True)
+class _Contents:
+    """What a page shows of its logs; `errors` are the figures of batches, "" for a batch without,
+    and `unread` says what is wrong with logs.
+    """
+
+    groups: list[BatchStatistics]
+    unread: list[str]
+    carried: list[_Carried] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    first: TrialLog | None = None
+
+    @property
+    def count(self) -> int:
+        """The number of all logs."""
+        return sum(len(group.batch.logs) for group in self.groups)
+
+    @property
+    def numbers(self) -> dict[str, int]:
+        """The number of each trial on the page, from 1, by the path of its log."""
+        return {trial.path: number for number, trial in enumerate(self.carried, 1)}
 
 
 def report(
@@ -46,40 +89,52 @@ def report(
     Each folder and each arm of a study is a batch; logs given one by one are one batch together.
     Trials of a study without a log are only in the tables. `progress` is called with the number of
     results read and the number of all logs. Raises UsageError if there is no log, or if the trials
-    of a batch belong to several experiments.
+    of a batch belong to several experiments, LogError if no log can be read.
     """
+    contents = _read(paths, progress)
+    groups = contents.groups
+    first = contents.first
+    name = title or _title(paths, groups)
+    compared = contrast(groups)
+    parts = [
+        _header(name, compared, contents.numbers),
+        _player(contents) if first else "",
+        _error_figures(contents.errors),
+        _statistics(compared, contents.numbers),
+        _first_trial(first) if first else "",
+        _provenance(first) if first else "",
+    ]
+    scripts = "".join(_asset(script) for script in SCRIPTS) if contents.carried else ""
+    return _page(name, "".join(parts), scripts), contents.unread
+
+
+# ---- Reading ----
+
+
+def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Contents:
+    """Read the results of all logs, and then the trials that the page carries."""
     groups, unread = _groups(paths, progress)
-    count = sum(len(group.batch.logs) for group in groups)
-    shown = list[tuple[str, str, dict[str, Any]]]()
-    first: TrialLog | None = None
-    drawn: list[str] = []
+    contents = _Contents(groups, unread)
+    whole = contents.count <= MANY
     for group in groups:
         logs = []
-        for path in group.batch.logs if count <= MANY else carried(group, len(groups)):
+        for path in group.batch.logs if whole else carried(group, len(groups)):
             try:
                 log = read_trial(path)
             except LogError as error:
                 unread.append(error.message)
                 continue
-            first = first or log
+            if contents.first is None:
+                contents.first = log
             logs.append(lean(log))
             name = f"{group.name}, {path.name}" if len(groups) > 1 else path.name
-            shown.append((str(path), name, trial_data(log, path.name, count <= MANY)))
+            data = trial_data(log, path.name, whole)
+            contents.carried.append(_Carried(str(path), name, data))
         which = [group.name] if len(groups) > 1 else []
-        which += [f"the {len(logs)} trials on this page"] if count > MANY else []
-        drawn.append(of_batch(", ".join(which), logs))
-    numbers = {path: number for number, (path, _, _) in enumerate(shown, 1)}
-    name = title or _title(paths, groups)
-    compared = contrast(groups)
-    body = [_header(name, compared, numbers), _statistics(compared, numbers)]
-    if any(drawn):
-        body.insert(1, f"<section><h2>Errors</h2>{''.join(drawn)}</section>")
-    if first is not None:
-        body.insert(1, _player([trial for _, *trial in shown], groups[0].unit, count))
-        body.append(f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>")
-        body.append(_provenance(first))
-    scripts = "".join((ASSETS / script).read_text() for script in SCRIPTS) if shown else ""
-    return _page(name, "".join(body), scripts), unread
+        if not whole:
+            which.append(f"the {len(logs)} trials on this page")
+        contents.errors.append(of_batch(", ".join(which), logs))
+    return contents
 
 
 def carried(group: BatchStatistics, groups: int) -> list[Path]:
@@ -90,12 +145,14 @@ def carried(group: BatchStatistics, groups: int) -> list[Path]:
     logs = set(group.batch.logs)
     logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
     most = max(3, CARRIED // groups)
-    apart = [trial for trial in logged if not counts(trial)][: most // 3]
-    ranked = sorted(filter(counts, logged), key=lambda trial: trial.result.total_error)
-    places = range(most - len(apart)) if len(ranked) > most - len(apart) else ()
-    step = (len(ranked) - 1) / max(1, len(places) - 1)
-    kept = [ranked[round(place * step)] for place in places] or ranked
-    paths = {trial.log for trial in (*apart, *kept)}
+    not_counted = [trial for trial in logged if not counts(trial)][: most // 3]
+    counted = [trial for trial in logged if counts(trial)]
+    counted.sort(key=lambda trial: trial.result.total_error)
+    places = most - len(not_counted)
+    if len(counted) > places:
+        step = (len(counted) - 1) / max(1, places - 1)
+        counted = [counted[round(place * step)] for place in range(places)]
+    paths = {trial.log for trial in (*not_counted, *counted)}
     return [Path(trial.log) for trial in logged if trial.log in paths]
 
 
@@ -106,19 +163,25 @@ def _groups(
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
-    listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
+    listed = []
+    if single:
+        listed += sources(single)
+    if folders:
+        listed += sources(folders)
     batches = [(source.name, source.read(progress)) for source in listed]
     unread = [f"{log.log}: {log.problem}" for _, batch in batches for log in batch.lost]
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
-    unread += [
-        f"{trial.log}: damaged, read as far as possible"
-        for _, batch in batches
-        for trial in batch.trials
-        if trial.recovered
-    ]
-    known = [(name, batch) for name, batch in batches if batch.trials or batch.attempts]
-    return [describe(batch, name) for name, batch in known], unread
+    groups = []
+    for name, batch in batches:
+        damaged = [trial.log for trial in batch.trials if trial.recovered]
+        unread += [f"{log}: damaged, read as far as possible" for log in damaged]
+        if batch.trials or batch.attempts:
+            groups.append(describe(batch, name))
+    return groups, unread
+
+
+# ---- Parts of the page ----
 
 
 def _title(paths: Sequence[Path], groups: Sequence[BatchStatistics]) -> str:
@@ -132,7 +195,7 @@ def _page(title: str, body: str, scripts: str) -> str:
     """Return the whole page; its security policy allows only `scripts`, and nothing from outside
     the page.
     """
-    style = (ASSETS / "page.css").read_text()
+    style = _asset("page.css")
     program = f'"use strict";\n{scripts}'
     allowed = b64encode(hashlib.sha256(program.encode()).digest()).decode()
     policy = (
@@ -151,13 +214,13 @@ def _page(title: str, body: str, scripts: str) -> str:
 def _header(title: str, found: BatchComparison, numbers: Mapping[str, int]) -> str:
     """Return the HTML of the title, each batch's result, the verdicts, and every total error."""
     about = escape(found.groups[0].experiment.description)
-    few = len(found.contrasts) <= 10
-    compared = [one for one in tables(found) if few and one.title.startswith("Comparison")]
+    shown = [_overview(found.groups)]
+    if 0 < len(found.contrasts) <= COMPARED_MOST:
+        shown.append(differences_table(found.contrasts))
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'
-        f'<div class="top">{_tables([_overview(found.groups), *compared])}'
-        f"{of_groups(found.groups, numbers)}</div>"
+        f'<div class="top">{_tables(shown)}{of_groups(found.groups, numbers)}</div>'
     )
 
 
@@ -165,41 +228,51 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     """Return a table with each batch's mean total error and the numbers of its unsafe trials."""
     totals = [group.total for group in groups]
     least = min((total.mean for total in totals if total.n), default=math.nan)
-    show = error_format(least, finest(groups[0].experiment))
+    show = error_format(least, decimals_shown(groups[0].experiment))
+    intervals = [total.ci95.text(show) if total.ci95.known else NONE for total in totals]
+    columns = [
+        Column("batch", [group.name for group in groups]),
+        Column("n", [total.n for total in totals]),
+        Column("mean total error", [total.mean for total in totals], unit_of(groups[0].unit), show),
+        Column("95 % interval", intervals),
+    ]
     rows = [texts_by_label(group) for group in groups]
-    counts = {label: [texts[label].partition(" (")[0] for texts in rows] for label in SAFETY}
-    known = "; ".join(f"{one.name}: {one.origin}, {counted_by(one.experiment)}" for one in groups)
+    columns += [Column(label, [row[label].partition(" (")[0] for row in rows]) for label in SAFETY]
+    plants = [f"{group.name}: {group.origin}, {counted_by(group.experiment)}" for group in groups]
     return Table(
         "",
-        (
-            Column("batch", [group.name for group in groups]),
-            Column("n", [total.n for total in totals]),
-            Column("mean total error", [t.mean for t in totals], unit_of(groups[0].unit), show),
-            Column("95 % interval", [t.ci95.text(show) if t.ci95.known else NONE for t in totals]),
-            *(Column(label, texts) for label, texts in counts.items()),
-        ),
+        tuple(columns),
         "Mean total error: the sum over the robots of the distance to the target. Plants, and"
-        f" what was checked: {known}.",
+        f" what was checked: {'; '.join(plants)}.",
     )
 
 
-def _player(shown: Sequence[Sequence[Any]], unit: str, count: int) -> str:
-    """Return the HTML of the player for trials, each given by name and data, out of `count`."""
-    options = "".join(
-        f'<option value="{i}">{i + 1}: {escape(name)}</option>' for i, (name, _) in enumerate(shown)
-    )
-    data = "".join(
-        f'<script type="text/plain" id="trial-data-{i}">{packed(trial)}</script>\n'
-        for i, (_, trial) in enumerate(shown)
-    )
-    frame = (ASSETS / "player.html").read_text()
-    frame = frame.replace("@OPTIONS@", options).replace("@UNIT@", unit_of(unit))
-    left_out = (
-        f"<p>The page carries {len(shown)} of {count} trials, without plans and searches: of each"
-        " batch those at evenly spaced ranks of the total error, from the best to the worst, and"
-        " some that do not count. The tables hold all trials.</p>"
-    )
-    return frame.replace("@NOTE@", left_out if count > MANY else "") + data
+def _player(contents: _Contents) -> str:
+    """Return the HTML of the player, with the data of the trials that the page carries."""
+    options = []
+    data = []
+    for index, trial in enumerate(contents.carried):
+        options.append(f'<option value="{index}">{index + 1}: {escape(trial.name)}</option>')
+        text = packed(trial.data)
+        data.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
+    note = ""
+    if contents.count > MANY:
+        note = (
+            f"<p>The page carries {len(contents.carried)} of {contents.count} trials, without plans"
+            " and searches: of each batch those at evenly spaced ranks of the total error, from the"
+            " best to the worst, and some that do not count. The tables hold all trials.</p>"
+        )
+    # the names in the options come last, as a name may contain the text of a place
+    frame = _asset("player.html").replace("@UNIT@", unit_of(contents.groups[0].unit))
+    frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
+    return frame + "".join(data)
+
+
+def _error_figures(figures: Sequence[str]) -> str:
+    """Return the section of the batches' errors over time, "" if no batch has a figure."""
+    if not any(figures):
+        return ""
+    return f"<section><h2>Errors</h2>{''.join(figures)}</section>"
 
 
 def _json(value: Any) -> str:
@@ -229,6 +302,10 @@ def _tables(shown: Sequence[Table]) -> str:
     return f'<div class="tables">{"".join(f"<div>{html([one])}</div>" for one in shown)}</div>'
 
 
+def _first_trial(log: TrialLog) -> str:
+    return f"<section><h2>Figures of the first trial</h2>{of_trial(log)}</section>"
+
+
 def _provenance(log: TrialLog) -> str:
     rows = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in log.facts.items())
     return (
@@ -238,6 +315,9 @@ def _provenance(log: TrialLog) -> str:
         "<details><summary>Spec with every default</summary>"
         f"<pre>{escape(log.start.resolved)}</pre></details></section>"
     )
+
+
+# ---- Figures ----
 
 
 def lean(log: TrialLog) -> TrialLog:
@@ -251,17 +331,17 @@ def of_trial(log: TrialLog) -> str:
         return ""
     name = Path(log.log).name
     kinds = ("trajectory", "convergence", "errors", "over-time")
-    return _paper([_figure(kind, [log], f"{kind}, {name}") for kind in kinds])
+    return _side_by_side([_figure(kind, [log], f"{kind}, {name}") for kind in kinds])
 
 
 def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
     """Return the figures of a batch called `name`, "" for fewer than two trials with frames."""
-    seen = [log for log in logs if len(log.mocap_ns)]
-    if len(seen) < 2:
+    with_frames = [log for log in logs if len(log.mocap_ns)]
+    if len(with_frames) < 2:
         return ""
     where = f": {name}" if name else ""
     text = "The error of each trial over time, the median, and the middle half of the trials"
-    return _paper([_figure("errors", seen, text + where)])
+    return _side_by_side([_figure("errors", with_frames, text + where)])
 
 
 def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
@@ -279,32 +359,28 @@ def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> 
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
     drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
-    return _paper(
-        [
-            _captioned(
-                drawing, "Every total error, a dot per trial, and how the errors are distributed"
-            )
-        ]
-    )
+    text = "Every total error, a dot per trial, and how the errors are distributed"
+    return _side_by_side([_captioned(drawing, text)])
 
 
 def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
+    """Return the figure of a kind as a picture with a caption."""
     from tetractl.view.figures.draw import draw
-
-    return _picture(draw(kind, logs), text)
-
-
-def _picture(drawing: "Figure", text: str) -> str:
     from tetractl.view.style import svg
 
-    picture = b64encode(svg(drawing)).decode()
-    shown = f'<img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
-    return _captioned(shown, text)
+    picture = b64encode(svg(draw(kind, logs))).decode()
+    image = f'<img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
+    return _captioned(image, text)
 
 
 def _captioned(picture: str, text: str) -> str:
     return f"<figure>{picture}<figcaption>{escape(text)}</figcaption></figure>"
 
 
-def _paper(figures: Sequence[str]) -> str:
+def _side_by_side(figures: Sequence[str]) -> str:
+    """Return figures on white paper, in a dark page too."""
     return f'<div class="paper">{"".join(figures)}</div>'
+
+
+def _asset(name: str) -> str:
+    return (ASSETS / name).read_text("utf-8")

@@ -25,6 +25,8 @@ SIDE_BY_SIDE = 3
 """Most batches in one table of trials: more columns of words are too wide."""
 PROCESSORS_NAMED = 4
 """Most types of processor that a note names."""
+PAIR = "one - other"
+"""The column that names the two batches of a comparison."""
 
 
 def summary(found: BatchComparison) -> list[Table]:
@@ -45,7 +47,7 @@ def summary(found: BatchComparison) -> list[Table]:
     with_notes = replace(errors, note="\n".join(notes))
     if len(groups) <= 2:
         return [with_notes]
-    return [with_notes, *_contrasts(found.contrasts)[:1]]
+    return [with_notes, differences_table(found.contrasts)]
 
 
 def _from_published(group: BatchStatistics) -> Iterator[str]:
@@ -64,7 +66,7 @@ def _verdict(contrast: Contrast) -> str:
     else:
         verdict = f"{contrast.verdict} mean error"
     first = contrast.one
-    show = lengths(contrast.difference.value, finest(first.experiment))
+    show = lengths(contrast.difference.value, decimals_shown(first.experiment))
     difference = contrast.difference.text(first.unit, show, contrast.p_holm)
     basis = contrast.test_of_means
     if contrast.pairs:  # otherwise the numbers of trials are in the table
@@ -82,15 +84,19 @@ class _Remark:
 
 
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
-    """Yield a line for each label of what is unusual: the texts, each with those it is true of."""
-    remarks = [remark for group in groups for remark in _remarks(group, len(groups) > 1)]
+    """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`: each text
+    with those it is true of, without names if that is every batch."""
+    named: dict[str, dict[str, list[str]]] = {}  # names by text, by label
+    for group in groups:
+        for remark in _remarks(group, len(groups) > 1):
+            of_label = named.setdefault(remark.label, {})
+            of_label.setdefault(remark.text, []).append(remark.name)
     batches = [group.name for group in groups]
-    for label in dict.fromkeys(remark.label for remark in remarks):
-        of_label = [remark for remark in remarks if remark.label == label]
-        texts: list[str] = []
-        for text in dict.fromkeys(remark.text for remark in of_label):
-            names = [remark.name for remark in of_label if remark.text == text]
-            texts.append(text if names == batches else f"{listing(names)}: {text}")
+    for label, of_label in named.items():
+        texts = [
+            text if names == batches else f"{listing(names)}: {text}"
+            for text, names in of_label.items()
+        ]
         yield f"{label}: {listing(texts, '; ')}"
 
 
@@ -129,14 +135,17 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
     return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
 
 
-def error_format(least: float, finest: int) -> Callable[[float], str]:
-    """Return a format with three digits for errors of about `least`, the least mean; much larger
-    values have fewer decimals, and none has more than `finest`.
+def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
+    """Return a format with three digits for errors of about `least`, the least mean; values over
+    ten times that have three digits of their own, and none has more than `decimals_most` decimals.
     """
-    decimals = lengths(least, finest)
+    format_of_least = lengths(least, decimals_most)
 
     def show(value: float) -> str:
-        return lengths(value, finest)(value) if value > 10 * least > 0 else decimals(value)
+        if value > 10 * least > 0:
+            format_of_value = lengths(value, decimals_most)
+            return format_of_value(value)
+        return format_of_least(value)
 
     return show
 
@@ -146,7 +155,7 @@ def error_table(
     named: Sequence[tuple[str, Distribution]],
     unit: str,
     scale: float | None = None,
-    finest: int = 9,
+    decimals_most: int = 9,
 ) -> Table:
     """Return one row per named distribution of errors, in the format for the least mean or, if
     given, for `scale`.
@@ -154,7 +163,7 @@ def error_table(
     values = [distribution for _, distribution in named]
     if scale is None:
         scale = min((value.mean for value in values if value.mean > 0), default=0.0)
-    show = error_format(scale, finest)
+    show = error_format(scale, decimals_most)
 
     def interval(ends: Interval) -> str:
         return ends.text(show)
@@ -195,7 +204,7 @@ def _errors(groups: Sequence[BatchStatistics], robots: bool = True) -> Table:
         [*totals, *of_robots],
         first.unit,
         scale=min((group.total.mean for group in groups if group.counted), default=math.nan),
-        finest=finest(first.experiment),
+        decimals_most=decimals_shown(first.experiment),
     )
     simulated = (trial for group in groups for trial in group.batch.trials if trial.simulated)
     return replace(errors, note=processors_note(trial.processor for trial in simulated))
@@ -243,18 +252,15 @@ def _contrasts(contrasts: Sequence[Contrast]) -> list[Table]:
     """Return two tables: the differences of the means with their tests, and what these rest on."""
     if not contrasts:
         return []
-    return [_differences(contrasts), _basis(contrasts)]
+    return [differences_table(contrasts), _basis(contrasts)]
 
 
-_PAIR = "one - other"
-
-
-def _differences(contrasts: Sequence[Contrast]) -> Table:
+def differences_table(contrasts: Sequence[Contrast]) -> Table:
     """Return the table of the differences of the means."""
     first = contrasts[0].one
     sizes = [abs(contrast.difference.value) for contrast in contrasts]
     largest = max(filter(math.isfinite, sizes), default=0.0)
-    show = lengths(largest, finest(first.experiment))
+    show = lengths(largest, decimals_shown(first.experiment))
     title = "Comparison of the mean total errors"
     if any(contrast.alike for contrast in contrasts) and len(contrasts) > 1:
         title += f", p corrected for {len(contrasts)} tests"
@@ -264,7 +270,7 @@ def _differences(contrasts: Sequence[Contrast]) -> Table:
     return Table(
         title,
         (
-            Column(_PAIR, [contrast.name for contrast in contrasts]),
+            Column(PAIR, [contrast.name for contrast in contrasts]),
             Column("trials", [contrast.counted for contrast in contrasts], words=True),
             Column("difference", values, first.unit, show),
             Column("95 % interval", intervals),
@@ -277,7 +283,7 @@ def _differences(contrasts: Sequence[Contrast]) -> Table:
 def _basis(contrasts: Sequence[Contrast]) -> Table:
     """Return the table of what comparisons rest on: tests, power, pairs, and other fields."""
     header = (
-        _PAIR,
+        PAIR,
         "tests",
         "p (rank test)",
         "detectable at 80 % power",
@@ -308,7 +314,7 @@ def data_table(found: BatchComparison) -> Table:
     return Table.of_records("comparisons", rows)
 
 
-def finest(experiment: Experiment) -> int:
+def decimals_shown(experiment: Experiment) -> int:
     """Return the number of decimals that shows about a millionth of the arena; smaller errors have
     no meaning.
     """

@@ -1,6 +1,7 @@
 """Describes a batch of trials in numbers: errors with intervals, the published result, statistics.
 
-`batch_rows` makes rows of text for tables of a description, and `as_json` JSON.
+There are no words here: the modules `batch_rows` and `as_json` make rows of tables and JSON of a
+description.
 """
 
 import math
@@ -22,15 +23,17 @@ from tetractl.results.statistic_value import StatisticValue
 class ScaledError:
     """The mean error of one robot, scaled to robots of another kind by the ratio of speeds.
 
-    It is (mean total error / N) (scale.speed / mean speed of the N robots), in the unit of `scale`;
-    `published_mean` is the published mean error scaled by the same factor, NaN without one. All are
-    NaN if every speed is 0. `body_lengths` are in body lengths of the other robots.
+    With total error E and speeds v_i of N robots it is (mean of E / N) (scale.speed / mean of v_i),
+    hence the mean of E times scale.speed / sum of v_i, in the unit of `scale`; NaN if every speed
+    is 0.
     """
 
     scale: Scale
+    """The robot of another kind: its speed and body length."""
     mean: float
     ci95: Interval
     published_mean: float
+    """The published mean error, scaled by the same factor; NaN if none was published."""
 
     @property
     def body_lengths(self) -> float:
@@ -47,24 +50,27 @@ class ScaledError:
 class BatchStatistics:
     """A batch of trials of N robots, with a name; lengths in `unit`.
 
-    `totals` (n,) and `errors` (n, N) are the errors of the n valid trials, those whose outcome the
-    controller decided and whose errors are known; `total` and `robots` describe them.
-    `from_published` is the mean minus the published mean, and `scaled` the error of a robot of
-    another kind; they are None if the spec names no published result, or no such robot. `values`
-    are those of all registered statistics, over all trials.
+    Its n valid trials are those whose outcome the controller decided and whose errors are known.
     """
 
     name: str
     batch: Batch
     experiment: Experiment = field(repr=False)
     origin: Origin
-    totals: Floats = field(repr=False)  # (n,) total errors
-    errors: Floats = field(repr=False)  # (n, N) errors of each robot
+    totals: Floats = field(repr=False)
+    """The total error of each valid trial (n,)."""
+    errors: Floats = field(repr=False)
+    """The error of each robot in each valid trial (n, N)."""
     total: Distribution
+    """How `totals` are distributed."""
     robots: tuple[Distribution, ...] = field(repr=False)
+    """How the errors of each robot are distributed, N of them."""
     from_published: MeanDifference | None = field(repr=False)
+    """The mean total error minus the published one; None if the spec names no published result."""
     scaled: ScaledError | None = field(repr=False)
+    """The error of a robot of another kind; None if the spec names no such robot."""
     values: tuple[StatisticValue, ...] = field(repr=False)
+    """The values of all registered statistics, over all trials."""
 
     @property
     def unit(self) -> str:
@@ -94,7 +100,9 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
     errors = np.array([result.robot_errors for result in valid], dtype=float)
     errors = errors.reshape(len(valid), len(experiment.robots))
     (total,) = distributions(totals[None], experiment.error_bound)
-    values = [value for one in statistics() for value in one.of_batch(batch.trials)]
+    values: list[StatisticValue] = []
+    for statistic in statistics():
+        values += statistic.of_batch(batch.trials)
     return BatchStatistics(
         name=name or experiment.name,
         batch=batch,
@@ -131,8 +139,8 @@ def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Scal
     scale = experiment.scale
     if scale is None or not origin.comparable:
         return None
-    speeds = sum(robot.speed for robot in experiment.robots)
-    factor = scale.speed / speeds if speeds > 0 else math.nan  # the number of robots cancels
+    sum_of_speeds = sum(robot.speed for robot in experiment.robots)
+    factor = scale.speed / sum_of_speeds if sum_of_speeds > 0 else math.nan
     ci95 = total.ci95
     published = experiment.reference
     return ScaledError(

@@ -34,10 +34,10 @@ run empty.yaml | empty.yaml: is empty
 run binary.yaml | binary.yaml: is a binary file
 run wrong.yaml | wrong.yaml:3:
 run huge.yaml | huge.yaml:9:45: reference.std: 1.0e+308: must be at most 1e+09
-run spec.yaml --trials 0 | --trials: must be at least 1 | try
-run spec.yaml --seed -1 | --seed: must be at least 0 | try
-run spec.yaml --seed x | --seed: is not a whole number | try
-run spec.yaml --jobs 0 | --jobs: must be at least 1 | try
+run spec.yaml --trials 0 | Invalid value for '--trials': Input should be greater than or | try
+run spec.yaml --seed -1 | Invalid value for '--seed': Input should be greater than or | try
+run spec.yaml --seed x | Invalid value for '--seed': Input should be a valid integer | try
+run spec.yaml --jobs 0 | Invalid value for '--jobs': Input should be greater | try
 run spec.yaml --set controler.period=1 | did you mean 'controller'?
 run spec.yaml --set robots.x.a=1 | has no entry 'x'
 run spec.yaml --set controller.period=1e-9 | controller.period: 1e-9: must be at least 0.001
@@ -57,14 +57,14 @@ stats '' | an argument is empty | is a variable of the shell not set?
 export logs -o '' | an argument is empty | is a variable of the shell not set?
 stats '*.nothing' | matches no log
 stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
-stats out --format yaml | --format: 'yaml' is not one of 'table', 'json' | try
+stats out --format yaml | 'yaml' is not one of 'table', 'json' | try
 stats out/dead_time=0 --against out | out: holds 2 batches
 info logs | logs: 3 logs | name one of them, such as logs/trial-000.mcap
 report logs -o no/where.html | no/where.html: there is no folder no
 replay | LOG
 replay LOG --rate 0 | --rate must be above 0
 replay LOG --rate nan | --rate must be above 0
-replay LOG --rate fast | --rate: is not a number | try
+replay LOG --rate fast | Invalid value for '--rate': Input should be a valid number | try
 replay LOG --start 99 | the trial lasts
 replay LOG --paused | --paused needs a terminal
 replay LOG --yes | No such option
@@ -92,7 +92,7 @@ rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
 analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
-analyze spec.yaml --plans 0 | --plans: must be at least 1
+analyze spec.yaml --plans 0 | Invalid value for '--plans'
 kinds --set x=1 | --set and --spec need --check
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
 kinds --check json:dumps | json:dumps: there is no check for this kind

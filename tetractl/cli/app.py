@@ -6,8 +6,7 @@ answers at once.
 
 import re
 import sys
-from collections import UserDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from inspect import cleandoc
 from typing import Annotated, Any
 
@@ -25,20 +24,6 @@ from tetractl.core.registry import PluginError, Registry
 from tetractl.core.retired import INSTEAD, refuse_retired
 from tetractl.experiment.packages import not_installed
 
-PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
-    (
-        "Input should be a valid integer, unable to parse string as an integer",
-        "is not a whole number",
-    ),
-    ("Input should be a valid number, unable to parse string as a number", "is not a number"),
-    ("Input should be greater than or equal to", "must be at least"),
-    ("Input should be less than or equal to", "must be at most"),
-    ("Input should be", "must be"),
-    ("Value error, ", ""),
-    ("Invalid value for ", ""),
-)
-
-
 EXTRAS = {
     "dask_jobqueue": ("dask-jobqueue", "dask"),
     "distributed": ("Dask's distributed", "dask"),
@@ -47,55 +32,50 @@ EXTRAS = {
 }
 """For each optional module, the package's name and the extra of tetractl that installs it."""
 
-_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, not in a list
+_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")
+"""A break of a docstring inside a paragraph, and not before a line of a list."""
 
 
-class _Commands(UserDict[str, Any]):
-    """Commands by name: those of a registry, each imported when it is needed, and `groups`."""
-
-    def __init__(self, registry: Registry, groups: Mapping[str, Any]) -> None:
-        super().__init__(dict.fromkeys(registry.names()), **groups)
-        self.registry = registry
-
-    def __getitem__(self, name: str) -> Any:
-        if self.data[name] is None:
-            self.data[name] = _command(self.registry, name)
-        return self.data[name]
-
-
-def _placeholders(params: list[Any]) -> list[Any]:
+def _without_types_of_switches(params: list[Any]) -> list[Any]:
     """Let the help show no type next to a switch."""
-    for one in params:
-        if isinstance(one, TyperOption) and one.is_flag:
-            one.metavar = ""
+    for param in params:
+        if isinstance(param, TyperOption) and param.is_flag:
+            param.metavar = ""
     return params
 
 
 class _Command(TyperCommand):
     def get_params(self, ctx: Any) -> Any:
-        return _placeholders(super().get_params(ctx))
+        return _without_types_of_switches(super().get_params(ctx))
 
 
 class _Group(TyperGroup):
-    """The group of the commands of a registry."""
+    """The group of the commands of a registry, each imported when it is needed."""
 
     def __init__(self, **attrs: Any) -> None:
         super().__init__(**attrs)
         self.registry = LAB_COMMANDS if self.name == "lab" else COMMANDS
-        self.commands = _Commands(self.registry, self.commands)
+        self.commands: dict[str, Any] = {
+            **dict.fromkeys(self.registry.names()),  # None until they are imported
+            **self.commands,
+        }
 
     def get_params(self, ctx: Any) -> Any:
-        return _placeholders(super().get_params(ctx))
+        return _without_types_of_switches(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command with this name; UsageError if its package is not installed, or if
-        only earlier versions have it."""
-        found = super().get_command(ctx, cmd_name)
-        if found is None:
+        """Return the command with this name, None if there is none; UsageError if its package is
+        not installed, or if only earlier versions have it."""
+        if cmd_name not in self.commands:
             refuse_retired(self.registry.group, cmd_name)
-        if found is None and (missing := not_installed(self.registry.group, cmd_name)):
-            raise UsageError(f"'{ctx.command_path} {cmd_name}' {missing[0]}", missing[1])
-        return found
+            missing = not_installed(self.registry.group, cmd_name)
+            if missing:
+                problem, hint = missing
+                raise UsageError(f"'{ctx.command_path} {cmd_name}' {problem}", hint)
+            return None
+        if self.commands[cmd_name] is None:
+            self.commands[cmd_name] = _command(self.registry, cmd_name)
+        return self.commands[cmd_name]
 
 
 def _command(registry: Registry, name: str) -> Any:
@@ -104,7 +84,8 @@ def _command(registry: Registry, name: str) -> Any:
     try:
         function = registry.load(name)
         try:
-            return _made(name, function, help=_BREAK.sub(" ", cleandoc(function.__doc__ or "")))
+            text = _BREAK.sub(" ", cleandoc(function.__doc__ or ""))
+            return _typer_command(name, function, help=text)
         except Exception as error:  # typer cannot make a command of it
             if name in registry.builtin:
                 raise
@@ -119,14 +100,14 @@ def _command(registry: Registry, name: str) -> Any:
 
     anything = {"allow_extra_args": True, "ignore_unknown_options": True}
     text = f"Cannot be used: {escape(broken.message)}"
-    return _made(name, fail, help=text, context_settings=anything, add_help_option=False)
+    return _typer_command(name, fail, help=text, context_settings=anything, add_help_option=False)
 
 
-def _made(name: str, function: Callable[..., object], **settings: Any) -> Any:
+def _typer_command(name: str, function: Callable[..., object], **settings: Any) -> Any:
     """Return typer's command of a function."""
-    one = typer.Typer(add_completion=False)
-    one.command(name, cls=_Command, **settings)(function)
-    return typer.main.get_command(one)
+    app_of_one = typer.Typer(add_completion=False)
+    app_of_one.command(name, cls=_Command, **settings)(function)
+    return typer.main.get_command(app_of_one)
 
 
 app = typer.Typer(
@@ -163,70 +144,81 @@ app.add_typer(typer.Typer(name="lab", no_args_is_help=True, help=lab_help, cls=_
 
 
 def run_app() -> int:
-    """Run the command that the arguments name; return one of the codes of `Exit`."""
+    """Run the command that the arguments name; return one of the codes of `Exit`.
+
+    A command returns its code, or raises what `_complain_of` has a line for; other exceptions are
+    defects, and pass.
+    """
     if "" in sys.argv[1:]:  # as a path, it would be the present folder
         return complain(Exit.USAGE, "an argument is empty", "is a variable of the shell not set?")
     try:
         with plugins_blamed(spared=(TyperException, typer.Abort)):
             code = app(standalone_mode=False)
         sys.stdout.flush()  # here, so that an error of stdout is handled below
-    except TetractlError as error:
-        if isinstance(error, FaultyPluginError) and sys.flags.dev_mode:
+    except (Exception, KeyboardInterrupt, SystemExit) as error:
+        exit_code = _complain_of(error)
+        if exit_code is None:
             raise
-        return complain(error.exit, error.message, error.hint)
-    except TyperException as error:
-        if not error.format_message():  # help was printed because no command was given
-            return Exit.USAGE
-        return complain(Exit.USAGE, _plainly(error.format_message()), _usage_hint(error))
-    except (typer.Abort, KeyboardInterrupt) as error:
-        if isinstance(error.__cause__, EOFError):  # typer takes it for Ctrl-D, whatever it is of
-            return complain(Exit.FAILED, text_of(error.__cause__))
-        return complain(Exit.INTERRUPTED, "interrupted")
-    except ModuleNotFoundError as error:
-        module = (error.name or "").partition(".")[0]
-        if module in UNIX_MODULES:
-            hint = "simulations, tables and reports need none of it"
-            return complain(
-                Exit.USAGE, f"this does not run on Windows: Python has no '{module}' here", hint
-            )
-        if module not in EXTRAS:
-            raise
-        package, extra = EXTRAS[module]
-        missing = f"this needs {package}, which is not installed"
-        return complain(Exit.USAGE, missing, f"in the clone of tetractl: pip install '.[{extra}]'")
-    except BrokenPipeError:  # the reader of the output has ended, as in `tetractl stats | head`
-        return Exit.DONE
-    except SystemExit as end:
-        if not isinstance(end.__context__, BrokenPipeError):
-            raise
-        return Exit.DONE  # typer also reports a closed pipe in this way
-    except FileNotFoundError as error:
-        return complain(Exit.USAGE, f"{error.filename}: no such file or folder")
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return complain(Exit.FAILED, f"{where}{error.strerror or error}")
+        return exit_code
     return code if isinstance(code, int) else Exit.DONE
 
 
-def _plainly(message: str) -> str:
-    """Return typer's message on a bad option, reworded like the errors of specs."""
-    for theirs, ours in PLAIN:
-        message = message.replace(theirs, ours)
-    return re.sub(r"^'(--?[\w-]+)':", r"\1:", message)
+def _complain_of(error: BaseException) -> Exit | None:
+    """Print what is wrong, and what helps; return the exit code, or None for an error that no user
+    can cause.
+
+    The first case that fits is taken: OSError comes after its kinds.
+    """
+    match error:
+        case FaultyPluginError() if sys.flags.dev_mode:
+            return None
+        case TetractlError():
+            return complain(error.exit, error.message, error.hint)
+        case TyperException():
+            if not error.format_message():  # help was printed because no command was given
+                return Exit.USAGE
+            return complain(Exit.USAGE, error.format_message(), _usage_hint(error))
+        case typer.Abort(__cause__=EOFError() as cause):  # typer takes any for Ctrl-D
+            return complain(Exit.FAILED, text_of(cause))
+        case typer.Abort() | KeyboardInterrupt():
+            return complain(Exit.INTERRUPTED, "interrupted")
+        case ModuleNotFoundError():
+            return _complain_of_module((error.name or "").partition(".")[0])
+        case BrokenPipeError() | SystemExit(__context__=BrokenPipeError()):
+            return Exit.DONE  # the reader of the output has ended, as in `tetractl stats | head`
+        case FileNotFoundError():
+            return complain(Exit.USAGE, f"{error.filename}: no such file or folder")
+        case OSError():
+            where = f"{error.filename}: " if error.filename else ""
+            return complain(Exit.FAILED, f"{where}{error.strerror or error}")
+    return None
+
+
+def _complain_of_module(module: str) -> Exit | None:
+    """Print how to get a module that is not installed; None for one that always is."""
+    if module in UNIX_MODULES:
+        problem = f"this does not run on Windows: Python has no '{module}' here"
+        return complain(Exit.USAGE, problem, "simulations, tables and reports need none of it")
+    if module in EXTRAS:
+        package, extra = EXTRAS[module]
+        problem = f"this needs {package}, which is not installed"
+        return complain(Exit.USAGE, problem, f"in the clone of tetractl: pip install '.[{extra}]'")
+    return None
 
 
 def _usage_hint(error: TyperException) -> str | None:
-    match error:
-        case object(ctx=context, option_name=option) if context and (
-            instead := INSTEAD.get((context.info_name, option))
-        ):
-            return instead
-        case object(ctx=context) if context:  # typer's UsageError, which has no public name
-            return f"try '{context.command_path} --help'"
-    return None
+    """Return what to use instead of an option that earlier versions had, or where the options
+    are."""
+    context = getattr(error, "ctx", None)  # of typer's UsageError, which has no public name
+    if context is None:
+        return None
+    retired = INSTEAD.get((context.info_name, getattr(error, "option_name", "")))
+    return retired or f"try '{context.command_path} --help'"
 
 
 def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
     """Print `error: MESSAGE` to stderr, then `hint: HINT` if there is one; return `code`."""
-    ui.tell(*f"error: {message}".split("\n"), *(f"hint: {hint}".split("\n") if hint else ()))
+    ui.tell(*f"error: {message}".split("\n"))
+    if hint:
+        ui.tell(*f"hint: {hint}".split("\n"))
     return code

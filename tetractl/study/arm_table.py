@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +19,20 @@ from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
 
-TRIALS, TIMES = "trials.csv", "times.csv"
+TRIALS = "trials.csv"
+TIMES = "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
 """Columns of `export` that differ between two runs of a trial; only `times.csv` has them."""
-LISTED = 100  # largest number of arms in the printed table
+LISTED = 100
+"""Largest number of arms in the printed table."""
 
 
 def finished_trials(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, ResultSummary]]:
     """Yield every finished trial of the study in the order of arms and trials."""
     for arm in loaded.arms:
-        for _, found in sorted(store.batches[arm.name].results.items()):
-            yield arm, found
+        results = store.batches[arm.name].results
+        for number in sorted(results):
+            yield arm, results[number]
 
 
 def origins(loaded: LoadedStudy) -> list[Origin]:
@@ -50,14 +52,17 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     trials: list[dict[str, Any]] = []
     times: list[dict[str, Any]] = []
     for arm, trial in finished_trials(loaded, store):
-        found = _exported(trial)
         log = Path(trial.log).relative_to(store.folder)
-        head = {"log": str(log), "trial": trial.trial, "arm": arm.name}
+        name = {"log": str(log), "trial": trial.trial, "arm": arm.name}
+        of_host: dict[str, Any] = {}
+        repeatable: dict[str, Any] = {}
+        for key, value in _exported(trial).items():
+            columns = of_host if key in HOST_COLUMNS else repeatable
+            columns[key] = value
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
-        tail = {"content_digest": trial.digest, "code": trial.code}
-        repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
-        trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
-        times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(trial))
+        sources = {"content_digest": trial.digest, "code": trial.code}
+        trials.append(name | {"controller": arm.controller} | swept | repeatable | sources)
+        times.append(name | of_host | _times(trial))
     with table_files(paths) as add:
         if trials:
             add("trials", Table.of_records("trials", trials), "")
@@ -68,7 +73,8 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
 def _exported(trial: ResultSummary) -> dict[str, Any]:
     """Return a trial's values by the columns of `tetractl export`, except `log` and `trial`."""
     table = trials_table(Batch.of([trial]))
-    return {one.key: one.known[0] for one in table.columns if one.name not in ("log", "trial")}
+    columns = [column for column in table.columns if column.name not in ("log", "trial")]
+    return {column.key: column.known[0] for column in columns}
 
 
 def _times(trial: ResultSummary) -> dict[str, Any]:
@@ -85,63 +91,69 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
     as one observation. If each trial counted separately, the interval would be too short.
     """
-    errors = [
-        {
-            number: trial.result.total_error
-            for number, trial in store.batches[arm.name].results.items()
-            if counts(trial)
-        }
-        for arm in arms
-    ]
-    trials = sorted(set.intersection(*(set(found) for found in errors)))
-    means = np.array([np.mean([found[trial] for found in errors]) for trial in trials], dtype=float)
+    errors = [_errors_by_number(store, arm) for arm in arms]
+    in_all = set.intersection(*(set(of_arm) for of_arm in errors))
+    means = [np.mean([of_arm[number] for of_arm in errors]) for number in sorted(in_all)]
     bound = arms[0].spec.experiment.error_bound
-    return ArmErrors.of(value, shown(value), len(arms), means, bound)
+    return ArmErrors.of(value, shown(value), len(arms), np.array(means, dtype=float), bound)
+
+
+def _errors_by_number(store: Store, arm: Arm) -> dict[int, float]:
+    """Return the total error of each trial of an arm that counts, by its number."""
+    results = store.batches[arm.name].results
+    return {number: trial.result.total_error for number, trial in results.items() if counts(trial)}
 
 
 def field_values(
     loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
 ) -> list[ArmErrors]:
     """Return the arms that set field `path`, grouped by its value, numbers in rising order."""
-    found: dict[str, list[Arm]] = {}
+    arms_of: dict[str, list[Arm]] = {}  # by the value as text, as values may be lists
     for arm in arms:
         if path in arm.values:
-            found.setdefault(as_yaml(arm.values[path]), []).append(arm)
-    made = [group_of(loaded, store, several[0].values[path], several) for several in found.values()]
-    return sorted(made, key=lambda group: group.value) if numeric(made) else made
+            arms_of.setdefault(as_yaml(arm.values[path]), []).append(arm)
+    groups = [
+        group_of(loaded, store, same_value[0].values[path], same_value)
+        for same_value in arms_of.values()
+    ]
+    if numeric(groups):
+        groups.sort(key=lambda group: group.value)
+    return groups
 
 
 def given_note(arms: Sequence[Arm]) -> str:
     """Return which of several arms were given their directions, "" for none."""
-    given = [arm.name for arm in arms if directions_given(arm.spec.experiment)]
-    return f"{GIVEN_DIRECTIONS}: {', '.join(given)}" if given else ""
+    names = [arm.name for arm in arms if directions_given(arm.spec.experiment)]
+    return f"{GIVEN_DIRECTIONS}: {', '.join(names)}" if names else ""
 
 
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     """Return the table of arms: total error, aborted trials, and plant."""
-    arms, plants = loaded.arms[:LISTED], origins(loaded)[:LISTED]
-    named = [(arm.name, group_of(loaded, store, arm.name, [arm]).error) for arm in arms]
-    found = list(finished_trials(loaded, store))
-    aborted = Counter(arm.name for arm, trial in found if not trial.outcome.complete)
-    errors = error_table(f"{loaded.study.name}: total error [{loaded.unit}]", named, loaded.unit)
-    notes = [processors_note(trial.processor for _, trial in found)]
-    notes.append(given_note(arms))
+    arms = loaded.arms[:LISTED]
+    plants = origins(loaded)[:LISTED]
+    trials = list(finished_trials(loaded, store))
+    aborted = Counter(arm.name for arm, trial in trials if not trial.outcome.complete)
+    errors = {arm.name: group_of(loaded, store, arm.name, [arm]).error for arm in arms}
+    table = error_table(
+        f"{loaded.study.name}: total error [{loaded.unit}]", list(errors.items()), loaded.unit
+    )
+    of_error = {column.name: column for column in table.columns}
+    columns = [
+        Column("arm", list(errors)),
+        of_error["n"],
+        of_error["mean"],
+        of_error["95 % interval"],
+        of_error["std"],
+    ]
+    tails = [error.tail for error in errors.values()]
+    if any(tail.above for tail in tails):
+        columns.append(Column(tails[0].label, [tail.text() for tail in tails]))
+    columns.append(Column("aborted", [aborted[arm.name] for arm in arms]))
+    columns.append(Column("plant", [str(plant) for plant in plants], words=True))
+    notes = [processors_note(trial.processor for _, trial in trials), given_note(arms)]
     if Origin.DISTURBED in plants:
         notes.append("disturbances are assumed in the spec, not measured")
     if len(loaded.arms) > LISTED:
         more = len(loaded.arms) - LISTED
         notes.append(f"and {more} more arms, listed in the table of trials")
-    first, n, mean, std, *_, interval = errors.columns
-    tails = [error.tail for _, error in named]
-    above = [Column(tails[0].label, [tail.text() for tail in tails])]
-    columns = (
-        replace(first, name="arm", unit=""),
-        n,
-        mean,
-        interval,
-        std,
-        *(above if any(tail.above for tail in tails) else []),
-        Column("aborted", [aborted[arm.name] for arm in arms]),
-        Column("plant", [str(plant) for plant in plants], words=True),
-    )
-    return replace(errors, columns=columns, note="; ".join(filter(None, notes)))
+    return Table(table.title, tuple(columns), "; ".join(note for note in notes if note))

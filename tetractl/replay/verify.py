@@ -1,20 +1,27 @@
 """Verifies a log: computes its decisions again, and runs its simulation again.
 
 Each decision is computed again from the logged frames (`recompute`). What else is compared is the
-list COMPARISONS; the greatest of them runs the trial of a simulation again, where the host and the
-code are those that wrote the log, and compares the two logs record by record (`run_again`). Of a
-lab's log, what tables use is computed again from its frames and commands (`lab_result`). If another
-machine or version wrote the log, costs must agree within a tolerance.
+list COMPARISONS. Most apply to every log. Of the others `_Case.kind` says which applies:
+
+    kind of log         what its result is compared with
+    INCOMPLETE          nothing: it is damaged, has no result, or another plant than its spec
+    LAB                 what follows from its frames and commands (`lab_result`)
+    RUN_AGAIN           the log of the simulation run again, record by record (`run_again`), where
+                        the host and the code are those that wrote the log
+    NOT_RUN_AGAIN       the errors that follow from its final poses
+
+If another machine or version wrote the log, costs must agree within a tolerance.
 """
 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum, StrEnum
 from functools import cached_property
 from pathlib import Path
 
 from tetractl.core.plan import Outcome
+from tetractl.core.trial import Result
 from tetractl.experiment.registry_fields import packages
 from tetractl.log import provenance
 from tetractl.log.read.raw_log import ALTERED, RawLog
@@ -73,6 +80,15 @@ class Verification:
         return not self.problems
 
 
+class _Kind(Enum):
+    """What a log's result can be compared with; see the module."""
+
+    INCOMPLETE = "incomplete"
+    LAB = "lab"
+    RUN_AGAIN = "run again"
+    NOT_RUN_AGAIN = "not run again"
+
+
 @dataclass(frozen=True)
 class _Case:
     """A log that is verified, and the differences between its host and this one."""
@@ -86,20 +102,25 @@ class _Case:
         """Whether the plant of the run is a simulation if that of the spec is one."""
         return self.log.start.plant.simulated == self.log.experiment.plant.simulated
 
-    @property
-    def comparable(self) -> bool:
-        """Whether the log has all that a result is computed again from."""
-        return self.plant_agrees and self.log.damage is None and self.log.result is not None
-
     @cached_property
     def why_not_again(self) -> str:
         """Why the trial cannot be run again here, "" if it can."""
         return run_again.why_not_again(self.log, self.elsewhere)
 
+    @cached_property
+    def kind(self) -> _Kind:
+        """What the result can be compared with."""
+        if not self.plant_agrees or self.log.damage is not None or self.log.result is None:
+            return _Kind.INCOMPLETE
+        if not self.log.start.plant.simulated:
+            return _Kind.LAB
+        return _Kind.NOT_RUN_AGAIN if self.why_not_again else _Kind.RUN_AGAIN
+
     @property
-    def simulated(self) -> bool:
-        """Whether the plant of the run was a simulation."""
-        return self.log.start.plant.simulated
+    def result(self) -> Result:
+        """The result of a log that is not INCOMPLETE."""
+        assert self.log.result is not None, "`kind` says that there is a result"
+        return self.log.result
 
     @cached_property
     def lost_frames(self) -> list[str]:
@@ -114,34 +135,43 @@ class _Case:
 
 def verify(path: Path) -> Verification:
     """Verify one log; raises LogError as `read_trial` does. A brief log is only run again."""
-    began = time.perf_counter()
+    began_s = time.perf_counter()
     raw = scan(path)
     log = trial_of(raw)
     case = _Case(raw, log, host_differences(log))
     method, decision = _decisions(case)
-    problems = [difference for compare in COMPARISONS for difference in compare(case)]
-    if decision is not None:
-        problems.insert(0, decision)
-    checked = len(first_steps(log))
-    if decision is not None and decision.step is not None:
-        checked = decision.step
+    problems = [] if decision is None else [decision]
+    for compare in COMPARISONS:
+        problems += compare(case)
+    rewritten = ""
+    if raw.rewritten:
+        rewritten = raw.library or "an unknown program"
     return Verification(
         log=str(path),
-        rewritten=(raw.library or "an unknown program") if raw.rewritten else "",
+        rewritten=rewritten,
         steps=len(log.steps),
-        checked=checked,
+        checked=_checked(log, decision),
         method=method,
         elsewhere=case.elsewhere,
         problems=tuple(problems),
         notes=tuple(_notes(case)),
-        seconds=time.perf_counter() - began,
+        seconds=time.perf_counter() - began_s,
     )
+
+
+def _checked(log: TrialLog, decision: Difference | None) -> int:
+    """Return the number of steps whose decision was repeated and agrees: those before the first
+    one that differs."""
+    if decision is not None and decision.step is not None:
+        return decision.step
+    return len(first_steps(log))
 
 
 def _decisions(case: _Case) -> tuple[Method, Difference | None]:
     """Return how decisions are checked, and the first one that differs.
 
-    Searches are repeated on another host too: if none differs, the method is the stricter one.
+    Searches are repeated on another host too: if none differs, that is the stricter check; else the
+    hosts may be the cause, and the logged searches are evaluated.
     """
     if case.raw.brief:
         return Method.RECOMPUTED, None
@@ -157,7 +187,7 @@ def _notes(case: _Case) -> Iterator[str]:
         yield from case.lost_frames
     if case.raw.reordered:
         yield "the content digest is of another order of the messages: not compared"
-    if case.comparable and case.simulated and case.why_not_again:
+    if case.kind is _Kind.NOT_RUN_AGAIN:
         yield f"the trial is not run again: {case.why_not_again}"
 
 
@@ -172,32 +202,29 @@ def _plant(case: _Case) -> Iterator[Difference]:
 
 def _end(case: _Case) -> Iterator[Difference]:
     """A whole log has a stop, and a reason if the trial was aborted."""
-    if not case.comparable or case.raw.brief:
+    if case.kind is _Kind.INCOMPLETE or case.raw.brief:
         return
     if case.log.stop is None:
         yield Difference(None, "stop", "missing: no stop is on /commands")
-    result = case.log.result
-    if result and result.outcome is Outcome.ABORTED and not result.reason:
+    if case.result.outcome is Outcome.ABORTED and not case.result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")
 
 
 def _lab(case: _Case) -> Iterator[Difference]:
     """The result of a lab follows from its frames and commands."""
-    if case.comparable and case.log.result and not case.simulated:
-        yield from lab_differences(case.log, case.log.result)
+    if case.kind is _Kind.LAB:
+        yield from lab_differences(case.log, case.result)
 
 
 def _errors(case: _Case) -> Iterator[Difference]:
     """The errors of a simulation that is not run again follow from its final poses."""
-    if not case.comparable or not case.simulated or not case.why_not_again or case.raw.brief:
-        return
-    if case.log.result is not None:
-        yield from error_differences(case.log, case.log.result)
+    if case.kind is _Kind.NOT_RUN_AGAIN and not case.raw.brief:
+        yield from error_differences(case.log, case.result)
 
 
 def _repetition(case: _Case) -> Iterator[Difference]:
     """A simulation that is run again here gives the same records."""
-    if case.comparable and case.simulated and not case.why_not_again:
+    if case.kind is _Kind.RUN_AGAIN:
         yield from run_again.differences(case.raw, case.log)
 
 

@@ -2,6 +2,9 @@
 
 All intervals are closed formulas without resampling, so the same values always give the same
 interval. An estimate from too few values is NaN, with a reason.
+
+A `Distribution` comes from values (`distributions`), from a published mean and deviation with an
+interval computed here (`published_distribution`) or with a given one (`known_distribution`).
 """
 
 import math
@@ -131,32 +134,6 @@ class Distribution:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class ArmErrors:
-    """The total errors of trials with the same `value`: a value of a swept field, or an arm's name;
-    `label` is the value as text, `arms` the number of arms that the trials belong to.
-    """
-
-    value: Any
-    label: str
-    arms: int
-    errors: Floats  # (n,) of each trial
-    error: Distribution
-
-    @classmethod
-    def of(
-        cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
-    ) -> Self:
-        """Describe errors (n,), with their tail above `bound` as in `distributions`."""
-        return cls(value, label, arms, errors, distributions(errors[None], bound)[0])
-
-
-def numeric(arms: Iterable[ArmErrors]) -> bool:
-    """Return whether all values are numbers."""
-    values = [arm.value for arm in arms]
-    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-
-
 def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:
     """Describe each row of an array of shape (R, n), with tails above `bound` or, if that is None,
     above 10 times the row's median.
@@ -206,7 +183,8 @@ def _tail(values: Floats, median: float, bound: float | None) -> Tail:
     limit = FAR * median if bound is None else bound
     n = len(values)
     if not limit > 0:
-        return Tail(_NAN, 0, n, False, Interval.none("the median is not positive"))
+        what = "median" if bound is None else "bound"
+        return Tail(_NAN, 0, n, False, Interval.none(f"the {what} is not positive"))
     above = int((values > limit).sum())
     return Tail(limit, above, n, bound is not None, proportion_interval(above, n))
 
@@ -259,18 +237,31 @@ def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
 def _skewed_end(values: Floats, mean: float, std: float) -> float:
     """Return the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
 
-    The values (n,) have mean m and standard deviation s. With their skewness G and g = G / sqrt(n),
-    f(T) = T + g T^2 / 3 + g^2 T^3 / 27 + g / 6 removes the skewness from Student's T; the end is m
-    - f^-1(-t(0.975, n - 1)) s / sqrt(n).
+    The n values have mean m, standard deviation s and skewness G. With g = G / sqrt(n) the function
+
+        f(T) = T + g T^2 / 3 + g^2 T^3 / 27 + g / 6
+
+    takes the skewness out of Student's T, so that f(T) is about as T is for normal values. The
+    upper end is where f(T) is the lower quantile, -t(0.975, n - 1):
+
+        m - T s / sqrt(n)  with  f(T) = -t(0.975, n - 1)
     """
     n = len(values)
-    off = (values - mean) / std  # scaled first: cubes of small lengths would underflow
-    moment = float(np.mean(off**3) / np.mean(off**2) ** 1.5)
+    deviations = (values - mean) / std  # scaled first: cubes of small lengths would underflow
+    moment = float(np.mean(deviations**3) / np.mean(deviations**2) ** 1.5)
     g = math.sqrt(n - 1) / (n - 2) * moment
-    t = -t_quantile(n - 1)
-    if abs(g) > 1e-6:
-        t = 3 / g * float(np.cbrt(1 + g * (t - g / 6)) - 1)
+    t = _skewed_quantile(g, -t_quantile(n - 1))
     return float(mean - t * std / math.sqrt(n))
+
+
+def _skewed_quantile(g: float, quantile: float) -> float:
+    """Return T with f(T) = `quantile`, for f as in `_skewed_end`.
+
+    As f(T) - g / 6 = ((1 + g T / 3)^3 - 1) / g, it is 3 / g (cbrt(1 + g (quantile - g / 6)) - 1).
+    """
+    if abs(g) <= 1e-6:  # f(T) is T
+        return quantile
+    return 3 / g * float(np.cbrt(1 + g * (quantile - g / 6)) - 1)
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
@@ -294,3 +285,33 @@ def percent(share: Interval) -> str:
     if not share.known:
         return ""
     return f" (95 % interval {100 * share.low:.0f} to {100 * share.high:.0f} %)"
+
+
+# ---- Trials of the arms of a study ----
+
+
+@dataclass(frozen=True, slots=True)
+class ArmErrors:
+    """The total errors of trials with the same `value`: a value of a swept field, or an arm's name;
+    `label` is the value as text, `arms` the number of arms that the trials belong to.
+    """
+
+    value: Any
+    label: str
+    arms: int
+    errors: Floats  # (n,) of each trial
+    error: Distribution
+
+    @classmethod
+    def of(
+        cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
+    ) -> Self:
+        """Describe errors (n,), with their tail above `bound` as in `distributions`."""
+        return cls(value, label, arms, errors, distributions(errors[None], bound)[0])
+
+
+def numeric(arms: Iterable[ArmErrors]) -> bool:
+    """Return whether all values are numbers."""
+    return all(
+        isinstance(arm.value, int | float) and not isinstance(arm.value, bool) for arm in arms
+    )

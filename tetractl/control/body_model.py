@@ -63,6 +63,7 @@ class Usual(NamedTuple):
 
 
 USUAL = Usual()
+"""The values of all robots of which a spec says nothing else."""
 LEAST_SPEED = 1e-9
 """Least speed that a noise is taken over [length unit/s]: a robot may have none."""
 FREQUENCIES = 0.5, 0.75, 1.0, 1.4

@@ -17,12 +17,12 @@ GROWTH = 1.2  # ratio of successive lengths tried for a detour
 SPREAD = 1.3  # ratio of successive lengths tried at rest
 VAIN = 10  # number of searches in a row that find no shorter plan, after which none is tried
 SPREAD_WORK = 3e7  # evaluations x signals x robots after which no longer ones are tried: 0.25 s
-SIGNALS = 6  # least number of signals per robot in a plan for several robots
+SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several robots
 
 
 def least_length(problem: Problem) -> int:
     """Return the least length to try: enough signals for each robot to drive straight to its
-    target, and at least SIGNALS per robot.
+    target, and at least SIGNALS_PER_ROBOT per robot.
     """
     gaps = problem.poses.distances(problem.targets).tolist()
     pairs = zip(gaps, problem.speed.tolist(), strict=True)
@@ -32,7 +32,7 @@ def least_length(problem: Problem) -> int:
     straight = 1 + max(
         0, math.ceil((max(seconds, default=0.0) - problem.first_period) / problem.period)
     )
-    return max(straight, SIGNALS * len(gaps) if len(gaps) > 1 else 1)
+    return max(straight, SIGNALS_PER_ROBOT * len(gaps) if len(gaps) > 1 else 1)
 
 
 def longer(count: int, most: int, after: int) -> Iterator[int]:

@@ -61,6 +61,7 @@ def _relu(values: Floats) -> Floats:
 
 
 ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": _relu}
+"""What may stand between two layers, by its name in a spec."""
 
 
 class PolicySection(PlainSection):

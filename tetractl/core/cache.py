@@ -24,7 +24,7 @@ FOLDER = "TETRACTL_CACHE_DIR"
 compiling: list[Callable[[], None]] = []
 """Functions to call before a kernel is compiled because the cache does not contain it."""
 
-_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # bits of a mode by which other users can write
 
 
 @functools.cache

@@ -27,7 +27,7 @@ R = TypeVar("R")
 
 SAID_BYTES = 4096
 """Most that is kept of what a child says: its last bytes."""
-LINE_MAX = 300
+SHOWN_LINE_MAX = 300
 """Most characters of a line of a child that are shown."""
 LINES_MAX = 50
 """Most lines of all workers of a pool that are shown."""
@@ -157,9 +157,9 @@ def open_in_browser(address: str) -> bool:
 
 
 def shown_lines(said: bytes) -> list[str]:
-    """Return the lines of a text that are not empty, each printable and of LINE_MAX."""
+    """Return the lines of a text that are not empty, each printable and of SHOWN_LINE_MAX."""
     lines = said.decode(errors="replace").splitlines()
-    return [printable(line, LINE_MAX) for line in lines if line.strip()]
+    return [printable(line, SHOWN_LINE_MAX) for line in lines if line.strip()]
 
 
 _starting = threading.RLock()

@@ -13,7 +13,7 @@ import numpy as np
 from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Bools, Floats, Poses
 
-STANDS = 0.9
+STANDS_PROBABILITY = 0.9
 """Probability above which a robot counts as standing. Of robots that stuck at 5 and 20 Hz, 170 of
 176 stands reached it; where ten pictures a second came 0.06 s late, 3 of 67 false ones did, all
 simulated (`benchmarks/unmodelled.py`, `sticking`, `sticking-5hz` and `slow-pictures`)."""
@@ -192,7 +192,9 @@ class Estimate:
     def standing(self, names: Sequence[str]) -> list[str]:
         """Return the robots, of these `names`, that surely stand although they are to drive."""
         probabilities = [] if self.stands is None else self.stands.tolist()
-        return [name for name, p in zip(names, probabilities, strict=False) if p > STANDS]
+        return [
+            name for name, p in zip(names, probabilities, strict=False) if p > STANDS_PROBABILITY
+        ]
 
     def unfit(self, names: Sequence[str]) -> set[str]:
         """Return what the model does not fit, such as "heading of red"."""

@@ -11,7 +11,7 @@ from traceback import extract_tb
 from tetractl.core.errors import UNIX_MODULES, TetractlError, WrongValueError, printable, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
 
-HINT = "PYTHONDEVMODE=1 prints its traceback"
+TRACEBACK_HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
 """Errors of the computer, such as a full disk."""
@@ -71,7 +71,7 @@ def plugin_fault(
         if owner:
             what = printable(what, 300)
             text = f"plug-in {owner[0]} ({owner[1]}, {file}:{line}) raised {what}"
-            fault = FaultyPluginError(text, HINT)
+            fault = FaultyPluginError(text, TRACEBACK_HINT)
             fault.calls = tuple(
                 f"{call.filename}:{call.lineno} in {call.name}: {call.line}" for call in calls[-20:]
             )

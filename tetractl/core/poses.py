@@ -182,8 +182,8 @@ class Observation:
         return np.array(times) / SECOND
 
     def __post_init__(self) -> None:
-        for each in (self.poses.x, self.poses.y, self.poses.heading, self.valid):
-            each.setflags(write=False)
+        for array in (self.poses.x, self.poses.y, self.poses.heading, self.valid):
+            array.setflags(write=False)
 
 
 INSIDE = 0.95

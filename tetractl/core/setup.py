@@ -14,7 +14,7 @@ from tetractl.core.tour import HoldTask, LossRule
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """The length of each unit that a spec may declare [m]."""
-MM = METRES["mm"]
+MM = METRES["mm"]  # a millimetre [m]
 
 
 @dataclass(frozen=True, slots=True)

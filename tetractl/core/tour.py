@@ -16,7 +16,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
 from tetractl.core.poses import Bools, Floats, Integers, Observation
 
-LOOK_NS = SECOND // 10  # time between two frames in which standing robots are looked for
+LOSS_LOOK_NS = SECOND // 10  # time between two frames in which standing robots are looked for
 STRIDE_S = 0.05  # least way by which a robot has moved, as a time of driving
 STRIDE_MOST_S = 0.2  # greatest way that counts between two such frames: a pose may jump
 DEAD_S = 5.0  # way, as a time of driving, that one robot drives until another one counts as dead
@@ -56,7 +56,7 @@ class Standing:
     def dead(self, frame: Observation) -> Bools | None:
         """Return which robots (N,) have stood while one drove for DEAD_S, None if none moved, and
         set `due_ns` to the time of the next frame to look at."""
-        self.due_ns = (frame.sampled_ns // LOOK_NS + 1) * LOOK_NS
+        self.due_ns = (frame.sampled_ns // LOSS_LOOK_NS + 1) * LOSS_LOOK_NS
         xy = frame.poses.xy
         way = np.hypot(*(xy - self._at).T) / self._speed
         moves = frame.valid & ~(way < STRIDE_S)  # one seen for the first time moves

@@ -18,7 +18,7 @@ T = TypeVar("T")
 WAITING_MAX = 20_000
 """Most items that wait between two threads, the oldest being dropped: 3 minutes of camera frames at
 120 Hz."""
-IDLE_S = 0.05
+LOOK_S = 0.05
 """Longest wait of a thread without events, so that a request to end is noticed [s]."""
 
 

@@ -20,7 +20,7 @@ FASTER = 2.0
 """Multiple of a robot's speed and turning limits above which its pose jumped."""
 REMEMBERED_NS = SECOND
 """Largest age of the accepted poses with which a new one is compared."""
-SPACING_NS = SECOND // 10
+JUMP_SPACING_NS = SECOND // 10
 """Least time between two of these."""
 JUMPED = "its pose jumped"
 
@@ -68,7 +68,7 @@ class AcceptedPoses:
         remembered = self._remembered
         while remembered and exposed_ns - remembered[0].exposed_ns > REMEMBERED_NS:
             remembered.popleft()
-        if not remembered or exposed_ns - remembered[-1].exposed_ns >= SPACING_NS:
+        if not remembered or exposed_ns - remembered[-1].exposed_ns >= JUMP_SPACING_NS:
             remembered.append(TimedPose(exposed_ns, pose))
 
     def forget_the_past(self) -> None:

@@ -44,7 +44,7 @@ TURNED_RAD = 0.03
 """Least turn by which a robot has started [rad]."""
 QUIET_TURNS = 3.0
 """The same, over the range of the headings measured at rest."""
-START_S = 1.0
+SPIN_UP_S = 1.0
 """Longest time for a start [s]."""
 GAP_S = 0.06
 """Longest time without a frame, of cameras that are fast enough [s]: the guard's is longer."""
@@ -299,7 +299,7 @@ class _Bench:
                     return frame.frame.received_ns
             return None
 
-        wait_for(self.clock, lambda: arrived_ns() is not None or self._strayed(), START_S)
+        wait_for(self.clock, lambda: arrived_ns() is not None or self._strayed(), SPIN_UP_S)
         self._raise_abort()
         arrived = arrived_ns()
         return None if arrived is None else (arrived - sent_ns) / SECOND

@@ -38,7 +38,7 @@ LATEST_NS = SECOND
 """The longest delay of a slow radio."""
 LIKELY_RATES = np.array([100.0, 100.0, 0.1, 0.1])
 """Standard deviations of a picture's shift, turn and growth [mm/s, mm/s, rad/s, 1/s]."""
-NOISE = np.array([2.0, 2.0, 0.02])
+MISFIT_NOISE = np.array([2.0, 2.0, 0.02])
 """Error of a difference of poses: along and across the heading, and around [mm, mm, rad]."""
 SHARE = np.array([0.08, 0.04, 0.1])
 """Share of the way, or the angle, by which it may be wrong in addition."""
@@ -226,4 +226,4 @@ def squares_of(then: Floats, now: Floats, sent: Floats) -> Floats:
     sin = np.sin(now[:, 2])
     off = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, np.angle(np.exp(1j * around))])
     size = np.column_stack([way, way, abs(turns).sum(0)])
-    return ((off / (NOISE + SHARE * size)) ** 2).sum(axis=1)
+    return ((off / (MISFIT_NOISE + SHARE * size)) ** 2).sum(axis=1)

@@ -84,19 +84,19 @@ LEAST_BLOCKS = 12
 """Younger changes are left to `motion_check`: lost packets make 7 blocks wrong alike."""
 SPACING = 5
 """Blocks between two moments of the grid."""
-GRID = 32
+MOMENTS_MAX = 32
 """Most moments of the grid."""
 LIMIT = 16.0
 """Statistic from which on a pose is false: good trials of the emulated lab reach 13
 (docs/decisions/safety.md)."""
 STEADY = 0.25
 """Largest error of wheels whose error is constant; a dead zone causes a larger one."""
-SURE = 3.0
+SURE_ERRORS = 3.0
 """Standard deviations by which a wheel must be beyond its largest error."""
 LEAST_KNOWN = 0.01
 """Share of the prior's variance that a trial must have explained."""
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
-TURNS = (
+TURNS_TEXT = (
     "robots turn by themselves while they drive, by wheels that differ or by poses false since "
     "the start, which this trial alone cannot distinguish: {}"
 )
@@ -276,16 +276,16 @@ class DriftCheck:
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
 
     def turns(self) -> str:
-        """Return a text about robots that turn by themselves while they drive, by more than SURE
-        standard deviations; "" if none does. Their wheels differ, or their poses are false since
-        the start: one trial cannot distinguish them.
+        """Return a text about robots that turn by themselves while they drive, by more than
+        SURE_ERRORS standard deviations; "" if none does. Their wheels differ, or their poses are
+        false since the start: one trial cannot distinguish them.
         """
         texts = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
             for name, rate, error in zip(self._names, *self.turning(), strict=False)
-            if abs(rate) > SURE * error
+            if abs(rate) > SURE_ERRORS * error
         ]
-        return TURNS.format(", ".join(texts)) if texts else ""
+        return TURNS_TEXT.format(", ".join(texts)) if texts else ""
 
     def turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the rates (N,) at which the robots turn by themselves when they drive as fast as
@@ -487,8 +487,8 @@ class DriftCheck:
         """Keep this moment, if it is one of the grid; old moments are kept less densely."""
         if self.blocks - self._grid[-1].blocks >= SPACING:
             self._grid.append(GridMoment(self.blocks, self._sums.copy()))
-            if len(self._grid) > GRID:
-                del self._grid[1 : 3 * GRID // 4 : 2]
+            if len(self._grid) > MOMENTS_MAX:
+                del self._grid[1 : 3 * MOMENTS_MAX // 4 : 2]
 
     # ---- wheels ----
 
@@ -496,7 +496,7 @@ class DriftCheck:
         """Return which robot's wheels or heading are wrong by more than allowed."""
         errors = self._fit @ ERRORS.T  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
-        beyond = np.abs(errors) - SURE * np.sqrt(variances) > self._share
+        beyond = np.abs(errors) - SURE_ERRORS * np.sqrt(variances) > self._share
         for i, name in enumerate(self._names):
             left_is_wrong, right_is_wrong, heading_is_wrong = beyond[i]
             if heading_is_wrong:

@@ -44,7 +44,7 @@ SLACK_RAD = 0.08
 """Angle that is allowed as slack."""
 ROUNDING = 1e-9
 """Share of the slack within which a bound is compared again, exactly."""
-STANDS = 0.3
+STANDS_SHARE = 0.3
 """A robot that makes less than this fraction of the commanded motion stands still."""
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
@@ -277,12 +277,12 @@ def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
     """
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
-    small = abs(way) < STANDS * abs(meant)
+    small = abs(way) < STANDS_SHARE * abs(meant)
     if along and small[0]:
         return DOES_NOT_MOVE
     if around and small[2] and abs(way[0]) < slack[0]:
         return DOES_NOT_MOVE
-    opposite = (way * meant < 0.0) & (abs(meant) > STANDS * abs(way))
+    opposite = (way * meant < 0.0) & (abs(meant) > STANDS_SHARE * abs(way))
     if along and opposite[0]:
         return BACKWARD
     if around and opposite[2]:

@@ -20,8 +20,8 @@ import serial
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 
-WRITE_TIMEOUT_S = 0.02
-SIGNALS = (
+WRITE_TIMEOUT_S = 0.02  # longest wait until a port takes what is written [s]
+ENDING_SIGNALS = (
     (0.0, signal.SIGTERM, "asked the process to stop its robots and end"),
     (1.0, signal.SIGTERM, "asked the process to end at once"),
     (4.0, signal.SIGKILL, "killed the process; `tetractl recover` mends its log"),
@@ -222,7 +222,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     failure = ""
     said = False
     pid = holder(port)
-    due = list(SIGNALS)
+    due = list(ENDING_SIGNALS)
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
     say(f"{port}: {name} has this port open")

@@ -22,9 +22,9 @@ from tetractl.core.errors import AbortError
 from tetractl.core.file_lock import lock_file as take_lock
 from tetractl.lab.serial_port import Heard, PortHeldError, SerialPort
 
-SCHEME = "udp://"
-DATAGRAM_MAX = 1500
-PORT_DIGITS = 5
+SCHEME = "udp://"  # beginning of an address of such a port
+PACKET_MAX = 1500  # most bytes of a datagram that are read: an Ethernet frame
+PORT_DIGITS = 5  # most digits of a port's number
 REFUSALS_MAX = 3
 """Tries to send a datagram: each may report the refusal of one sent before."""
 
@@ -172,7 +172,7 @@ class UdpPort(SerialPort):
         assert self._socket is not None
         while not self._closing.is_set():
             with suppress(TimeoutError, ConnectionError):
-                self._heard(self._socket.recv(DATAGRAM_MAX), self._clock.now())
+                self._heard(self._socket.recv(PACKET_MAX), self._clock.now())
 
 
 def open_port(

@@ -41,14 +41,14 @@ class PathCheck:
         """Return an empty check for an experiment's robots."""
         return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
-    def add(self, x: Floats, y: Floats, known: Bools | None = None) -> None:
+    def add(self, x: Floats, y: Floats, tracked: Bools | None = None) -> None:
         """Add M further samples in time order; x, y (M, N), NaN where a position is unknown. Where
-        `known` (M, N) is False, the position is the last known one, from which no distance to
+        `tracked` (M, N) is False, the position is the last known one, from which no distance to
         another robot follows.
         """
         x = np.ascontiguousarray(x.T)  # (N, M): reduced 10x faster
         y = np.ascontiguousarray(y.T)
-        tracked_x = x if known is None else np.where(known.T, x, np.nan)
+        tracked_x = x if tracked is None else np.where(tracked.T, x, np.nan)
         self.apart = np.minimum(self.apart, separations(tracked_x, y))
         if self._last is not None:
             last_x, last_y = self._last
@@ -115,15 +115,15 @@ def separations(x: Floats, y: Floats) -> Floats:
     return apart
 
 
-def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdict:
+def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verdict:
     """Return the verdict of `PathCheck` on a recorded path which ended in `final`.
 
-    `path` (M, N, 2 or more) begins with x and y; samples for which `known` (M, N) is False
+    `path` (M, N, 2 or more) begins with x and y; samples for which `tracked` (M, N) is False
     are ignored.
     """
     path_check = PathCheck.of(setup)
     for robot in range(path.shape[1]):
-        samples = path[known[:, robot], robot]
+        samples = path[tracked[:, robot], robot]
         if len(samples):
             check = PathCheck(path_check.obstacles, setup.arena, 1)
             for begin in range(0, len(samples), SAMPLES_AT_A_TIME):
@@ -132,6 +132,6 @@ def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdic
             path_check.entered[robot] = check.entered[0]
             path_check.clearance[robot] = check.clearance[0]
             path_check.edge[robot] = check.edge[0]
-    tracked = np.where(known[..., None], path[..., :2], np.nan)
-    path_check.apart = separations(tracked[..., 0].T, tracked[..., 1].T)
+    tracked_path = np.where(tracked[..., None], path[..., :2], np.nan)
+    path_check.apart = separations(tracked_path[..., 0].T, tracked_path[..., 1].T)
     return path_check.verdict(final)

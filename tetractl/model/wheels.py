@@ -43,6 +43,7 @@ ENTRIES_AT_FIRST = 8
 Counts = tuple[int, int]
 """Counts of one robot's two wheels, each in -COUNT_MAX..COUNT_MAX."""
 STOP: Counts = (0, 0)
+"""Outputs at which both wheels stand [counts]."""
 CountArray = NDArray[np.int64]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.poses import Bools, Times
 
-BLOCK_NS = 4 * SECOND
+TIMES_BLOCK_NS = 4 * SECOND
 """The timetable is laid out for so long in advance [ns]."""
 SPARE_NS = SECOND
 """A block goes on for so long after its end [ns], so that it has a next time: rates are 1 Hz and
@@ -54,7 +54,7 @@ class Timetable:
         """The first time that was not taken yet [ns]."""
         self.next_frame_ns = 0
         """The first time of a frame that was not taken yet [ns]."""
-        self._block = self._lay_out(BLOCK_NS)
+        self._block = self._lay_out(TIMES_BLOCK_NS)
 
     def take(self, until_ns: int, with_end: bool) -> DueTimes:
         """Take the times up to `until_ns`, that one included.
@@ -63,7 +63,7 @@ class Timetable:
         neither.
         """
         if until_ns + SPARE_NS >= self._block.end_ns:
-            self._block = self._lay_out(until_ns + BLOCK_NS)
+            self._block = self._lay_out(until_ns + TIMES_BLOCK_NS)
             self._taken = 0
         block = self._block
         begin = self._taken

@@ -28,7 +28,7 @@ TRUE_DEAD_ZONE = 4
 """The wheel's true dead zone [counts]."""
 COUNT_LIMIT = 5
 """Largest count that is sent; 0 if speeds are not rounded to counts."""
-TRAIN_ROWS = 6
+TRAIN_ROWS = 6  # rows of the array of a drive train, above
 
 
 @compiled(**ENTRY)
@@ -38,7 +38,7 @@ def answer(
     drives: bool,
     since_ns: int,
     acts_ns: int,
-    known: Floats,
+    parameters: Floats,
     lag_s: float,
     sent_ns: Times,
     sent: Floats,
@@ -51,9 +51,9 @@ def answer(
     The arguments up to `sent` are those of `rolling.wish`; what is sent is also noted there. The
     errors owed in `trains` (TRAIN_ROWS, 2, N) change.
     """
-    wished = _wish(heading, u, drives, since_ns, acts_ns, known, lag_s, sent_ns, sent)
+    wished = _wish(heading, u, drives, since_ns, acts_ns, parameters, lag_s, sent_ns, sent)
     if lag_s > 0:
-        _note(acts_ns, wished, known, sent_ns, sent)
+        _note(acts_ns, wished, parameters, sent_ns, sent)
     gain = trains[GAIN]
     zone = trains[DEAD_ZONE]
     limit = trains[COUNT_LIMIT, 0]

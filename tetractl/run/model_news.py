@@ -12,7 +12,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 
 FITS_S = 5.0  # time without a misfit after which the model fits again [s]
-SURE = 3.0  # least change of an estimate that is news, in standard deviations
+SURE_STDS = 3.0  # least change of an estimate that is news, in standard deviations
 DELAY_S = 0.01  # least error of a stated dead time that is news [s]
 
 
@@ -38,7 +38,7 @@ def other_delay(estimate: Estimate, stated: StatedDelay) -> str:
     now_s = estimate.dead_time
     if now_s is None or estimate.dead_time_std is None:
         return ""
-    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE * estimate.dead_time_std):
+    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE_STDS * estimate.dead_time_std):
         return ""
     text = (
         f"commands act {now_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
@@ -56,7 +56,7 @@ def turning(estimate: Estimate, i: int) -> str:
     side = estimate.side
     std = estimate.side_std
     most = estimate.saturation
-    if side is not None and std is not None and abs(side[i]) > SURE * std[i]:
+    if side is not None and std is not None and abs(side[i]) > SURE_STDS * std[i]:
         way = "left" if side[i] > 0 else "right"
         parts.append(f"turns {100 * math.expm1(2 * abs(side[i])):.0f} % faster to the {way}")
     if most is not None and side is not None and most[i] < 1:
@@ -72,7 +72,7 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     was = before.dead_time
     if now is not None and was is not None:
         std = math.hypot(estimate.dead_time_std or 0.0, before.dead_time_std or 0.0)
-        if abs(now - was) > SURE * std:
+        if abs(now - was) > SURE_STDS * std:
             yield f"commands act {now:.3f} s after they are sent, not {was:.3f} s"
     for i, name in enumerate(setup.names):
         for what, unit in ("a", "rad/s"), ("speed", f"{setup.unit}/s"):
@@ -80,7 +80,7 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
                 (getattr(values, what)[i], getattr(values, f"{what}_std")[i])
                 for values in (estimate, before)
             )
-            if abs(new - old) > SURE * math.hypot(std, old_std):
+            if abs(new - old) > SURE_STDS * math.hypot(std, old_std):
                 yield f"{what} of {name} is {new:.3g} {unit}, not {old:.3g}"
         turns = turning(estimate, i)
         if turns and turns != turning(before, i):

@@ -29,7 +29,7 @@ from tetractl.run.run_trial import Answer, DecisionRequest, TimedDecision, Trial
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""
-FIRST = 0.0
+FIRST_SENT = 0.0
 """A direction of the section of `sequence`, which needs one; the script's take its place [rad]."""
 THINKING_NS = 0
 """Time that a script needs for a decision [ns]: virtual time stands still meanwhile."""
@@ -56,7 +56,7 @@ def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
         time_limit=control.time_limit,
         arrival_tolerance=control.arrival_tolerance,
         first_plan=control.first_plan,
-        directions=(FIRST,),
+        directions=(FIRST_SENT,),
     )
     return parse_spec(with_controller(spec, section).text, spec.name)
 

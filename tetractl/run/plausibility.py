@@ -54,7 +54,7 @@ ROUNDING = 1e-9
 """Times that differ by less than this fraction are equal but for rounding."""
 NO_ERROR = 1e-6
 """A least total error below this fraction of the arena's longer side is none but for rounding."""
-NAMED = 2
+NAMED_MAX = 2
 """Of more than four robots alike, so many are named besides the first."""
 
 Findings = Iterator[SpecFinding]
@@ -258,8 +258,8 @@ def _alike_text(alike: Setup, least: str) -> str:
 def _listed(names: Sequence[str]) -> str:
     """Return names as "a, b and c", those after the second as "2 more" if there are many."""
     listed = list(names)
-    if len(names) > NAMED + 1:
-        listed = [*names[:NAMED], f"{len(names) - NAMED} more"]
+    if len(names) > NAMED_MAX + 1:
+        listed = [*names[:NAMED_MAX], f"{len(names) - NAMED_MAX} more"]
     if len(listed) == 1:
         return listed[0]
     return f"{', '.join(listed[:-1])} and {listed[-1]}"

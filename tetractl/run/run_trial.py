@@ -87,8 +87,8 @@ from tetractl.run.trial_limits import directions
 AT_ONCE = "stopped at once by a second interruption"
 BEFORE_STEPS = "interrupted before the first step"
 STEP_FINISHED = "interrupted; the step was finished"
-TURNING = "all robots turn on the spot: they have no safe way ahead"
-PAUSING = "all robots pause: the next plan starts from rest, or the trial ends"
+TURNING_TEXT = "all robots turn on the spot: they have no safe way ahead"
+PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
 
 Decision = Plan | Outcome | End
 
@@ -254,9 +254,9 @@ def motion_text(before: RobotMotion, now: RobotMotion) -> str:
     """Return what is reported when robots begin to turn on the spot or to pause; "" for nothing. A
     pause right after a turn is none of its own."""
     if now is RobotMotion.TURN and before is not RobotMotion.TURN:
-        return TURNING
+        return TURNING_TEXT
     if now is RobotMotion.STAND and before in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
-        return PAUSING
+        return PAUSING_TEXT
     return ""
 
 

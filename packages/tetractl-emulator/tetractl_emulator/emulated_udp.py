@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from tetractl.core.errors import TetractlError
-from tetractl.lab.udp_port import DATAGRAM_MAX, SCHEME, address_of, heard_at
+from tetractl.lab.udp_port import PACKET_MAX, SCHEME, address_of, heard_at
 from tetractl_emulator.port import PseudoPort
 
 
@@ -56,7 +56,7 @@ class UdpPlug(PseudoPort):
         if self._socket is None:
             return b""
         with suppress(BlockingIOError):
-            data, self._sender = self._socket.recvfrom(DATAGRAM_MAX)
+            data, self._sender = self._socket.recvfrom(PACKET_MAX)
             return b"" if self._stalled else data
         return b""
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from itertools import count
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.worker import IDLE_S
+from tetractl.core.worker import LOOK_S
 
 Act = Callable[[], None]
 
@@ -94,8 +94,8 @@ class Loop:
                 self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns
-        wait = IDLE_S if due is None else (due - self.now()) / SECOND
-        ready, _, _ = select.select(list(self._readers), [], [], min(max(wait, 0.0), IDLE_S))
+        wait = LOOK_S if due is None else (due - self.now()) / SECOND
+        ready, _, _ = select.select(list(self._readers), [], [], min(max(wait, 0.0), LOOK_S))
         if ready:
             self.timeline.run_to(self.now())
             for fd in ready:

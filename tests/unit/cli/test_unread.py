@@ -17,7 +17,7 @@ from tetractl.cli.unread import (
     notice_of_signals,
     say_at_once,
 )
-from tetractl.core.children import LINE_MAX, LINES_MAX
+from tetractl.core.children import LINES_MAX, SHOWN_LINE_MAX
 from tetractl.core.registry import SPEAKERS
 
 STDOUT = 1
@@ -160,7 +160,7 @@ def test_a_plug_in_that_prints_without_end_is_cut_short(monkeypatch, plugin):
         lines = written["stderr"].getvalue().decode().splitlines()
     assert len(lines) == LINES_MAX + 1
     assert lines[-1] == "camera 'chatty': says more, which is not shown"
-    assert max(map(len, lines)) < LINE_MAX + 50
+    assert max(map(len, lines)) < SHOWN_LINE_MAX + 50
 
 
 def test_a_package_with_a_command_prints_its_results(monkeypatch, plugin):

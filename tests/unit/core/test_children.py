@@ -10,9 +10,9 @@ from multiprocessing import forkserver
 import pytest
 
 from tetractl.core.children import (
-    LINE_MAX,
     SAFE_PATH,
     SAID_BYTES,
+    SHOWN_LINE_MAX,
     Child,
     WorkerPool,
     copying_context,
@@ -52,7 +52,7 @@ def test_what_a_child_says_is_bounded():
     code, said = said_by("import sys; sys.stderr.write(('x' * 5000 + chr(10)) * 2000 + 'end')")
     assert code == 0
     assert said[-1] == "end"
-    assert all(len(line) <= LINE_MAX for line in said)
+    assert all(len(line) <= SHOWN_LINE_MAX for line in said)
     assert sum(map(len, said)) <= SAID_BYTES
 
 

@@ -86,8 +86,8 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
 
 
 def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
-    sooner = [(at_s / 20, *rest) for at_s, *rest in module.SIGNALS]
-    monkeypatch.setattr(module, "SIGNALS", sooner)
+    sooner = [(at_s / 20, *rest) for at_s, *rest in module.ENDING_SIGNALS]
+    monkeypatch.setattr(module, "ENDING_SIGNALS", sooner)
     process = hold("tetractl", "deaf")
     said = stopping(port)
     assert process.wait() == -signal.SIGKILL

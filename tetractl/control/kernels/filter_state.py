@@ -143,7 +143,9 @@ class BankGrid(NamedTuple):
 
 
 ASSUMED = Assumed()
+"""The values of every filter."""
 GRID = BankGrid()
+"""The values of every bank."""
 
 
 class SentCommands(NamedTuple):

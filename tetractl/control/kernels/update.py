@@ -7,16 +7,17 @@ from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 from tetractl.model.motion.motion import DIRECTION
 
-STEP = np.uint64(GOLDEN)  # constants of `tetractl.control.rng.mix`
-MIX_1 = np.uint64(FACTORS[0])
-MIX_2 = np.uint64(FACTORS[1])
+# constants of `tetractl.control.rng.mix`, as numbers of 64 bits
+STEP = np.uint64(GOLDEN)  # between two keys
+MIX_1 = np.uint64(FACTORS[0])  # first factor
+MIX_2 = np.uint64(FACTORS[1])  # second factor
 LOWER = DIRECTION.low  # lb, (12) [rad]
 UPPER = DIRECTION.high  # ub, (12) [rad]
-S27 = np.uint64(27)
-S30 = np.uint64(30)
-S31 = np.uint64(31)
-S33 = np.uint64(33)
-LOW_31 = np.uint64(0x7FFF_FFFF)
+S27 = np.uint64(27)  # shift of its second round [bits]
+S30 = np.uint64(30)  # shift of its first round [bits]
+S31 = np.uint64(31)  # shift of its last round [bits]
+S33 = np.uint64(33)  # shift that leaves the upper 31 bits [bits]
+LOW_31 = np.uint64(0x7FFF_FFFF)  # mask of the lower 31 bits
 
 
 @compiled(**INLINE_FAST)

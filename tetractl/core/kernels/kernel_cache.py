@@ -50,9 +50,9 @@ try:
 except (ImportError, AttributeError):  # they are private: without them nothing is kept
     _rebuild = None
 
-_SUM = hashlib.sha256().digest_size
-LEVEL = "x86-64-v3"
-SHIPPED = Path(__file__).parent / "shipped"
+_SUM = hashlib.sha256().digest_size  # bytes of the checksum before a stored kernel
+LEVEL = "x86-64-v3"  # processors for which kernels are shipped
+SHIPPED = Path(__file__).parent / "shipped"  # folder of the kernels of the package
 _NEEDED = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
 
 

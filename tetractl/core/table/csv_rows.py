@@ -17,14 +17,14 @@ from typing import TextIO
 
 from tetractl.core.errors import UsageError, printable
 
-CSV_BYTES = 1 << 28
-CSV_ROWS = 2_000_000
+CSV_BYTES = 1 << 28  # largest file that is read [bytes]
+CSV_ROWS = 2_000_000  # most rows that are read
 CSV_LINE = 1 << 16
 """Largest size of a CSV file to read, its largest number of rows, and their largest length."""
 CHUNK = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-SEPARATORS = (",", ";", "\t")
+SEPARATORS = (",", ";", "\t")  # between the entries of a line
 BLANKS = " "
 """The separator of entries between which there are only blanks."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?|[+-]?\d+,")

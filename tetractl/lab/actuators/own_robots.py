@@ -17,8 +17,8 @@ from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
 
-BAUD = 57600  # of serial ports
-HINT = "is the robot on, and in this computer's network?"
+ROBOT_BAUD = 57600  # of serial ports
+SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
 
 
 class OwnLinks:
@@ -73,7 +73,7 @@ class OwnRobots(WheeledActuator):
         make = ports or open_port
         self.radii = radii_mm(setup, stated_radii_mm)
         self.links = OwnLinks(
-            make(robot.address, BAUD, robot.name, clock, lambda *_: None, HINT)
+            make(robot.address, ROBOT_BAUD, robot.name, clock, lambda *_: None, SILENT_ROBOT_HINT)
             for robot in self.robots
         )
         gains = np.array([(robot.left_gain, robot.right_gain) for robot in self.robots]).T

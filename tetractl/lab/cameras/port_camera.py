@@ -15,8 +15,8 @@ from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
 
 ASKED = b"poses\n"
-WAITING_MAX = 1000  # frames
-BAUD = 115200  # of serial ports
+FRAMES_WAITING_MAX = 1000  # frames
+PORT_BAUD = 115200  # of serial ports
 STAMPS = 600  # frames whose times on the camera's clock are compared with their arrivals
 
 
@@ -54,10 +54,10 @@ class PortCamera(ABC):
         self._clock = clock
         self._wake = wake
         self._gaps = deque[int](maxlen=STAMPS)
-        self._fresh = deque[CameraFrame](maxlen=WAITING_MAX)
+        self._fresh = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
         self._number = 0
         make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
-        self._port = make(section.address, BAUD, "the camera", clock, self._heard, self.hint)
+        self._port = make(section.address, PORT_BAUD, "the camera", clock, self._heard, self.hint)
 
     def port(self, *arguments: Any) -> SerialPort:
         """Return the port that gives the messages, by the arguments of `SerialPort`; by default a

@@ -38,9 +38,9 @@ def _along(x: Floats, y: Floats, heading: Floats, half: Floats, way: Floats) -> 
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
 
 
-def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
+def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
     """Return a step and its derivatives: the chord t v sin(h)/h at heading + h, h = w/2."""
-    a, v = own[:2]
+    a, v = robot[:2]
     h = 0.5 * t * a * (su * c - cu * s)
     h_phi = 0.5 * t * a * (cu * c + su * s)  # dh/dphi
     sh, ch = sincos(wrap(h))

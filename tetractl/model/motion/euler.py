@@ -36,9 +36,9 @@ def hold(
     )
 
 
-def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
+def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
     """Return a step of (4)-(6) and its derivatives."""
-    a, v = own[:2]
+    a, v = robot[:2]
     chord = t * v
     east = chord * c
     north = chord * s

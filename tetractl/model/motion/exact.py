@@ -80,7 +80,7 @@ def turn(phi: float, a: float, t: float) -> float:
     return 2 * math.atan2(-math.expm1(-a * t) * s * c, c * c + s * s * math.exp(-a * t))
 
 
-def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
+def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
     """Return a step and its derivatives, for any a t.
 
     With the whole angle phi in place of half of it, h = d/2 where d = near + far E, near = 1 + cos
@@ -88,7 +88,7 @@ def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) 
     depends on it. Turn and way/(v t) depend on a and t by a t alone, so that their derivatives by
     ln a are those by ln t. One division gives all three inverses.
     """
-    a, v = own[:2]
+    a, v = robot[:2]
     e = decay(a * t)
     cos_phi = cu * c + su * s
     sin_phi = su * c - cu * s

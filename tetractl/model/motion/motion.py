@@ -128,8 +128,10 @@ class Lanes(Protocol):
         ...
 
     @staticmethod
-    def differentiate(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Derivatives:
-        """Return a whole step of t [s] and its derivatives; `own` are one robot's PARAMETERS."""
+    def differentiate(
+        c: float, s: float, cu: float, su: float, robot: Any, t: float
+    ) -> Derivatives:
+        """Return a whole step of t [s] and its derivatives; `robot` are one robot's PARAMETERS."""
         ...
 
 

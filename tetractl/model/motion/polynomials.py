@@ -15,7 +15,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 
 LOG_2 = math.log(2.0)
-TAN_EIGHTH = math.tan(math.pi / 8)
+TAN_EIGHTH = math.tan(math.pi / 8)  # tan of an eighth of a half turn
 
 
 def fit(function: Callable[[Floats], Floats], top: float, degree: int) -> tuple[float, ...]:

@@ -58,7 +58,7 @@ def wish(
     drives: bool,
     since_ns: int,
     acts_ns: int,
-    known: Floats,
+    parameters: Floats,
     lag_s: float,
     sent_ns: Times,
     sent: Floats,
@@ -66,7 +66,7 @@ def wish(
     """Return the wheel speeds (2, N) by (24)-(25) for the directions `u` (N,) [rad], and for the
     headings predicted from the measured ones (N,), exposed at `since_ns`, to `acts_ns`, when the
     command acts [ns]; `since_ns` must not decrease between calls. If not `drives`, the speeds turn
-    the robots on the spot. `known` (3, N) are a [rad/s], speed and radius.
+    the robots on the spot. `parameters` (3, N) are a [rad/s], speed and radius.
 
     Without a lag, headings are predicted by (3). If the wheels follow commands with a first-order
     lag T = `lag_s` [s], a robot has heading theta and turning rate w at time s. If the turning
@@ -91,9 +91,9 @@ def wish(
                 sent_ns[k - 1] = sent_ns[k]
         share = math.exp(min(sent_ns[0] - since_ns, 0) / SECOND / lag_s)
     for i in range(len(heading)):
-        a = known[0, i]
-        speed = known[1, i] if drives else 0.0
-        radius = known[2, i]
+        a = parameters[0, i]
+        speed = parameters[1, i] if drives else 0.0
+        radius = parameters[2, i]
         theta = heading[i]
         if lag_s > 0:
             theta = theta + lag_s * (sent[1, i] + (sent[0, i] - sent[1, i]) * share)
@@ -109,14 +109,14 @@ def wish(
     return wished
 
 
-def note(acts_ns: int, speeds: Floats, known: Floats, sent_ns: Times, sent: Floats) -> None:
+def note(acts_ns: int, speeds: Floats, parameters: Floats, sent_ns: Times, sent: Floats) -> None:
     """Add wheel speeds (2, N), which act from `acts_ns` [ns] on, to those sent; see `wish`."""
     k = 0
     while sent_ns[k] != NEVER:
         k += 1
     sent_ns[k] = acts_ns
     for i in range(speeds.shape[1]):
-        sent[k + 1, i] = (speeds[1, i] - speeds[0, i]) / (2 * known[2, i])
+        sent[k + 1, i] = (speeds[1, i] - speeds[0, i]) / (2 * parameters[2, i])
 
 
 # the rows of the array (ROWS, N) of N robots on wheels

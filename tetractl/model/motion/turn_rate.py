@@ -36,11 +36,11 @@ def is_left(c: float, s: float, cu: float, su: float) -> bool:
     return su * c - cu * s >= 0
 
 
-def turning(c: float, s: float, cu: float, su: float, own: Any, t: float) -> Any:
+def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Any:
     """Return the a [rad/s] of a step of t [s] under a direction, and the derivatives of its
     logarithm by phi = u - heading, by `side` and by ln `saturation`; c, s and cu, su are cos and
-    sin of heading and u, and `own` are PARAMETERS and TURNING."""
-    a, _, side, saturation = own
+    sin of heading and u, and `robot` are PARAMETERS and TURNING."""
+    a, _, side, saturation = robot
     sine = su * c - cu * s
     factor = math.exp(side)
     sign = 1.0 if sine >= 0 else -1.0  # 1 to the left

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
-from tetractl.core.worker import IDLE_S
+from tetractl.core.worker import LOOK_S
 
 BOUNDARY = "emulated-by-tetractl"
 
@@ -72,7 +72,7 @@ class EmulatedNetworkCamera:
         self._server.daemon_threads = True
         self._threads = [
             threading.Thread(
-                target=self._server.serve_forever, args=(IDLE_S,), name="emulated-http", daemon=True
+                target=self._server.serve_forever, args=(LOOK_S,), name="emulated-http", daemon=True
             ),
             threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
         ]
@@ -136,12 +136,12 @@ class EmulatedNetworkCamera:
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             if self._drips:
                 answer.flush_headers()
-            while self._drips and not self._closing.wait(IDLE_S):
+            while self._drips and not self._closing.wait(LOOK_S):
                 answer.wfile.write(b"X")
             answer.end_headers()
             while not self._closing.is_set():
                 with suppress(queue.Empty):
-                    due, jpeg = mine.get(timeout=IDLE_S)
+                    due, jpeg = mine.get(timeout=LOOK_S)
                     self._clock.sleep_until(due)
                     answer.wfile.write(self._changed(part(jpeg)))
         except OSError:

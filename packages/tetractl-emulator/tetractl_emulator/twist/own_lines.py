@@ -13,7 +13,7 @@ from tetractl.core.errors import WireError
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.lab_section import LabSection, entry
-from tetractl.lab.actuators.own_robots import BAUD
+from tetractl.lab.actuators.own_robots import ROBOT_BAUD
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.wheel_commands import Status, radii_mm
 from tetractl.lab.serial_port import UNREADABLE
@@ -81,7 +81,7 @@ class OwnRadio(LineRadio):
     def __init__(self, stage: Stage, port: str, side: "OwnLines", row: int, loss: float) -> None:
         robots = side.robots[row : row + 1]
         seed = stage.options.seed + row
-        super().__init__(stage, stage.wires.port(port), BAUD, robots, [row], loss, seed)
+        super().__init__(stage, stage.wires.port(port), ROBOT_BAUD, robots, [row], loss, seed)
         self._side = side
         self._row = row
         self._whole = port.startswith(SCHEME)

@@ -15,7 +15,7 @@ from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
-from tetractl.core.worker import IDLE_S, WAITING_MAX, drained
+from tetractl.core.worker import LOOK_S, WAITING_MAX, drained
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl_microscope.pictures.picture_section import PictureSection
@@ -180,7 +180,7 @@ class PictureCamera(ABC, Generic[S]):
     def _offer(self, picture: tuple[int, Picture], live: bool) -> None:
         while not self._closing.is_set():
             try:
-                self._next.put(picture, timeout=None if live else IDLE_S, block=not live)
+                self._next.put(picture, timeout=None if live else LOOK_S, block=not live)
                 return
             except queue.Full:
                 if live:
@@ -191,7 +191,7 @@ class PictureCamera(ABC, Generic[S]):
     def _find(self) -> None:
         while not self._closing.is_set():
             with suppress(queue.Empty):
-                number, picture = self._next.get(timeout=IDLE_S)
+                number, picture = self._next.get(timeout=LOOK_S)
                 self._search(number, picture)
 
     def _search(self, number: int, picture: Picture) -> None:

@@ -20,9 +20,9 @@ from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
-COMMAND = 0x51
-REPLY = 0x52
-ROBOTS_MAX = 32
+COMMAND = 0x51  # first byte of a command
+REPLY = 0x52  # first byte of a reply
+ROBOTS_MAX = 32  # most robots of a command: ids are from 0 to 31
 REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 

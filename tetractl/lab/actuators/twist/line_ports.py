@@ -20,7 +20,7 @@ from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports
 from tetractl.lab.udp_port import open_port
 
-HINT = "the robots stop by their watchdog; connect them and start again"
+PORT_LOST_HINT = "the robots stop by their watchdog; connect them and start again"
 PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
@@ -48,7 +48,7 @@ class TwistLink:
         self._sequence = 0
         make = ports or open_port
         self._ports = {
-            port: make(port, baud, "the radio", clock, self._taker(port), HINT)
+            port: make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
             for port in dict.fromkeys(port_of)
         }
 

@@ -14,12 +14,12 @@ from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 
-ROBOTS_MAX = 32
+ROBOTS_MAX = 32  # most robots of a link: numbers are from 0 to 31
 LINE_MAX = 300  # characters without the line's end
 # greatest absolute speed [mm/s] and turning rate [mrad/s]
 SPEED_MAX = 5000
-TURN_MAX = 50_000
-DIGITS_MAX = 6
+TURN_MAX = 50_000  # largest turning rate of a command [mrad/s]
+DIGITS_MAX = 6  # most digits of a number
 REPLY_SLOT_MS = 20  # robot i replies i slots after a poll, so that replies do not collide
 Kind = Literal["T", "W"]
 Entry = tuple[int, int, int]

@@ -9,13 +9,14 @@ import struct
 
 from tetractl.core.errors import WireError
 
-START = 0x7E
-ESCAPE = 0x7D
+# from Digi's manual of XBee modules in API mode 2
+START = 0x7E  # first byte of a frame
+ESCAPE = 0x7D  # byte before one that is escaped
 _ESCAPED = frozenset((START, ESCAPE, 0x11, 0x13))  # 0x11 and 0x13: XON, XOFF
 CONTENT_MAX = 128  # 100 bytes of 802.15.4 payload and the longest header, rounded up
-TRANSMIT = 0x01
-AT_COMMAND = 0x08
-AT_RESPONSE = 0x88
+TRANSMIT = 0x01  # type of a frame with data to send
+AT_COMMAND = 0x08  # type of a frame with a command to the module
+AT_RESPONSE = 0x88  # type of the answer to one
 BROADCAST = bytes((TRANSMIT, 0, 0xFF, 0xFF, 0))  # to all modules, without a report of the result
 # bytes of content before the data of another module, by the frame's type: from a 64-bit address, a
 # 16-bit one, both (newer firmware), or both with endpoints (AO=1)

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from tetractl.experiment.base import Model
 
-RIGHT = "802.15.4"
+RIGHT_PROTOCOL = "802.15.4"  # the protocol that modules of robots and computer run
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # baud rate by the value of BD
 ESCAPED_FRAMES = 2  # the value of AP for API frames with escapes
 
@@ -27,15 +27,15 @@ class XbeeSection(Model):
     """Bits per second on the port."""
 
 
-SERIES_1 = (0x17, 0x18)
+SERIES_1 = (0x17, 0x18)  # first bytes of HV of modules of series 1
 FAMILIES = (  # HV codes of a family, and its protocol by the first digit of VR; "": by all others
-    (SERIES_1, {"": RIGHT, "8": "DigiMesh"}),
+    (SERIES_1, {"": RIGHT_PROTOCOL, "8": "DigiMesh"}),
     ((0x19, 0x1A, 0x1E), {"": "Zigbee"}),  # Series 2
-    ((0x21, 0x22, 0x2D, 0x2E, 0x30), {"": "Zigbee", "2": RIGHT, "9": "DigiMesh"}),  # S2C
-    ((0x53,), {"": "Zigbee", "C": RIGHT, "B": "DigiMesh"}),  # S2C P5
+    ((0x21, 0x22, 0x2D, 0x2E, 0x30), {"": "Zigbee", "2": RIGHT_PROTOCOL, "9": "DigiMesh"}),  # S2C
+    ((0x53,), {"": "Zigbee", "C": RIGHT_PROTOCOL, "B": "DigiMesh"}),  # S2C P5
     ((0x32, 0x33, 0x34, 0x35), {"": "Zigbee"}),  # S2D
-    ((0x41, 0x42, 0x43), {"": "Zigbee", "2": RIGHT, "3": "DigiMesh"}),  # XBee 3
-    ((0x52, 0x57), {"": "Zigbee", "2": RIGHT, "3": "DigiMesh"}),  # XBee RR
+    ((0x41, 0x42, 0x43), {"": "Zigbee", "2": RIGHT_PROTOCOL, "3": "DigiMesh"}),  # XBee 3
+    ((0x52, 0x57), {"": "Zigbee", "2": RIGHT_PROTOCOL, "3": "DigiMesh"}),  # XBee RR
     ((0x5C, 0x5D), {"": "Bluetooth"}),  # XBee 3 BLU
     ((0x1F, 0x27, 0x28), {"": "Wi-Fi"}),
     (

@@ -10,7 +10,7 @@ from tetractl.lab.actuators.xbee import frames
 from tetractl.lab.actuators.xbee.hardware import (
     BAUDS,
     ESCAPED_FRAMES,
-    RIGHT,
+    RIGHT_PROTOCOL,
     SERIES_1,
     XbeeSection,
     protocol,
@@ -18,7 +18,7 @@ from tetractl.lab.actuators.xbee.hardware import (
 )
 from tetractl.lab.serial_port import Ports, SerialPort
 
-HINT = "the robots stop by their watchdog; plug the module in and start again"
+MODULE_LOST_HINT = "the robots stop by their watchdog; plug the module in and start again"
 
 
 class Link:
@@ -38,7 +38,7 @@ class Link:
         self._frame_id = 0
         self._clock = clock
         make = ports or SerialPort
-        self._port = make(radio.port, radio.baud, "the radio", clock, self._take, HINT)
+        self._port = make(radio.port, radio.baud, "the radio", clock, self._take, MODULE_LOST_HINT)
 
     @property
     def failure(self) -> str | None:
@@ -106,14 +106,15 @@ class Link:
                 raise silent
         version = self.ask(b"VR") or b""
         runs = protocol(hardware, version)
-        if runs not in (RIGHT, None):
+        if runs not in (RIGHT_PROTOCOL, None):
             raise AbortError(
-                f"{radio.port}: the module runs {runs} firmware, not {RIGHT}",
+                f"{radio.port}: the module runs {runs} firmware, not {RIGHT_PROTOCOL}",
                 "this firmware could not broadcast wheel commands fast enough; "
                 + (
-                    f"load {RIGHT} firmware with XCTU"
-                    if RIGHT in protocols(hardware).values()
-                    else f"use a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
+                    f"load {RIGHT_PROTOCOL} firmware with XCTU"
+                    if RIGHT_PROTOCOL in protocols(hardware).values()
+                    else f"use a module that has {RIGHT_PROTOCOL} firmware: Series 1, S2C, XBee 3 "
+                    "or RR"
                 ),
             )
         rate = _number(self.ask(b"BD"))
@@ -136,7 +137,7 @@ class Link:
         if runs is None:
             reported = version.hex().upper() or "not reported"
             module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
-            question = f"is not in tetractl's list: does it run {RIGHT} firmware?"
+            question = f"is not in tetractl's list: does it run {RIGHT_PROTOCOL} firmware?"
             return (f"{radio.port}: {module} {question}",)
         return ()
 

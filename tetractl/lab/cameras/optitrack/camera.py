@@ -29,7 +29,7 @@ from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
-WAIT_S = 0.02
+WAIT_S = 0.02  # longest wait for a datagram, after which a request to close is noticed [s]
 
 
 class OptitrackCamera:

@@ -29,7 +29,7 @@ class Version(NamedTuple):
 
 
 OLDEST = Version(2, 6)  # frames of older versions do not say which bodies are tracked
-NEWEST = Version(4, 3)
+NEWEST = Version(4, 3)  # newest version of the protocol whose frames are read
 
 
 class MessageKind(IntEnum):

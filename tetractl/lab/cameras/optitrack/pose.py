@@ -8,7 +8,7 @@ from tetractl.core.poses import Pose
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 
-NORM_TOLERANCE = 1e-3
+NORM_TOLERANCE = 1e-3  # largest deviation of a quaternion's norm from 1: its numbers are float32
 
 
 class UpAxis(IntEnum):

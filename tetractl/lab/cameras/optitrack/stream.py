@@ -21,7 +21,7 @@ from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import number_in, parse
 
-DRIFT_MAX = 1e-3
+DRIFT_MAX = 1e-3  # largest drift between the server's clock and ours [s/s]
 
 
 @dataclass(frozen=True, slots=True)

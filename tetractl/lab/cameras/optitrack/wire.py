@@ -8,10 +8,10 @@ from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import NAME_MAX, parse_frame, parse_modeldef
 
 HEADER = struct.Struct("<HH")  # message id, payload bytes
-DATAGRAM_MAX = 65_507
+DATAGRAM_MAX = 65_507  # largest payload of a UDP datagram over IPv4 [bytes]
 SENDER = struct.Struct("<256s4B4B")  # name, application version, NatNet version
 SERVER_INFO = struct.Struct("<QH5x")  # clock, data port; multicast and its group are not read
-ECHO = struct.Struct("<QQ")
+ECHO = struct.Struct("<QQ")  # our time and the server's
 
 
 def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.ServerMessage:

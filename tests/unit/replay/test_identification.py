@@ -89,6 +89,14 @@ def test_a_dead_time_beyond_the_first_search_is_found():
     assert [one.a.value for one in found.robots] == pytest.approx(plant.a, rel=5e-3)
 
 
+def test_a_robot_that_stands_is_named():
+    """Regression: a warning of NumPy, and "robots turn before"."""
+    _, track = drive(1)
+    track.poses[:, 1] = track.poses[0, 1]
+    with pytest.raises(UsageError, match="robot blue does not move"):
+        identify([track], EXPECTED)
+
+
 def test_robots_that_turn_before_they_are_sent_a_direction_have_another_clock():
     _, track = drive(1)
     with pytest.raises(UsageError, match=r"robots seem to turn 0\.\d+ s before they are sent"):

@@ -84,7 +84,11 @@ def identify(
                 f"{INTERVALS_MIN} intervals are needed; give more logs, or longer ones",
             )
     expected = np.full(len(counts), UNKNOWN_A) if a is None else a
-    fitted = fit(frames, expected, speeds(frames), dead_time)
+    speed = speeds(frames)
+    if not speed.all():
+        still = tracks[0].names[int(np.argmin(speed))]
+        raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
+    fitted = fit(frames, expected, speed, dead_time)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),

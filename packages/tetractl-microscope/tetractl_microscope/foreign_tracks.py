@@ -45,7 +45,7 @@ ROUNDING = 1e-6  # share of a window by which a time within it may seem outside
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class AxisStep:
     """What 1 stands for along an axis: its `size` [um or s], None if it is not stated. If numbers
     are `counted`, they are pixels or pictures, whose size an option may state instead."""
 
@@ -60,8 +60,8 @@ class SpotTable:
     """
 
     rows: Floats
-    across: Step = Step()
-    time: Step = Step()
+    across: AxisStep = AxisStep()
+    time: AxisStep = AxisStep()
     tall: float = 1.0
 
 
@@ -107,7 +107,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     column = NumberColumn(timed, SECONDS[name_and_unit(timed)[1]], TIME_MAX)
     times = np.array([column.number(path, row) for row in read_csv(path)])
     if frame is None:
-        return SpotTable(np.column_stack([tracks, times, x, y]), time=Step(1.0, False))
+        return SpotTable(np.column_stack([tracks, times, x, y]), time=AxisStep(1.0, False))
     counted = SpotTable(np.column_stack([tracks, read_numbers(path, (frame,))[:, 0], x, y]))
     return _timed(path, counted, times, rate_hz, remarks)
 
@@ -133,7 +133,7 @@ def _timed(
     rows = counted.rows
     if rate_hz is None:
         timed = np.column_stack([rows[:, 0], times, rows[:, 2:]])
-        return replace(counted, rows=timed, time=Step(1.0, False))
+        return replace(counted, rows=timed, time=AxisStep(1.0, False))
     off = (times - times[0]) - (rows[:, 1] - rows[0, 1]) / rate_hz
     most = float(np.abs(off).max())
     if most > 0.5 / rate_hz:
@@ -165,7 +165,7 @@ def _trackmate(
     tracks, frames, times, *places = np.array(rows).T
     seconds = factor(units.get(timed.key, ""), SECONDS)
     um = factor(units.get(x.key, ""), MICROMETRES)
-    spots = SpotTable(np.column_stack([tracks, frames, *places]), Step(um, um is None))
+    spots = SpotTable(np.column_stack([tracks, frames, *places]), AxisStep(um, um is None))
     return spots if seconds is None else _timed(path, spots, times * seconds, rate_hz, remarks)
 
 
@@ -193,7 +193,9 @@ def _poses(
             yield CsvRow(line, {"robot": f"{CELL}{number:g}"} | cells)
 
 
-def _size(path: Path, option: str, states: str, stated: float | None, step: Step) -> float | None:
+def _size(
+    path: Path, option: str, states: str, stated: float | None, step: AxisStep
+) -> float | None:
     """Return what 1 stands for: as an option states it, or else the table; UsageError for an option
     if nothing is counted."""
     if stated is None:
@@ -306,10 +308,10 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
     return found
 
 
-def _step(axis: Any, units: Mapping[str, float]) -> Step:
+def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
     """Return what 1 stands for along an axis, in one of some units."""
     scaled = factor(axis.scaled_unit or "", units)
     if scaled is not None and axis.scale:
-        return Step(axis.scale * scaled)
+        return AxisStep(axis.scale * scaled)
     size = factor(axis.unit or "", units)
-    return Step(size, size is None)
+    return AxisStep(size, size is None)

@@ -42,15 +42,26 @@ class SeenCell:
 
 
 @dataclass(frozen=True, slots=True)
+class TrackName:
+    """The number `identity` of the cell on a track, the probability `certainty` that it is that
+    cell, and the time [s] since which it is.
+    """
+
+    track: int
+    identity: int
+    certainty: float
+    since_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class CellAnswer:
     """Which cell is on which track after cells have met.
 
-    `named` are, for each track, its number, the number of its cell, the probability that it is that
-    cell, and the time [s] since which it is. `asked` are the cells that met, and `probability` is
-    that of the likeliest assignment of them.
+    `named` are the tracks' names; `asked` are the cells that met, and `probability` is that of the
+    likeliest assignment of them.
     """
 
-    named: tuple[tuple[int, int, float, float], ...]
+    named: tuple[TrackName, ...]
     probability: float
     asked: tuple[int, ...]
 

@@ -109,6 +109,12 @@ class Known:
         assert self.row is not None, "the cell has no row in the filter any more"
         return self.row
 
+    def drop_row(self, bank: HelixFilter) -> None:
+        """Free the cell's row in the filter, if it still has one."""
+        if self.row is not None:
+            bank.drop(self.row)
+            self.row = None
+
 
 @dataclass(slots=True, eq=False)
 class Meeting:
@@ -176,6 +182,11 @@ class WhichIsWhich:
         order = self.orders[int(np.argmax(shares))]
         here = self.known[np.arange(len(order)), order]
         return tuple(order.tolist()), here * (shares @ (self.orders == order))
+
+    def on_track(self, t: int) -> Floats:
+        """Return the probability (K,) that each cell is on the track with the index `t`."""
+        has_cell = self.orders[:, t, None] == np.arange(len(self.cells))
+        return self.probabilities() @ has_cell
 
     def ends(self, now_s: float) -> bool:
         """Return whether the answer is certain enough, or has been waited for long enough."""

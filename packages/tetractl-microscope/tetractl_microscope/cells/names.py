@@ -1,19 +1,37 @@
 """Infers which cell is which after cells have met, was lost, or came out of another one's blob.
 
-While cells share a blob, copies of their filter rows are predicted without measurements. Where the
-cells then are says which is which with some probability, which the question begins with: each track
-is followed by one filter row per cell that it may be, with that cell's turning rate, bias, speed
-and helix, and the likelihoods of later measurements, above all of the response to the field, give
-the probability of each assignment. A question ends once one assignment is certain, or after a time.
+A *track* is an object that is followed from picture to picture. Its *identity* is the number of the
+cell that it most probably shows, its *certainty* the probability of that number.
+
+- A *meeting* begins when tracks share a blob (`Names.meet`), so that they may exchange their cells.
+  A copy of each cell's filter row is then predicted without measurements. If such a copy expects
+  cell n at place z of track t with the density f_n(z_t) [1/um^2], then the assignment of cell
+  s(t) to each track t has the probability
+
+      p(s) ~ product over t of f_s(t)(z_t)
+
+  The *share* of a track is the sum of p(s) over all s in which it still has its own cell. If
+  something that is not followed may have been in the blob, too, the share is multiplied by
+  f / (f + u), with the density u of something unknown that comes out of a blob.
+- When tracks are apart again (`Names.part`), those with a share above ASSERTED keep their names.
+  The others are asked about by a *question*: each track is followed by one filter row per cell that
+  it may be, with that cell's turning rate, bias, speed and helix. The likelihoods of later
+  measurements, above all of the response to the field, multiply p(s).
+- A question ends once one assignment is certain, or after a time (`Names.answer`).
+- A *doubt* multiplies the certainty of a track by a share about which nothing can be asked later.
+  In a film's table, a track of a certainty below PASSED_ON gets a new number.
+
+K is the number of tracks, M that of cells. Places are (K, 3): x, y [um] and axis [rad]. Tables of
+log-densities [1/um^2] are (K, M): a row for each track, a column for each cell.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import CellAnswer
+from tetractl_microscope.cells.cell import CellAnswer, TrackName
 from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
     Known,
@@ -22,12 +40,12 @@ from tetractl_microscope.cells.cell_tracks import (
     log_densities,
     normalised,
     orders,
-    return_density,
 )
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
+from tetractl_microscope.cells.lost_cells import LostCells
 from tetractl_microscope.cells.readings import MERGED
 
-TOGETHER = 4  # most tracks whose identities are resolved together
+TOGETHER = 4  # most tracks that one question is about
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
 ASSERTED = 0.99  # probability above which no question is asked, and a name is called sure
 PASSED_ON = 0.9  # least probability with which a film goes on with a name
@@ -37,7 +55,8 @@ PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of 
 FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
 EITHER = 0.02  # probability that something unknown has been in a blob that it may have entered
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
-LOST_S, LOST = 3.0, 16  # time for which a lost cell can come back; most cells remembered
+EITHER_OF_TWO = 0.5  # share of a track whose cell is one of two, of which nothing more is known
+RATIO_MOST = 50.0  # largest logarithm of a ratio of densities, so that its exponential is finite
 
 
 class Names:
@@ -45,19 +64,27 @@ class Names:
 
     `bank` is the filter, a cell is `body_um` long. If a film's table `splits` names, a track whose
     cell is too uncertain when a question ends gets a new name instead of an asserted one.
+
+    In each picture, `meet` is called for each group of tracks that are not distinguished, then
+    `part` and `answer` once; cells `appear` and are given up after that.
     """
 
     def __init__(self, bank: HelixFilter, body_um: float, splits: bool) -> None:
-        self._bank, self._body_um, self._splits, self._last = bank, body_um, splits, 0
+        self._bank = bank
+        self._body_um = body_um
+        self._splits = splits
+        self._last_number = 0
         self._meetings: list[Meeting] = []
         self._questions: list[WhichIsWhich] = []
-        self._lost: list[Known] = []
+        self._lost = LostCells(bank, body_um)
         self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
 
-    def number(self) -> int:
-        """Return a new cell's number."""
-        self._last += 1
-        return self._last
+    def take_number(self) -> int:
+        """Take the next number, for a new cell."""
+        self._last_number += 1
+        return self._last_number
+
+    # ---- tracks that meet and part ----
 
     def meet(self, together: Sequence[CellTrack], seconds: float, met: bool) -> None:
         """Record that tracks are not distinguished at a time [s]: they share a blob, or that of a
@@ -65,55 +92,86 @@ class Names:
         """
         for question in {id(t.question): t.question for t in together if t.question}.values():
             self._end(question)
-        meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
-        meeting = meetings[0] if meetings else Meeting([], [], met)
-        if not meetings:
-            self._meetings.append(meeting)
-        for other in meetings[1:]:
-            meeting.tracks += other.tracks
-            meeting.cells += other.cells
-            meeting.met |= other.met
-            self._meetings.remove(other)
-        meeting.met |= met
+        meeting = self._merged_meeting(together)
+        meeting.met = meeting.met or met
         for track in together:
             track.together_s = seconds
             if track not in meeting.tracks:
-                meeting.tracks.append(track)
-                row, size = self._bank.copied(track.filter_row), (track.long, track.wide)
-                meeting.cells.append(Known(track.identity, row, track.certainty, size))
+                self._join(meeting, track)
         for track in meeting.tracks:
             track.meeting = meeting
 
+    def _merged_meeting(self, together: Sequence[CellTrack]) -> Meeting:
+        """Make one meeting of all those in which some tracks are, a new one if they are in none."""
+        meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
+        if not meetings:
+            meeting = Meeting([], [], False)
+            self._meetings.append(meeting)
+            return meeting
+        first, *others = meetings
+        for other in others:
+            first.tracks += other.tracks
+            first.cells += other.cells
+            first.met = first.met or other.met
+            self._meetings.remove(other)
+        return first
+
+    def _join(self, meeting: Meeting, track: CellTrack) -> None:
+        """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
+        copy = self._bank.copied(track.filter_row)
+        meeting.tracks.append(track)
+        meeting.cells.append(Known(track.identity, copy, track.certainty, (track.long, track.wide)))
+
     def part(self, places: dict[int, Floats], awaited: Sequence[CellTrack], seconds: float) -> None:
-        """End the meetings of tracks that are apart again; `places` gives x, y [um] and axis [rad]
-        of the blob of each track. Something new, which may prove to be a cell, was first seen near
-        the tracks `awaited`.
+        """End the meetings of tracks that are apart again at a time [s]; `places` gives x, y [um]
+        and axis [rad] of the blob of each track. Something new, which may prove to be a cell, was
+        first seen near the tracks `awaited`.
         """
         for meeting in list(self._meetings):
-            tracks = meeting.tracks
-            waits = len(tracks) == 1 or any(track in awaited for track in tracks)
-            wait_s = REMEMBERED_S if waits else 0.0
-            apart = [t for t in tracks if t.number in places and t.together_s < seconds - wait_s]
-            if not apart:
+            waits = len(meeting.tracks) == 1 or any(track in awaited for track in meeting.tracks)
+            apart_since_s = seconds - (REMEMBERED_S if waits else 0.0)
+            apart = [
+                track
+                for track in meeting.tracks
+                if track.number in places and track.together_s < apart_since_s
+            ]
+            if apart:
+                self._let_go(meeting, apart)
+                if meeting.tracks and all(track in apart for track in meeting.tracks):
+                    self._resolve(meeting, places, seconds)
+
+    def _let_go(self, meeting: Meeting, apart: Collection[CellTrack]) -> None:
+        """Let the tracks leave that are apart and surely follow their own cells, or that are alone.
+
+        Nothing is sure as long as something unknown may be with those that stay.
+        """
+        shares = self._own_shares(meeting).tolist()
+        is_alone = len(meeting.tracks) == 1
+        some_stay = any(track not in apart for track in meeting.tracks)
+        for track, share in zip(list(meeting.tracks), shares, strict=True):
+            if track not in apart:
                 continue
-            shares = self._stay(meeting)
-            for track, share in zip(list(tracks), shares.tolist(), strict=True):
-                if len(shares) > 1 and meeting.met and any(t not in apart for t in tracks):
-                    share = min(share, ASSERTED)
-                if track in apart and (share > ASSERTED or len(shares) == 1):
-                    self._leave(meeting, track)
-                    if share < ASSERTED:
-                        self._doubt(track, share)
-            if not tracks:
-                self._forget(meeting)
-            elif all(track in apart for track in tracks):
-                if len(tracks) <= TOGETHER:
-                    self._part(meeting, np.array([places[t.number] for t in tracks]), seconds)
-                    continue
-                shares = self._stay(meeting)
-                self._forget(meeting)
-                for track, share in zip(tracks, shares.tolist(), strict=True):
+            if is_alone:
+                self._leave(meeting, track)
+                if share < ASSERTED:
                     self._doubt(track, share)
+            elif share > ASSERTED and not (meeting.met and some_stay):
+                self._leave(meeting, track)
+
+    def _resolve(self, meeting: Meeting, places: dict[int, Floats], seconds: float) -> None:
+        """End a meeting whose tracks are all apart: ask which is which, or, if they are too many,
+        doubt each.
+        """
+        tracks = meeting.tracks
+        if len(tracks) <= TOGETHER:
+            self._ask(meeting, np.array([places[track.number] for track in tracks]), seconds)
+            return
+        shares = self._own_shares(meeting).tolist()
+        self._forget(meeting)
+        for track, share in zip(tracks, shares, strict=True):
+            self._doubt(track, share)
+
+    # ---- cells that appear and are lost ----
 
     def appear(
         self, track: CellTrack, place: Floats, since_s: float, expected: float, entered: bool
@@ -126,43 +184,99 @@ class Names:
         may have `entered` the picture, the number of the cell that has divided there is returned;
         None if none has.
         """
-        near, divided = track.near, None
-        meeting = None if near is None else near.meeting
-        if near is not None and (meeting is None or len(meeting.tracks) == 1):
-            if meeting is not None and meeting.met:
-                here, _ = self._bank.expected(np.array([near.filter_row, track.filter_row]))
-                own, other = self._table(meeting.cells, here, np.full(2, PLACE))[:, 0].tolist()
-                near.together_s = since_s
-                self._forget(meeting)
-                self._doubt(near, 1 / (1 + math.exp(other - own)))
-            elif not entered and near.question is None:
-                divided, near.together_s = near.identity, since_s
-                self._doubt(near, 0.5)
-        if divided is None and self._lost:
-            seen = place[:2], np.array([track.long, track.wide]), since_s, self._body_um
-            weights = [return_density(self._bank, one, *seen) for one in self._lost]
-            i = int(np.argmax(weights))
-            probability = weights[i] / (sum(weights) + expected)
-            if probability > (PASSED_ON if self._splits else LIKELIER):
-                lost = self._lost.pop(i)
-                self._bank.drop(track.filter_row)
-                track.row = self._bank.moved(lost.filter_row, *place.tolist())
-                track.identity, track.certainty = lost.name, lost.certainty * probability
-                track.long, track.wide = lost.size
-                self._drop([lost])
+        divided = self._come_out(track, since_s, entered)
+        if divided is None:
+            self._come_back(track, place, since_s, expected)
         return divided
+
+    def _come_out(self, track: CellTrack, since_s: float, entered: bool) -> int | None:
+        """Doubt the name of the track out of whose blob a new one came at a time [s]; return the
+        number of its cell if that has divided, None if not.
+        """
+        near = track.near
+        if near is None:
+            return None
+        meeting = near.meeting
+        if meeting is not None and len(meeting.tracks) > 1:
+            return None
+        if meeting is not None and meeting.met:
+            # the two tracks show the cell and something unknown: the nearer to its copy is the cell
+            here, _ = self._bank.expected(np.array([near.filter_row, track.filter_row]))
+            log_own, log_other = self._table(meeting.cells, here, np.full(2, PLACE))[:, 0].tolist()
+            near.together_s = since_s
+            self._forget(meeting)
+            self._doubt(near, 1 / (1 + math.exp(log_other - log_own)))
+            return None
+        if entered or near.question is not None:
+            return None
+        divided = near.identity
+        near.together_s = since_s
+        self._doubt(near, EITHER_OF_TWO)
+        return divided
+
+    def _come_back(self, track: CellTrack, place: Floats, since_s: float, expected: float) -> None:
+        """Give a new track the name and the filter row of a lost cell, if it probably is one."""
+        back = self._lost.likeliest(track, place, since_s, expected)
+        least = PASSED_ON if self._splits else LIKELIER
+        if back is None or back.probability <= least:
+            return
+        x, y, axis = place.tolist()
+        self._bank.drop(track.filter_row)
+        track.row = self._bank.moved(back.cell.filter_row, x, y, axis)
+        track.identity = back.cell.name
+        track.certainty = back.cell.certainty * back.probability
+        track.long, track.wide = back.cell.size
+        self._lost.remove(back.cell)
+
+    def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
+        """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is
+        left in the blob that both have shared, it is uncertain which of the cells that is.
+        """
+        if track.question is not None:
+            self._end(track.question)
+        if track.meeting is not None:
+            self._give_up_in(track.meeting, track)
+        if not may_return:
+            self._bank.drop(track.filter_row)
+            return
+        lost = Known(
+            name=track.identity,
+            row=track.row,
+            certainty=track.certainty,
+            size=(track.long, track.wide),
+            last=track.last,
+            lost_s=seconds - track.missed_s,
+        )
+        self._lost.add(lost)
+
+    def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
+        """Take a track that is given up out of a meeting."""
+        shares = self._own_shares(meeting).tolist()
+        others = [
+            (other, share)
+            for other, share in zip(meeting.tracks, shares, strict=True)
+            if other is not track
+        ]
+        self._leave(meeting, track)
+        if len(others) == 1:
+            last, share = others[0]
+            if share < ASSERTED:
+                self._forget(meeting)
+                self._doubt(last, share)
+
+    def shift(self, x: float, y: float) -> None:
+        """Move what is known of lost cells by x, y [um], with the picture's content."""
+        self._lost.shift(x, y)
+
+    # ---- answers ----
 
     def answer(self, seconds: float) -> None:
         """Give tracks their names by the likeliest answers; end the questions that are decided, and
         forget cells that were lost too long ago.
         """
-        while self._lost and (len(self._lost) > LOST or seconds - self._lost[0].lost_s > LOST_S):
-            self._drop([self._lost.pop(0)])
+        self._lost.remove_late(seconds)
         for question in list(self._questions):
-            order, _ = question.best()
-            for t, track in enumerate(question.tracks):
-                track.identity = question.cells[order[t]].name
-                track.row = int(question.rows[t, order[t]])
+            self._name_by(question)
             if question.ends(seconds):
                 self._end(question)
 
@@ -180,143 +294,127 @@ class Names:
 
     def probabilities(self, tracks: Sequence[CellTrack]) -> list[float]:
         """Return the probability, for each of some tracks, that it has the right name."""
-        known: dict[int, float] = {}  # by track
+        by_number: dict[int, float] = {}
         for question in self._questions:
             order, shares = question.best()
             for t, track in enumerate(question.tracks):
-                known[track.number] = float(shares[t] * question.cells[order[t]].certainty)
+                by_number[track.number] = float(shares[t] * question.cells[order[t]].certainty)
         for meeting in self._meetings:
-            shares = self._stay(meeting)
+            shares = self._own_shares(meeting)
             for track, share in zip(meeting.tracks, shares.tolist(), strict=True):
                 if track.question is None:
-                    known[track.number] = track.certainty * share
-        return [known.get(track.number, track.certainty) for track in tracks]
+                    by_number[track.number] = track.certainty * share
+        return [by_number.get(track.number, track.certainty) for track in tracks]
 
-    def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
-        """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is
-        left in the blob that both have shared, it is uncertain which of the cells that is.
-        """
-        if track.question is not None:
-            self._end(track.question)
-        if track.meeting is not None:
-            meeting, shares = track.meeting, self._stay(track.meeting).tolist()
-            likely = [each for each in zip(meeting.tracks, shares, strict=True) if each[0] != track]
-            self._leave(meeting, track)
-            if len(likely) == 1 and likely[0][1] < ASSERTED:
-                self._forget(meeting)
-                self._doubt(*likely[0])
-        size, since_s = (track.long, track.wide), seconds - track.missed_s
-        lost = Known(track.identity, track.row, track.certainty, size, track.last, since_s)
-        if may_return:
-            self._lost.append(lost)
-        else:
-            self._drop([lost])
-
-    def shift(self, x: float, y: float) -> None:
-        """Move what is known of lost cells by x, y [um], with the picture's content."""
-        for lost in self._lost:
-            assert lost.last is not None
-            lost.last = lost.last + np.array((x, y))
-
-    def _part(self, meeting: Meeting, places: Floats, seconds: float) -> None:
-        """Ask which cell is on which track after a meeting, by where the tracks are."""
-        tracks, cells = meeting.tracks, meeting.cells
+    def _ask(self, meeting: Meeting, places: Floats, seconds: float) -> None:
+        """Ask which cell is on which track after a meeting, by where the tracks are (K, 3)."""
+        tracks = meeting.tracks
+        cells = meeting.cells
         table = self._table(cells, places, np.full(len(tracks), PLACE))
         known = self._known(meeting, table)
-        moves = orders(len(tracks))  # of each track, the number of its cell before
-        prior = table[np.arange(len(tracks)), moves].sum(axis=1)
-        meeting.cells = []
+        prior = table[np.arange(len(tracks)), orders(len(tracks))].sum(axis=1)
+        meeting.cells = []  # the question needs their rows
         self._forget(meeting)
-        self._ask(tracks, cells, prior, known, places, seconds)
+        rows = self._rows_of_question(tracks, cells, places)
+        question = WhichIsWhich(tuple(tracks), tuple(cells), rows, prior, known, seconds)
+        self._drop(cells)
+        self._questions.append(question)
+        for track in tracks:
+            self._bank.drop(track.filter_row)
+            track.question = question
+        self._name_by(question)
 
-    def _ask(
-        self,
-        tracks: Sequence[CellTrack],
-        cells: Sequence[Known],
-        prior: Floats,
-        known: Floats,
-        places: Floats,
-        since_s: float,
-    ) -> None:
-        """Open a question about tracks at `places` (K, 3): x, y [um], axis [rad]. The cells' filter
-        rows are copied for each track; one far from the track is moved to the track.
+    def _rows_of_question(
+        self, tracks: Sequence[CellTrack], cells: Sequence[Known], places: Floats
+    ) -> np.ndarray:
+        """Return new filter rows (K, M) that follow each track as each cell from `places` (K, 3)
+        on. A cell that was expected far away, or the other way round, is moved to the track.
         """
-        bank, places = self._bank, places.copy()
+        bank = self._bank
+        places = places.copy()
         heading = bank.mean[[track.filter_row for track in tracks], HEADING]
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
         rows = np.zeros((len(tracks), len(cells)), int)
         for t, place in enumerate(places):
             rows[t] = [bank.copied(cell.filter_row) for cell in cells]
-            values = np.tile(place, (len(cells), 1)), np.tile(FIRST, (len(cells), 1))
-            _, distance = bank.update(rows[t], *values)
+            values = np.tile(place, (len(cells), 1))
+            deviations = np.tile(FIRST, (len(cells), 1))
+            _, distance = bank.update(rows[t], values, deviations)
             backwards = np.cos(bank.mean[rows[t], HEADING] - place[2]) < 0
             for n in np.flatnonzero((distance > FAR) | backwards).tolist():
                 moved = bank.moved(int(rows[t, n]), *place.tolist())
                 bank.drop(int(rows[t, n]))
                 rows[t, n] = moved
-        question = WhichIsWhich(tuple(tracks), tuple(cells), rows, prior, known, since_s)
-        self._drop(cells)
-        self._questions.append(question)
+        return rows
+
+    def _name_by(self, question: WhichIsWhich) -> None:
+        """Give the tracks of an open question names and filter rows by its likeliest answer."""
         order, _ = question.best()
-        for t, track in enumerate(tracks):
-            bank.drop(track.filter_row)
-            track.question, track.identity = question, cells[order[t]].name
-            track.row = int(rows[t, order[t]])
+        for t, track in enumerate(question.tracks):
+            track.identity = question.cells[order[t]].name
+            track.row = int(question.rows[t, order[t]])
 
     def _end(self, question: WhichIsWhich) -> None:
         """Settle a question by its likeliest answer."""
         order, shares = question.best()
-        likely = question.probabilities()
-        asked = tuple(cell.name for cell in question.cells)
-        own = np.arange(len(question.cells))
+        self._name_by(question)
         for t, track in enumerate(question.tracks):
             cell = question.cells[order[t]]
-            track.question, track.row = None, int(question.rows[t, order[t]])
-            track.identity = cell.name
+            track.question = None
             track.long, track.wide = cell.size
-            if self._certain(track, float(shares[t]) * cell.certainty):
-                weights = likely @ (question.orders[:, t, None] == own)
-                self._bank.mix(track.filter_row, question.rows[t], weights)
-        kept = {track.row for track in question.tracks}
+            certainty = float(shares[t]) * cell.certainty
+            if self._splits and certainty < PASSED_ON:
+                # the new number's cell is any of those asked about
+                self._bank.mix(track.filter_row, question.rows[t], question.on_track(t))
+            self._set_certainty(track, certainty)
+        kept_rows = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
-            if row not in kept:
+            if row not in kept_rows:
                 self._bank.drop(row)
         self._questions.remove(question)
-        self._tell(question.tracks, float(likely.max()), asked)
+        probability = float(question.probabilities().max())
+        self._tell(question.tracks, probability, [cell.name for cell in question.cells])
 
-    def _doubt(self, track: CellTrack, probability: float) -> None:
+    def _doubt(self, track: CellTrack, share: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
         asked = track.identity
-        self._certain(track, track.certainty * probability)
-        self._tell([track], probability, (asked,))
+        self._set_certainty(track, track.certainty * share)
+        self._tell([track], share, [asked])
 
-    def _certain(self, track: CellTrack, certainty: float) -> bool:
-        """Set the certainty of a track's name, or give the track a new name; return the latter."""
-        track.certainty, splits = certainty, self._splits and certainty < PASSED_ON
-        if splits:
-            track.identity, track.certainty = self.number(), 1.0
-        return splits
+    def _set_certainty(self, track: CellTrack, certainty: float) -> None:
+        """Set the certainty of a track's name; if a film's is too low, give it a new name."""
+        track.certainty = certainty
+        if self._splits and certainty < PASSED_ON:
+            track.identity = self.take_number()
+            track.certainty = 1.0
 
     def _tell(self, tracks: Sequence[CellTrack], probability: float, asked: Sequence[int]) -> None:
-        named = tuple((t.number, t.identity, t.certainty, t.together_s) for t in tracks)
+        """Add an answer: the names of tracks after cells were `asked` about."""
+        named = tuple(
+            TrackName(track.number, track.identity, track.certainty, track.together_s)
+            for track in tracks
+        )
         self.answers.append(CellAnswer(named, probability, tuple(asked)))
 
-    def _stay(self, meeting: Meeting) -> Floats:
+    # ---- meetings: probabilities, and their end ----
+
+    def _own_shares(self, meeting: Meeting) -> Floats:
         """Return the probability (K,) that each of the tracks of a meeting still follows the cell
         that it did before, by where the cells are.
         """
-        tracks, cells = meeting.tracks, meeting.cells
-        now, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
+        tracks = meeting.tracks
+        places, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
         deviations = [MERGED[0] if track.merged else PLACE for track in tracks]
-        table = self._table(cells, now, np.array(deviations))
-        own = np.diagonal(table)
+        table = self._table(meeting.cells, places, np.array(deviations))
         known = np.diagonal(self._known(meeting, table))
-        if len(tracks) > TOGETHER:  # only exchanges of two cells are counted
-            exchanged = np.exp(np.minimum(table + table.T - own[:, None] - own, 50.0))
-            return known / (exchanged.sum(axis=1))
+        if len(tracks) > TOGETHER:
+            # only exchanges of two cells are counted, as ratios to the assignment without any
+            own = np.diagonal(table)
+            exchanged = np.exp(np.minimum(table + table.T - own[:, None] - own, RATIO_MOST))
+            return known / exchanged.sum(axis=1)
         order = orders(len(tracks))
-        shares = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
-        return known * (shares @ (order == np.arange(len(tracks))))
+        likely = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
+        return known * (likely @ (order == np.arange(len(tracks))))
 
     def _known(self, meeting: Meeting, table: Floats) -> Floats:
         """Return the probability (K, M) that a cell, rather than something unknown that has joined
@@ -324,13 +422,25 @@ class Names:
         """
         if not meeting.met:
             return np.ones(table.shape)
-        return 1 / (1 + np.exp(np.minimum(self._unknown() - table, 50.0)))
+        return 1 / (1 + np.exp(np.minimum(self._log_unknown() - table, RATIO_MOST)))
+
+    def _table(self, cells: Sequence[Known], places: Floats, deviations: Floats) -> Floats:
+        """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further
+        standard deviations (K,) of the places [lengths of a cell].
+        """
+        sd_um = self._body_um * deviations
+        return log_densities(self._bank, cells, places, sd_um, self._log_unknown())
+
+    def _log_unknown(self) -> float:
+        """Return the log-density [1/um^2] of something unknown that comes out of a blob."""
+        return math.log(EITHER / (math.pi * (FROM * self._body_um) ** 2))
 
     def _leave(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track and its cell out of a meeting."""
-        at = meeting.tracks.index(track)
-        meeting.tracks.pop(at)
-        self._drop([meeting.cells.pop(at)])
+        place = meeting.tracks.index(track)
+        del meeting.tracks[place]
+        cell = meeting.cells.pop(place)
+        cell.drop_row(self._bank)
         track.meeting = None
         if not meeting.tracks:
             self._forget(meeting)
@@ -346,17 +456,4 @@ class Names:
     def _drop(self, cells: Iterable[Known]) -> None:
         """Free the filter's rows of cells."""
         for cell in cells:
-            if cell.row is not None:
-                self._bank.drop(cell.row)
-                cell.row = None
-
-    def _unknown(self) -> float:
-        """Return the log-density [1/um^2] of something unknown that comes out of a blob."""
-        return math.log(EITHER / (math.pi * (FROM * self._body_um) ** 2))
-
-    def _table(self, cells: Sequence[Known], places: Floats, deviations: Floats) -> Floats:
-        """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further
-        standard deviations (K,) of the places [lengths of a cell].
-        """
-        sd_um = self._body_um * deviations
-        return log_densities(self._bank, cells, places, sd_um, self._unknown())
+            cell.drop_row(self._bank)

@@ -289,7 +289,7 @@ class CellTracker:
         if track.long * track.wide > large:
             track.pair_s = track.sized_s + self._started_s
         track.row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
-        track.identity, track.begun = self._names.number(), (x, y, float(path[-1, 0]))
+        track.identity, track.begun = self._names.take_number(), (x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]
         if near is not None and near not in self._tracks:
             track.near = near = None

@@ -95,10 +95,12 @@ class Whereabouts:
 
     def answer(self, answer: CellAnswer) -> None:
         """Enter the names that were found out later, since when they may have changed."""
-        for track, name, certainty, since_s in answer.named:
-            rows = self.tracks.get(track, [])
-            for row in rows[row_from(rows, self.index(since_s)) :]:
-                row.name, row.likely = name, certainty
+        for named in answer.named:
+            rows = self.tracks.get(named.track, [])
+            since = row_from(rows, self.index(named.since_s))
+            for row in rows[since:]:
+                row.name = named.identity
+                row.likely = named.certainty
         if answer.probability < ASSERTED:
             self.doubtful.append(tuple(sorted(answer.asked)))
 

@@ -8,7 +8,8 @@ import pytest
 from tetractl_microscope.cells.cell_tracks import CellTrack, Known, WhichIsWhich, orders
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
-from tetractl_microscope.cells.names import ASSERTED, LOST_S, Names
+from tetractl_microscope.cells.lost_cells import BACK_WITHIN_S
+from tetractl_microscope.cells.names import ASSERTED, Names
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +26,8 @@ class Dish:
 
     def track(self, x, y, size=(50.0, 25.0), heading=0.0):
         track = CellTrack(next(self.tracks), [], self.bank.add(x, y, heading, 400.0))
-        track.identity, (track.long, track.wide) = self.names.number(), size
+        track.identity = self.names.take_number()
+        track.long, track.wide = size
         track.last = np.array([x, y])
         return track
 
@@ -56,7 +58,7 @@ def test_a_lost_cell_is_found_where_it_rested_and_where_the_signal_led_it(place)
         ((505.0, 490.0), (35.0, 38.0), RARE, 11.0),  # another size
         ((505.0, 1600.0), (51.0, 25.0), RARE, 11.0),  # too far away
         ((505.0, 490.0), (51.0, 25.0), 0.1, 11.0),  # where many others appear
-        ((505.0, 490.0), (51.0, 25.0), RARE, 10.2 + LOST_S),  # forgotten
+        ((505.0, 490.0), (51.0, 25.0), RARE, 10.2 + BACK_WITHIN_S),  # forgotten
     ],
 )
 def test_another_cell_is_not_taken_for_a_lost_one(place, size, expected, seconds):

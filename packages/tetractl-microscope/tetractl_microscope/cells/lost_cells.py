@@ -48,7 +48,7 @@ class LostCells:
         cell.drop_row(self._bank)
 
     def remove_late(self, seconds: float) -> None:
-        """Remove the cells that, at a time [s], were lost too long ago, and the oldest of too many."""
+        """Remove cells that were lost too long before a time [s], and the oldest of too many."""
         while self._cells:
             oldest = self._cells[0]
             if len(self._cells) <= LOST_MOST and seconds - oldest.lost_s <= BACK_WITHIN_S:

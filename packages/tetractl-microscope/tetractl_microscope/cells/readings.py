@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,8 +29,14 @@ SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
 JUMP = 0.25  # change of a new cell's steps, less the usual step, above which it jumped [lengths]
 PATH = 15  # number of newest blobs of a track that are kept
 
-Reading = tuple[CellTrack, tuple[float, ...], tuple[float, ...]]
-"""A cell's x, y [um] and axis [rad], and their standard deviations."""
+
+@dataclass(frozen=True, slots=True)
+class BlobReading:
+    """A cell's `values` x, y [um] and axis [rad], and their standard `deviations`."""
+
+    cell: CellTrack
+    values: tuple[float, float, float]
+    deviations: tuple[float, float, float]
 
 
 def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
@@ -64,7 +71,7 @@ def own_reading(
     um_px: float,
     height: int,
     body_um: float,
-) -> Reading:
+) -> BlobReading:
     """Return what a cell's own blob says, in a picture with `height` rows; update the cell's usual
     size. A blob that is too large shows something else, too, on the other side of its
     middle from where the cell is `expected` (3,).
@@ -87,7 +94,7 @@ def own_reading(
         cell.long += SHAPE_SHARE * (long - cell.long)
         cell.wide += SHAPE_SHARE * (wide - cell.wide)
     cell.measured = (x, y, axis, *deviations)
-    return cell, (x, y, axis), deviations
+    return BlobReading(cell, (x, y, axis), deviations)
 
 
 def shared_readings(
@@ -97,7 +104,7 @@ def shared_readings(
     points: Floats,
     seconds: float,
     body_um: float,
-) -> list[Reading]:
+) -> list[BlobReading]:
     """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there; note
     since when the blob has been as small as one of them.
     """
@@ -107,6 +114,6 @@ def shared_readings(
         cell.hidden_s = min(cell.hidden_s, seconds) if hidden else math.inf
     middles = match.parted(cells, expected, points).tolist()
     return [
-        (cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))
+        BlobReading(cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))
         for cell, axis, (x, y) in zip(cells, expected[:, 2], middles, strict=True)
     ]

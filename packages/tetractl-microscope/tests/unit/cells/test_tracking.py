@@ -11,7 +11,7 @@ from tetractl_microscope.cells import match
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
 from tetractl_microscope.cells.helix import HEADING
-from tetractl_microscope.cells.readings import note_size, own_path
+from tetractl_microscope.cells.readings import BlobReading, note_size, own_path
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import no_field
 from tetractl_microscope.film.follow import follow
@@ -218,7 +218,7 @@ def test_a_cell_that_is_astray_heads_the_way_its_blob_has_moved(came_from, headi
     tracker = CellTracker(2.3, known=False)
     cell = CellTrack(1, [], row=tracker.bank.add(0.0, 0.0, 1.0, 300.0))
     cell.last = np.array([came_from, 100.0])
-    tracker._check(cell, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1), 0.0)
+    tracker._check(BlobReading(cell, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1)), 0.0)
     x, y, found = tracker.bank.mean[cell.row, [0, 1, HEADING]]
     assert (x, y) == (200.0, 100.0)
     assert math.cos(found - heading) == pytest.approx(1.0)

@@ -51,13 +51,15 @@ class Tolerance:
         """Return which elements of two arrays of the same shape differ."""
         if ours.dtype != np.float64 or logged.dtype != np.float64:
             return np.asarray(ours != logged)
+        both_nan = np.isnan(ours) & np.isnan(logged)
+        if not self.relative and not self.absolute:
+            bits = np.ascontiguousarray(ours).view(np.uint64)
+            logged_bits = np.ascontiguousarray(logged).view(np.uint64)
+            return (bits != logged_bits).reshape(ours.shape) & ~both_nan
         with np.errstate(invalid="ignore"):  # inf - inf is NaN
-            if self.relative or self.absolute:
-                larger = np.maximum(np.abs(ours), np.abs(logged))
-                near = np.abs(ours - logged) <= self.relative * larger + self.absolute
-                return ~(near | (ours == logged) | (np.isnan(ours) & np.isnan(logged)))
-        bits = [np.ascontiguousarray(one).view(np.uint64) for one in (ours, logged)]
-        return (bits[0] != bits[1]).reshape(ours.shape) & ~(np.isnan(ours) & np.isnan(logged))
+            larger = np.maximum(np.abs(ours), np.abs(logged))
+            near = np.abs(ours - logged) <= self.relative * larger + self.absolute
+        return ~(near | (ours == logged) | both_nan)
 
 
 SAME_BITS = Tolerance()
@@ -80,9 +82,10 @@ def _differences(
 ) -> Iterator[tuple[str, str]]:
     if ours is logged:
         return
-    if ours is None or logged is None:
-        stated, found = ("nothing" if one is None else "a value" for one in (logged, ours))
-        yield name, f"logged {stated}, computed {found}"
+    if ours is None:
+        yield name, "logged a value, computed nothing"
+    elif logged is None:
+        yield name, "logged nothing, computed a value"
     elif isinstance(ours, np.ndarray):
         yield from _array_difference(ours, logged, tolerance, name)
     elif isinstance(ours, float):
@@ -94,14 +97,17 @@ def _differences(
     elif isinstance(ours, Sequence):
         if len(ours) != len(logged):
             yield name, f"logged {len(logged)}, computed {len(ours)}"
-        for i, (one, two) in enumerate(zip(ours, logged, strict=False)):
-            yield from _differences(one, two, tolerance, _path(name, i))
+        for i, (our_part, logged_part) in enumerate(zip(ours, logged, strict=False)):
+            yield from _differences(our_part, logged_part, tolerance, _path(name, i))
     elif is_dataclass(ours) and type(ours) is not type(logged):
         yield name, f"logged {type(logged).__name__}, computed {type(ours).__name__}"
     else:
-        one, two = _items(ours), _items(logged)
-        for key in (*one, *(two.keys() - one.keys())):
-            yield from _differences(one.get(key), two.get(key), tolerance, _path(name, key))
+        our_items = _items(ours)
+        logged_items = _items(logged)
+        for key in (*our_items, *(logged_items.keys() - our_items.keys())):
+            yield from _differences(
+                our_items.get(key), logged_items.get(key), tolerance, _path(name, key)
+            )
 
 
 def _items(record: Any) -> Mapping[str, Any]:
@@ -121,9 +127,11 @@ def _array_difference(
         return
     wrong = tolerance.differs(ours, logged)
     if wrong.any():
-        at = tuple(int(i) for i in np.argwhere(wrong)[0])
-        text = f"logged {logged[at].item()!r}, computed {ours[at].item()!r}"
-        yield ".".join(map(str, (name, *at))) if name else ".".join(map(str, at)), text
+        first = tuple(int(i) for i in np.argwhere(wrong)[0])
+        path = name
+        for index in first:
+            path = _path(path, index)
+        yield path, f"logged {logged[first].item()!r}, computed {ours[first].item()!r}"
 
 
 def _path(name: str, part: object) -> str:
@@ -145,8 +153,12 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
     if log.brief:
         topics = [topic for topic in topics if log.by_topic[topic]]
         names &= log.attachments.keys()
-    found = [_topic_difference(again, log, topic) for topic in topics]
-    yield from sorted(filter(None, found), key=lambda one: one.step is None)
+    differences: list[Difference] = []
+    for topic in topics:
+        difference = _topic_difference(again, log, topic)
+        if difference is not None:
+            differences.append(difference)
+    yield from sorted(differences, key=lambda difference: difference.step is None)
     for name in sorted(names):
         logged = log.attachments.get(name)
         if logged is None:
@@ -160,29 +172,34 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
 def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | None:
     """Return the first difference between the messages of a topic."""
     pairs = zip_longest(again.by_topic[topic], log.by_topic[topic])
-    for number, (made, entry) in enumerate(pairs):
-        if made != entry:
-            return _entry_difference(made, entry, topic, number)
+    for number, (ours, logged) in enumerate(pairs):
+        if ours != logged:
+            return _entry_difference(ours, logged, topic, number)
     return None
 
 
 def _entry_difference(
-    made: Entry | None, entry: Entry | None, topic: str, number: int
+    ours: Entry | None, logged: Entry | None, topic: str, number: int
 ) -> Difference:
     """Return the difference between message `number` of a topic of the trial run again and that of
     the log."""
     name = f"{topic}[{number}]"
-    if made is None or entry is None:
-        return Difference(None, name, "missing" if entry is None else "is not of the trial")
-    if entry[1:3] != made[1:3]:
-        return Difference(None, name, f"has the times {entry[1:3]}, not {made[1:3]}")
+    if logged is None:
+        return Difference(None, name, "missing")
+    if ours is None:
+        return Difference(None, name, "is not of the trial")
+    times = (ours.log_ns, ours.publish_ns)
+    logged_times = (logged.log_ns, logged.publish_ns)
+    if logged_times != times:
+        return Difference(None, name, f"has the times {logged_times}, not {times}")
+    message = CHANNELS[topic]
     try:
-        ours, logged = (CHANNELS[topic].FromString(one.data) for one in (made, entry))
+        our_message = message.FromString(ours.data)
+        logged_message = message.FromString(logged.data)
     except DecodeError:
         return Difference(None, name, "not a valid message of its channel")
-    step = ours.k if isinstance(ours, ControllerStep) else None
-    field, text = first_difference(ours, logged, name="" if step is not None else name) or (
-        name,
-        "has other bytes",
-    )
+    step = our_message.k if isinstance(our_message, ControllerStep) else None
+    where = name if step is None else ""
+    difference = first_difference(our_message, logged_message, name=where)
+    field, text = difference or (name, "has other bytes")
     return Difference(step, field, text)

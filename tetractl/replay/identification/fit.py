@@ -22,7 +22,6 @@ dead time by the greatest such ratio.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
@@ -40,23 +39,41 @@ from tetractl.replay.identification.passes import (
 )
 
 ROUNDS = 6
-RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the first pass starts
-REACH_S, APART_S = 0.3, 0.02  # half width and spacing of the first pass's dead times [s]
-SEARCHED_S = (-0.5, 2.0, 0.05)
+RATES = (1.0, 0.4, 2.5)
+"""Factors on the expected a, from which the first pass starts."""
+REACH_S = 0.3
+APART_S = 0.02
+"""Half width and spacing of the first pass's dead times [s]."""
+SEARCHED_FROM_S = -0.5
+SEARCHED_UNTIL_S = 2.0
+SEARCHED_APART_S = 0.05
 """Dead times that are searched if it is unknown, and their spacing [s]. Below 0, times are of two
 clocks."""
-EARLY_S = 0.1  # time by which robots may seem to turn before they are sent a direction [s]
-# prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at most
-FIRST, WEAK = np.array([0.5, 0.5, 0.2]), np.array([2.0, 0.5, 1.0])
-WIDER = 10.0  # prior standard deviation of a pass, over the deviation after the pass before
-LOOSE = 5.0  # prior standard deviation of the noise's parameters
-NORMAL = 1.96  # standard deviations to either end of a 95 % interval
-FAR = np.array([3.0, 1.0, 1.5])  # half widths from which ends of ln a, ln speed, bias are unknown
-UNLIKELY = -1e12  # ln of the likelihood of variants for which it cannot be computed
-LAGS, DOUBT = 5, 0.001  # lags of the test of residuals, and its level
-# deviations of residuals below which no camera shows that a model does not fit: of positions over
-# the speed [s], and of headings [rad]
-RESOLVED_S, RESOLVED = 5e-4, 1e-3
+EARLY_S = 0.1
+"""Time by which robots may seem to turn before they are sent a direction [s]."""
+FIRST_STD = np.array([0.5, 0.5, 0.2])
+MOST_STD = np.array([2.0, 0.5, 1.0])
+"""Prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at
+most."""
+WIDER = 10.0
+"""Prior standard deviation of a pass, over the deviation after the pass before."""
+NOISE_PRIOR_STD = 5.0
+"""Prior standard deviation of the noise's parameters."""
+NORMAL = 1.96
+"""Standard deviations to either end of a 95 % interval."""
+FAR = np.array([3.0, 1.0, 1.5])
+"""Half widths from which ends of ln a, ln speed, bias are unknown."""
+UNLIKELY = -1e12
+"""ln of the likelihood of variants for which it cannot be computed."""
+LAGS = 5
+DOUBT = 0.001
+"""Lags of the test of residuals, and its level."""
+CLIPPED = 4.0
+"""Residuals are clipped at so many standard deviations."""
+RESOLVED_S = 5e-4
+RESOLVED = 1e-3
+"""Deviations of residuals below which no camera shows that a model does not fit: of positions over
+the speed [s], and of headings [rad]."""
 DELAY_S = 7e-4
 """How far the radio's delay may be from that which a host assumes [s]. Hosts of lagging wheels send
 rates of the headings after that delay, so that robots turn as if a were larger by its share a
@@ -75,20 +92,32 @@ class SampleInterval:
     high: float
 
 
-class Fitted(NamedTuple):
-    """The likeliest values with their 95 % intervals: the dead time [s], and of each robot a, speed
-    and heading bias as `motion`, and standard deviations of measured positions, of their random
-    walk, of measured headings and of theirs as `noise`.
+@dataclass(frozen=True, slots=True)
+class FittedRobot:
+    """The likeliest values of a robot with their 95 % intervals.
 
-    `lost` (N,) is the expected number of commands that a robot lost; `misfits` names, for each
-    robot, the residuals that are not white.
+    `a` [rad/s], `speed` [length unit/s] and `heading_bias` [rad]; standard deviations of measured
+    positions [length unit] and headings [rad], and of the heading's random walk [rad/sqrt(s)].
+    `lost` is the expected number of commands that it lost; `misfits` names the residuals that are
+    not white.
     """
 
+    a: SampleInterval
+    speed: SampleInterval
+    heading_bias: SampleInterval
+    position_noise: SampleInterval
+    heading_noise: SampleInterval
+    heading_walk: SampleInterval
+    lost: float
+    misfits: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The likeliest values of all robots; they share the dead time [s]."""
+
     dead_time: SampleInterval
-    motion: list[list[SampleInterval]]
-    noise: list[list[SampleInterval]]
-    lost: Floats
-    misfits: list[list[str]]
+    robots: list[FittedRobot]
 
 
 def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | None) -> Fitted:
@@ -102,86 +131,108 @@ def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | 
     return state.result()
 
 
-def _searched(frames: TrackFrames, rows: np.ndarray, first: Belief) -> float:
+def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
     """Return the likeliest dead time of those that are possible [s], for robots `rows` (R,) with
     each of RATES; UsageError if it is at an end of these."""
-    tau = np.arange(*SEARCHED_S)
-    found = run([frames], rows, first, tau, SEARCHED_S[2])
-    at = _likeliest(found, len(rows) // len(RATES))
-    if tau[at] < -EARLY_S or at == len(tau) - 1:
-        way = "before" if tau[at] < 0 else "after"
+    taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
+    passed = run([frames], rows, belief, taus, SEARCHED_APART_S)
+    best = _likeliest(passed)
+    tau = float(taus[best])
+    if tau < -EARLY_S or best == len(taus) - 1:
+        way = "before" if tau < 0 else "after"
         raise UsageError(
-            f"robots seem to turn {abs(tau[at]):.2g} s {way} they are sent a direction",
+            f"robots seem to turn {abs(tau):.2g} s {way} they are sent a direction",
             "are all times of one clock, and in s?",
         )
-    return max(0.0, float(tau[at]))
+    return max(0.0, tau)
 
 
-def _likeliest(found: Passed, count: int) -> int:
+def _likeliest(passed: Passed) -> int:
     """Return the index of the likeliest dead time of a pass of robots with each of RATES."""
-    by_rate = found.likelihood.reshape(len(found.likelihood), count, -1)
+    by_rate = passed.likelihood.reshape(len(passed.likelihood), -1, len(RATES))
     return int(by_rate.max(axis=2).sum(axis=1).argmax())
 
 
 class _Fit:
-    """The parameters of a fit, improved round by round.
+    """The parameters of a fit, improved round by round: the dead time `tau`, means and standard
+    deviations (N, 3) of ln a, ln of the speed and heading bias, and the noise.
 
-    The noise of a robot has four parameters (N, 4): the logarithms of the noise of measured
-    positions and headings over `unit` (N, 4), and their random walks over theirs, which may be 0
-    and count by their magnitudes.
+    The noise of a robot has four parameters (N, 4), over `unit` (N, 4): the logarithm of the noise
+    of measured positions, their random walk, the logarithm of the noise of headings, and their
+    random walk. Walks may be 0, and count by their magnitudes.
     """
 
     def __init__(
         self, frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | None
     ) -> None:
-        self.frames, count = frames, len(a)
-        usual = USUAL.position_noise_s * speed, USUAL.slip * speed
+        self.frames = frames
+        count = len(a)
         self._unit = np.column_stack(
-            [*usual, np.tile((USUAL.heading_noise, USUAL.walk), (count, 1))]
+            [
+                USUAL.position_noise_s * speed,
+                USUAL.slip * speed,
+                np.full(count, USUAL.heading_noise),
+                np.full(count, USUAL.walk),
+            ]
         )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
         self.noise_std = np.ones_like(self.noise)
-        self.std = np.tile(FIRST / WIDER, (count, 1))
         self.mean = np.column_stack([np.log(a), np.log(speed), np.zeros(count)])
+        self.std = np.tile(FIRST_STD / WIDER, (count, 1))
+        self.tau, self.mean, self.std = self._start(dead_time)
+        self.tau_std = APART_S / 2
+
+    def _start(self, dead_time: float | None) -> tuple[float, Floats, Floats]:
+        """Return the likeliest dead time about the expected one, or of all if it is unknown, and
+        means and deviations with the likeliest of RATES for each robot."""
+        count = len(self.mean)
         rows = np.repeat(np.arange(count), len(RATES))
-        first = self._belief(rows, self.noise[rows])
-        first.mean[:, 0] += np.tile(np.log(RATES), count)
-        longest = max(frames, key=lambda one: len(one.time))
+        belief = self._belief(rows, self.noise[rows])
+        belief.mean[:, 0] += np.tile(np.log(RATES), count)
+        longest = max(self.frames, key=lambda track: len(track.time))
         if dead_time is None:
-            dead_time = _searched(longest, rows, first)
-        tau = np.arange(max(0.0, dead_time - REACH_S), dead_time + REACH_S, APART_S)
-        found = run([longest], rows, first, tau, APART_S)
-        at = _likeliest(found, count)
-        best = np.arange(count) * len(RATES)
-        best += found.likelihood[at].reshape(count, -1).argmax(axis=1)
-        self.tau, self.tau_std = float(tau[at]), APART_S / 2
-        self.mean, self.std = found.mean[at, best], found.std[at, best]
+            dead_time = _searched(longest, rows, belief)
+        taus = np.arange(max(0.0, dead_time - REACH_S), dead_time + REACH_S, APART_S)
+        passed = run([longest], rows, belief, taus, APART_S)
+        best = _likeliest(passed)
+        best_rates = passed.likelihood[best].reshape(count, len(RATES)).argmax(axis=1)
+        best_rows = np.arange(count) * len(RATES) + best_rates
+        return float(taus[best]), passed.mean[best, best_rows], passed.std[best, best_rows]
 
     def fit_noise(self) -> None:
         """Do a Newton step in the noise's parameters."""
-        self.noise, self.noise_std = newton_step(self._likelihood, self.noise, LOOSE)
+        self.noise, self.noise_std = newton_step(self._likelihood, self.noise, NOISE_PRIOR_STD)
 
     def _likelihood(self, noise: Floats) -> Floats:
         """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
         rows = np.repeat(np.arange(len(noise)), noise.shape[1])
         belief = self._belief(rows, noise.reshape(-1, 4))
-        found = run(self.frames, rows, belief, np.array([self.tau])).likelihood
-        return found.reshape(noise.shape[:2])
+        passed = run(self.frames, rows, belief, np.array([self.tau]))
+        return passed.likelihood.reshape(noise.shape[:2])
 
     def fit_motion(self, watched: bool = False) -> Passed:
         """Find the likeliest dead time, a, speed and bias at the present noise."""
         belief = self._belief(np.arange(len(self.mean)), self.noise)
-        found = marginal(self.frames, belief, self.tau, self.tau_std, watched)
-        self.tau, self.tau_std, self.mean, self.std, passed = found
-        return passed
+        likeliest = marginal(self.frames, belief, self.tau, self.tau_std, watched)
+        self.tau = likeliest.dead_time
+        self.tau_std = likeliest.dead_time_std
+        self.mean = likeliest.mean
+        self.std = likeliest.std
+        return likeliest.passed
 
     def _belief(self, rows: np.ndarray, noise: Floats) -> Belief:
-        std, unit = np.minimum(WIDER * self.std, WEAK)[rows], self._deviations(rows, noise)
-        return Belief(self.mean[rows], std, unit[:, ::2], unit[:, 1::2])
+        """Return what a pass assumes of robots `rows` (R,) with noise (R, 4)."""
+        std = np.minimum(WIDER * self.std, MOST_STD)[rows]
+        deviations = self._deviations(rows, noise)
+        return Belief(
+            mean=self.mean[rows], std=std, noise=deviations[:, ::2], walk=deviations[:, 1::2]
+        )
 
     def _deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
         """Return the standard deviations (R, 4) for parameters of the noise (R, 4)."""
-        return self._unit[rows] * np.where([True, False] * 2, np.exp(noise), np.abs(noise))
+        factors = np.abs(noise)
+        factors[:, ::2] = np.exp(noise[:, ::2])
+        return self._unit[rows] * factors
 
     def result(self) -> Fitted:
         """Return the fit with its intervals."""
@@ -189,6 +240,35 @@ class _Fit:
         speed = np.exp(self.mean[:, 1])
         resolved = np.stack([RESOLVED_S * speed, RESOLVED_S * speed, RESOLVED + 0 * speed], axis=1)
         misfits, wider = white(watched.residuals, resolved)
+        motion = self._motion_intervals(wider)
+        noise = self._noise_intervals()
+        robots = []
+        for robot in range(len(self.mean)):
+            a, speed_interval, heading_bias = motion[robot]
+            position_noise, _, heading_noise, heading_walk = noise[robot]
+            robots.append(
+                FittedRobot(
+                    a=a,
+                    speed=speed_interval,
+                    heading_bias=heading_bias,
+                    position_noise=position_noise,
+                    heading_noise=heading_noise,
+                    heading_walk=heading_walk,
+                    lost=float(watched.lost[robot]),
+                    misfits=tuple(misfits[robot]),
+                )
+            )
+        return Fitted(self._dead_time_interval(wider.max()), robots)
+
+    def _dead_time_interval(self, wider: float) -> SampleInterval:
+        """Return the dead time with its interval, wider by a factor."""
+        reach = NORMAL * self.tau_std * wider if self.tau_std < UNKNOWN_S else np.inf
+        return SampleInterval(
+            max(0.0, self.tau), max(0.0, self.tau - reach), max(0.0, self.tau + reach)
+        )
+
+    def _motion_intervals(self, wider: Floats) -> list[list[SampleInterval]]:
+        """Return a, speed and bias of each robot with their intervals, wider by factors (N,)."""
         deviations = self.std * wider[:, None]
         if any(track.lag > 0 for track in self.frames):
             deviations[:, 0] = np.hypot(deviations[:, 0], np.exp(self.mean[:, 0]) * DELAY_S)
@@ -196,19 +276,26 @@ class _Fit:
         half = np.where(half > FAR, np.inf, half)
         motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)
         motion[:, :2] = np.exp(motion[:, :2])
-        size, rows = np.abs(self.noise), np.arange(len(self.noise))
-        size[:, ::2] = self.noise[:, ::2]
-        ends = [size + sign * NORMAL * self.noise_std for sign in (0, -1, 1)]
-        ends[1][:, 1::2] = np.maximum(ends[1][:, 1::2], 0.0)
-        noise = np.stack([self._deviations(rows, one) for one in ends], axis=-1)
-        reach = NORMAL * self.tau_std * wider.max() if self.tau_std < UNKNOWN_S else np.inf
-        return Fitted(
-            SampleInterval(*(max(0.0, self.tau + end) for end in (0.0, -reach, reach))),
-            [[SampleInterval(*v) for v in robot] for robot in motion.tolist()],
-            [[SampleInterval(*v) for v in robot] for robot in noise.tolist()],
-            watched.lost,
-            misfits,
-        )
+        return _intervals(motion)
+
+    def _noise_intervals(self) -> list[list[SampleInterval]]:
+        """Return the deviations of each robot's noise with their intervals."""
+        rows = np.arange(len(self.noise))
+        value = np.abs(self.noise)
+        value[:, ::2] = self.noise[:, ::2]
+        low = value - NORMAL * self.noise_std
+        low[:, 1::2] = np.maximum(low[:, 1::2], 0.0)
+        high = value + NORMAL * self.noise_std
+        ends = [self._deviations(rows, parameters) for parameters in (value, low, high)]
+        return _intervals(np.stack(ends, axis=-1))
+
+
+def _intervals(values: Floats) -> list[list[SampleInterval]]:
+    """Return the intervals of values (N, K, 3): each the value, its lower and its upper end."""
+    return [
+        [SampleInterval(value, low, high) for value, low, high in of_robot]
+        for of_robot in values.tolist()
+    ]
 
 
 def white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
@@ -216,23 +303,41 @@ def white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]
     deviation is above `resolved` (N, 3), and the greatest ratio of their long-run deviation to it
     (N,), at least 1.
     """
-    misfits: list[list[str]] = [[] for _ in range(residuals.shape[1])]
-    wider = np.ones(len(misfits))
-    for robot, kind in np.ndindex(residuals.shape[1:]):
-        r = residuals[:, robot, kind]
-        seen = np.isfinite(r)
-        if np.std(r[seen]) < resolved[robot, kind]:
-            continue
-        r = np.nan_to_num(np.clip(r, *np.std(r[seen]) * np.array([-4.0, 4.0])))
-        rho = np.array([r[lag:] @ r[:-lag] for lag in range(1, LAGS + 1)]) / (r @ r + 1e-300)
-        if chdtrc(LAGS, seen.sum() * (rho**2).sum()) < DOUBT / residuals[0].size:
-            misfits[robot].append(RESIDUALS[kind])
-            wider[robot] = max(wider[robot], np.sqrt(max(1 + 2 * rho.sum(), 1.0)))
+    _, robots, kinds = residuals.shape
+    misfits: list[list[str]] = [[] for _ in range(robots)]
+    wider = np.ones(robots)
+    level = DOUBT / (robots * kinds)
+    for robot in range(robots):
+        for kind in range(kinds):
+            series = residuals[:, robot, kind]
+            known = np.isfinite(series)
+            std = np.std(series[known])
+            if std < resolved[robot, kind]:
+                continue
+            series = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
+            correlations = _autocorrelations(series)
+            ljung_box = known.sum() * (correlations**2).sum()
+            if chdtrc(LAGS, ljung_box) < level:
+                misfits[robot].append(RESIDUALS[kind])
+                ratio = np.sqrt(max(1 + 2 * correlations.sum(), 1.0))
+                wider[robot] = max(wider[robot], ratio)
     return misfits, wider
 
 
-STEP, LONGEST = 0.1, 1.0  # steps of the parameters, for derivatives, and at most
-SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])  # tried shares of a step
+def _autocorrelations(series: Floats) -> Floats:
+    """Return the autocorrelations of residuals (F,) at 1 to LAGS frames."""
+    products = [series[lag:] @ series[:-lag] for lag in range(1, LAGS + 1)]
+    return np.array(products) / (series @ series + 1e-300)
+
+
+# ---- Newton steps ----
+
+
+DIFFERENCE = 0.1
+"""Steps of the parameters, for derivatives."""
+STEP_MOST = 1.0
+SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
+"""Tried shares of a step."""
 
 
 def newton_step(
@@ -244,21 +349,33 @@ def newton_step(
     parameter has a normal prior around 0. Derivatives are differences.
     """
 
-    def score(change: Floats) -> Floats:
-        tried = at[:, None] + change
-        found = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
-        return np.where(np.isfinite(found), found, UNLIKELY)
+    def score(changes: Floats) -> Floats:
+        """Return ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters."""
+        tried = at[:, None] + changes
+        scores = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
+        return np.where(np.isfinite(scores), scores, UNLIKELY)
 
-    size = at.shape[1]
-    one, (i, j) = STEP * np.eye(size), np.triu_indices(size, 1)
-    found = score(np.vstack([np.zeros(size), one, -one, one[i] + one[j]])[None])
-    base, up, down, both = np.split(found, (1, 1 + size, 1 + 2 * size), axis=1)
-    bend = np.zeros((len(at), size, size))
-    bend[:, range(size), range(size)] = (2 * base - up - down) / STEP**2
-    bend[:, i, j] = bend[:, j, i] = (up[:, i] + up[:, j] - base - both) / STEP**2
-    value, vector = np.linalg.eigh(bend)
+    slope, curvature = _derivatives(score, at.shape[1])
+    value, vector = np.linalg.eigh(curvature)
     value = np.maximum(np.abs(value), prior_std**-2)  # a step uphill where the curve is hollow
-    step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, (up - down) / (2 * STEP))
-    step = np.clip(step, -LONGEST, LONGEST)
+    step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, slope)
+    step = np.clip(step, -STEP_MOST, STEP_MOST)
     best = score(SHARES[:, None] * step[:, None]).argmax(axis=1)
-    return at + SHARES[best][:, None] * step, np.sqrt(np.einsum("nij,nj->ni", vector**2, 1 / value))
+    std = np.sqrt(np.einsum("nij,nj->ni", vector**2, 1 / value))
+    return at + SHARES[best][:, None] * step, std
+
+
+def _derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
+    """Return the slope (N, P) of a score of P parameters and its negative curvature (N, P, P), from
+    the score where they are, with each raised and lowered, and with each two raised."""
+    one = DIFFERENCE * np.eye(size)
+    row, column = np.triu_indices(size, 1)
+    changes = np.vstack([np.zeros(size), one, -one, one[row] + one[column]])
+    base, up, down, both = np.split(score(changes[None]), (1, 1 + size, 1 + 2 * size), axis=1)
+    slope = (up - down) / (2 * DIFFERENCE)
+    curvature = np.zeros((len(base), size, size))
+    curvature[:, range(size), range(size)] = (2 * base - up - down) / DIFFERENCE**2
+    mixed = (up[:, row] + up[:, column] - base - both) / DIFFERENCE**2
+    curvature[:, row, column] = mixed
+    curvature[:, column, row] = mixed
+    return slope, curvature

@@ -15,8 +15,10 @@ from tetractl.replay.identification.fit import HEADING, SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, speeds
 from tetractl.replay.identification.tracks import Track, require_same
 
-INTERVALS_MIN = 20  # least number of intervals of a robot for a fit
-UNKNOWN_A = 3.0  # prior a if the log states no value [rad/s]
+INTERVALS_MIN = 20
+"""Least number of intervals of a robot for a fit."""
+UNKNOWN_A = 3.0
+"""Prior a if the log states no value [rad/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,39 +78,42 @@ def identify(
     """
     require_same(tracks)
     frames = [TrackFrames.of(track) for track in tracks]
-    counts = np.sum([one.used.sum(axis=0) for one in frames], axis=0)
-    for name, count in zip(tracks[0].names, counts, strict=True):
+    intervals = np.sum([track.used.sum(axis=0) for track in frames], axis=0)
+    names = tracks[0].names
+    for name, count in zip(names, intervals, strict=True):
         if count < INTERVALS_MIN:
             raise UsageError(
                 f"robot {name} drives in only {count} intervals between frames",
                 f"{INTERVALS_MIN} intervals are needed; give more logs, or longer ones",
             )
-    expected = np.full(len(counts), UNKNOWN_A) if a is None else a
+    expected_a = np.full(len(names), UNKNOWN_A) if a is None else a
     speed = speeds(frames)
     if not speed.all():
-        still = tracks[0].names[int(np.argmin(speed))]
+        still = names[int(np.argmin(speed))]
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
-    fitted = fit(frames, expected, speed, dead_time)
+    fitted = fit(frames, expected_a, speed, dead_time)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
         sources=tuple(track.source for track in tracks),
         unit=tracks[0].unit,
-        commands=sum(len(one.u) for one in frames),
+        commands=sum(len(track.u) for track in frames),
         dead_time=fitted.dead_time,
         frame_age=float(np.median(ages)) if ages else None,
         robots=tuple(
             RobotFound(
-                name,
-                *fitted.motion[i],
-                position_noise=fitted.noise[i][0],
-                heading_noise=fitted.noise[i][2],
-                heading_walk=fitted.noise[i][3],
-                lost=round(float(fitted.lost[i])),
-                intervals=int(counts[i]),
-                misfits=tuple(fitted.misfits[i]),
+                name=name,
+                a=robot.a,
+                speed=robot.speed,
+                heading_bias=robot.heading_bias,
+                position_noise=robot.position_noise,
+                heading_noise=robot.heading_noise,
+                heading_walk=robot.heading_walk,
+                lost=round(robot.lost),
+                intervals=int(count),
+                misfits=robot.misfits,
             )
-            for i, name in enumerate(tracks[0].names)
+            for name, robot, count in zip(names, fitted.robots, intervals, strict=True)
         ),
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
@@ -133,8 +138,9 @@ NO_INTERVAL = (
     "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
     "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
 )
-_ABREAST = 3  # largest number of robots in one table
-DECIMALS_MAX = 6  # decimals
+_ABREAST = 3
+"""Largest number of robots in one table."""
+DECIMALS_MAX = 6
 
 
 def stated(found: IdentifiedRobots) -> IdentifiedRobots:
@@ -188,32 +194,29 @@ def tables(found: IdentifiedRobots) -> list[Table]:
         f"{name.replace('_', ' ')} [{unit.format(unit=found.unit)}]"
         for name, unit in QUANTITIES.items()
     ]
-    alpha = [] if found.strength is None else [f"a per strength [rad/(s {found.strength_unit})]"]
-    parts = [found.robots[i : i + _ABREAST] for i in range(0, len(found.robots), _ABREAST)]
-    return [
-        Table(
-            f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals",
-            (
-                Column("quantity", [*labels, "lost", *alpha]),
-                *(
-                    Column(
-                        robot.name,
-                        [
-                            *(cell(getattr(robot, name)) for name in QUANTITIES),
-                            str(robot.lost),
-                            *(cell(_per(robot.a, found.strength)) for _ in alpha),
-                        ],
-                    )
-                    for robot in robots
-                ),
-            ),
-            f"dead time from sending: {cell(found.dead_time)} s{age}\n{_fits(found)}",
-        )
-        for robots in parts
-    ]
+    labels.append("lost")
+    if found.strength is not None:
+        labels.append(f"a per strength [rad/(s {found.strength_unit})]")
+    title = f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals"
+    note = f"dead time from sending: {cell(found.dead_time)} s{age}\n{_fits(found)}"
+    shown = []
+    for start in range(0, len(found.robots), _ABREAST):
+        robots = found.robots[start : start + _ABREAST]
+        columns = [Column(robot.name, _texts(robot, found.strength)) for robot in robots]
+        shown.append(Table(title, (Column("quantity", labels), *columns), note))
+    return shown
 
 
-def _per(interval: SampleInterval, strength: float | None) -> SampleInterval:
+def _texts(robot: RobotFound, strength: float | None) -> list[str]:
+    """Return the entries of a robot's column, for the labels of `tables`."""
+    texts = [cell(getattr(robot, name)) for name in QUANTITIES]
+    texts.append(str(robot.lost))
+    if strength is not None:
+        texts.append(cell(_per(robot.a, strength)))
+    return texts
+
+
+def _per(interval: SampleInterval, strength: float) -> SampleInterval:
     """Return alpha, the turning rate per unit of the field's strength."""
     by = strength or math.nan
     return SampleInterval(interval.value / by, interval.low / by, interval.high / by)
@@ -221,7 +224,9 @@ def _per(interval: SampleInterval, strength: float | None) -> SampleInterval:
 
 def _fits(found: IdentifiedRobots) -> str:
     """Return whether the model fits, as text."""
-    misfits = [f"{one.name} ({', '.join(one.misfits)})" for one in found.robots if one.misfits]
+    misfits = [
+        f"{robot.name} ({', '.join(robot.misfits)})" for robot in found.robots if robot.misfits
+    ]
     if not misfits:
         return "the model fits: residuals are not correlated in time"
     text = f"the model does not fit {'; '.join(misfits)}: residuals are correlated in time"
@@ -236,15 +241,19 @@ def cell(interval: SampleInterval) -> str:
     """
     if math.isnan(interval.low):  # not stated; infinite if the data do not bound the value
         return f"{interval.value:.2g}"
-    ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
-    width = max((abs(one - interval.value) for one in ends), default=0.0)
-    digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), DECIMALS_MAX)
-    low, high = (
-        f"{one:.{digits}f}" if math.isfinite(one) else "?" for one in (interval.low, interval.high)
-    )
+    ends = (interval.low, interval.high)
+    half_width = max((abs(end - interval.value) for end in ends if math.isfinite(end)), default=0.0)
+    digits = 3
+    if half_width > 0:
+        digits = min(max(1 - math.floor(math.log10(half_width)), 0), DECIMALS_MAX)
+    low, high = (f"{end:.{digits}f}" if math.isfinite(end) else "?" for end in ends)
     return f"{interval.value:.{digits}f} ({low} to {high})"
 
 
 def _value(interval: SampleInterval) -> IdentifiedValue:
-    low, high = (one if math.isfinite(one) else None for one in (interval.low, interval.high))
-    return IdentifiedValue(value=interval.value, low=low, high=high)
+    """Return a value with the ends of its interval that are known."""
+    return IdentifiedValue(
+        value=interval.value,
+        low=interval.low if math.isfinite(interval.low) else None,
+        high=interval.high if math.isfinite(interval.high) else None,
+    )

@@ -8,7 +8,6 @@ turning rate a, speed and heading bias are constant states, and the noise is as 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +29,27 @@ from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl.replay.identification.tracks import Track
 
-SHORTEST_S = 0.035  # shortest interval: a frame that follows sooner is left out
-DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usual distance
-DIRECTIONS_MAX = 10_000  # largest number of directions between two frames
-UNSEEN_S = 0.3  # time without a pose after which a row restarts from the camera's next pose [s]
-AT_REST_S = 0.3  # time before it drives at which a robot with lagging wheels certainly stands [s]
-POINTS = np.arange(-2.0, 3.0)  # dead times of a parabola, in standard deviations
-UNKNOWN_S = 0.3  # standard deviation from which a dead time counts as unknown [s]
-GROWTH = 0.2, 5.0  # range of the new standard deviation of the dead time over the one before
-IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]  # the filter's states of a `Belief`
+SHORTEST_S = 0.035
+"""Shortest interval: a frame that follows sooner is left out."""
+DRIVING = 0.5
+"""A robot drives if it travels at least this fraction of its usual distance."""
+DIRECTIONS_MAX = 10_000
+"""Largest number of directions between two frames."""
+UNSEEN_S = 0.3
+"""Time without a pose after which a row restarts from the camera's next pose."""
+AT_REST_S = 0.3
+"""Time before it drives at which a robot with lagging wheels certainly stands."""
+POINTS = np.arange(-2.0, 3.0)
+"""Dead times of a parabola, in standard deviations."""
+MIDDLE = len(POINTS) // 2
+UNKNOWN_S = 0.3
+"""Standard deviation from which a dead time counts as unknown."""
+SHRINKS_TO = 0.2
+GROWS_TO = 5.0
+"""Least and greatest new standard deviation of the dead time over the one before."""
+IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
+"""The filter's states of a `Belief`."""
+NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,31 +82,20 @@ class TrackFrames:
         """
         if not len(track.sent):
             raise UsageError(f"{track.source}: no direction was sent")
-        kept, last = [], float(track.sent[0]) - SHORTEST_S
-        for k in np.flatnonzero(track.time <= track.until).tolist():
-            if track.time[k] - last >= SHORTEST_S - 1e-9:
-                kept.append(k)
-                last = track.time[k]
-        time, poses, valid = track.time[kept], np.nan_to_num(track.poses[kept]), track.valid[kept]
-        moved = np.diff(poses[..., :2], axis=0)
-        pace = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(time)[:, None]
-        pace[~(valid[:-1] & valid[1:])] = np.nan
-        driving = np.zeros_like(valid)
-        driving[1:] = pace >= DRIVING * _usual(pace)
-        if track.lag > 0:
-            first = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
-            driving |= time[:, None] >= first - AT_REST_S
-        seen = valid & np.logical_or.accumulate(driving, axis=0)
-        latest = np.maximum.accumulate(np.where(seen, time[:, None], -np.inf), axis=0)
-        before = np.vstack([np.full((1, seen.shape[1]), -np.inf), latest])[: len(time)]
-        placed = seen & (time[:, None] - before > UNSEEN_S)
+        rows = _frames_apart(track)
+        time = track.time[rows]
+        poses = np.nan_to_num(track.poses[rows])
+        valid = track.valid[rows]
+        driving = _driving(time, poses, valid, track.lag > 0)
+        used = valid & np.logical_or.accumulate(driving, axis=0)
+        placed = used & (time[:, None] - _last_used(time, used) > UNSEEN_S)
         most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
         if most > DIRECTIONS_MAX:
             raise UsageError(f"{most} directions were sent between two frames", "log more frames")
         return cls(
-            time=track.exposed[kept],
+            time=track.exposed[rows],
             poses=poses,
-            used=seen & ~placed,
+            used=used & ~placed,
             placed=placed,
             when=track.sent,
             u=track.u,
@@ -105,34 +105,75 @@ class TrackFrames:
         )
 
 
+def _frames_apart(track: Track) -> list[int]:
+    """Return the rows of a track's frames that are at least SHORTEST_S apart, from the first
+    direction to the stop."""
+    rows: list[int] = []
+    last = float(track.sent[0]) - SHORTEST_S
+    for row in np.flatnonzero(track.time <= track.until).tolist():
+        if track.time[row] - last >= SHORTEST_S - 1e-9:
+            rows.append(row)
+            last = track.time[row]
+    return rows
+
+
+def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
+    """Return in which of M frames each robot drives (M, N); one with lagging wheels from AT_REST_S
+    before."""
+    moved = np.diff(poses[..., :2], axis=0)
+    pace = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(time)[:, None]
+    pace[~(valid[:-1] & valid[1:])] = np.nan
+    driving = np.zeros_like(valid)
+    driving[1:] = pace >= DRIVING * _usual(pace)
+    if lagging:
+        first = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
+        driving |= time[:, None] >= first - AT_REST_S
+    return driving
+
+
+def _last_used(time: Floats, used: Bools) -> Floats:
+    """Return when each robot's pose was last used before each of M frames (M, N), -inf if never."""
+    latest = np.maximum.accumulate(np.where(used, time[:, None], -np.inf), axis=0)
+    before_first = np.full((1, used.shape[1]), -np.inf)
+    return np.vstack([before_first, latest])[: len(time)]
+
+
 def _hold(track: Track) -> tuple[float, float, float]:
     """Return the means over time of the first three powers of how long lagging wheels keep the rate
     of a heading [s, s2, s3]: the host sends them a new one with each command."""
     apart_s = np.diff(track.sent[track.sent <= track.until])
     if track.lag == 0 or not apart_s.any():
         return 0.0, 0.0, 0.0
-    first, second, third = (float(np.average(apart_s**k, weights=apart_s)) for k in (1, 2, 3))
-    return first, second, third
+    return (
+        float(np.average(apart_s, weights=apart_s)),
+        float(np.average(apart_s**2, weights=apart_s)),
+        float(np.average(apart_s**3, weights=apart_s)),
+    )
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
     """Return the median distance per time of each robot (N,) between frames [length unit/s]."""
-    pace = []
+    paces = []
     for track in tracks:
-        moved = np.hypot(*np.diff(track.poses[..., :2], axis=0).transpose(2, 0, 1))
-        both = track.used[1:] & (track.used | track.placed)[:-1]
+        way = np.diff(track.poses[..., :2], axis=0)
         apart = np.diff(track.time, axis=0)
-        pace.append(np.where(both & (apart > 0), moved / np.where(apart > 0, apart, 1.0), np.nan))
-    return _usual(np.concatenate(pace))
+        known = track.used[1:] & (track.used | track.placed)[:-1] & (apart > 0)
+        pace = np.hypot(way[..., 0], way[..., 1]) / np.where(apart > 0, apart, 1.0)
+        paces.append(np.where(known, pace, np.nan))
+    return _usual(np.concatenate(paces))
 
 
 def _usual(pace: Floats) -> Floats:
     """Return the median of each column, infinity for one without numbers."""
-    numbers = [column[np.isfinite(column)] for column in pace.T]
-    return np.array([np.median(one) if one.size else np.inf for one in numbers])
+    medians = []
+    for column in pace.T:
+        numbers = column[np.isfinite(column)]
+        medians.append(np.median(numbers) if numbers.size else np.inf)
+    return np.array(medians)
 
 
-class Belief(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Belief:
     """What is assumed of R rows: `mean` and `std` (R, 3) of ln a, ln of the speed and heading bias;
     standard deviations `noise` (R, 2) of a measured position [length unit] and heading [rad], and
     `walk` (R, 2) of their random walks [1/sqrt(s)].
@@ -144,7 +185,8 @@ class Belief(NamedTuple):
     walk: Floats
 
 
-class Passed(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Passed:
     """The results of a pass: `likelihood` (B, R) is its logarithm, up to a constant; `mean` and
     `std` (B, R, 3) are as in `Belief`.
 
@@ -171,90 +213,180 @@ def run(
     """Run the filter over tracks for robots `rows` (R,) and dead times tau (B,) [s], each uncertain
     by `apart_s`.
     """
+    first_model, bank = _start(belief, tau)
+    likelihood = np.zeros((len(tau), len(rows)))
+    lost = np.zeros(len(rows))
+    residuals: list[Floats] = []
+    for track in tracks:
+        _begin_track(bank, track)
+        model = first_model._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold=track.hold)
+        watch = _Watch(track.u, len(rows)) if watched else None
+        likelihood += _run_track(bank, model, track, rows, apart_s, watch)
+        if watch is not None:
+            residuals += watch.residuals
+            lost += watch.lost
+        _keep_likeliest(bank)
+    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
+    return Passed(
+        likelihood=likelihood,
+        mean=bank.state[:, :, 0, IDENTIFIED],
+        std=np.sqrt(np.maximum(variance, 0.0)),
+        residuals=np.array(residuals),
+        lost=lost,
+    )
+
+
+def _begin_track(bank: Bank, track: TrackFrames) -> None:
+    """Give each row one branch, at the beginning of a track."""
+    bank.ln_weight[...] = -np.inf
+    bank.ln_weight[..., 0] = 0.0
+    if track.lag > 0:  # the wheels stand until the first direction acts
+        bank.direction[...] = np.nan
+        bank.next_command[:] = 0
+    else:  # the first direction also acts before its time
+        bank.direction[...] = track.u[0]
+        bank.next_command[:] = 1
+    bank.until_s[...] = bank.dead_time_s[..., None] + track.when[0] + track.watchdog
+
+
+def _run_track(
+    bank: Bank,
+    model: FilterModel,
+    track: TrackFrames,
+    rows: NDArray[np.int64],
+    apart_s: float,
+    watch: "_Watch | None",
+) -> Floats:
+    """Run the filter over the frames of a track; return ln of their likelihood (B, R)."""
     from tetractl.control.kernels import filter as kernel
 
-    first, bank = _start(belief, tau)
-    each, middle = np.arange(len(rows)), len(tau) // 2
-    likelihood, lost = np.zeros((len(tau), len(rows))), np.zeros(len(rows))
-    residuals = []
-    for track in tracks:
-        bank.ln_weight[...], bank.ln_weight[..., 0] = -np.inf, 0.0
-        commands = SentCommands(track.when, track.u)
-        if track.lag > 0:  # the wheels stand until the first direction acts
-            bank.direction[...] = np.nan
-            bank.next_command[:] = 0
-        else:  # the first direction also acts before its time
-            bank.direction[...] = track.u[0]
-            bank.next_command[:] = 1
-        bank.until_s[...] = bank.dead_time_s[..., None] + track.when[0] + track.watchdog
-        model = first._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold=track.hold)
-        of_all = track.poses, track.used, track.placed
-        poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
-        missed = np.zeros((len(track.u) + 1, len(rows)))  # the last row: before any was sent
-        frames, seen = np.full((2, *poses.shape[1:]), np.nan), np.zeros((2, len(rows)), np.bool_)
-        last = np.full(len(rows), -np.inf)
-        for now, pose, use, fresh in zip(track.time[:, rows], poses, used, placed, strict=True):
-            time = np.stack([np.maximum(last, now - 2 * UNSEEN_S), now])
-            frames[1], seen[1], last = pose, use, now
-            both = PoseFrames(time, frames, seen)
-            likelihood += kernel.follow(bank, model, commands, both, False, apart_s)
-            bank.noise_scale[...] = 1.0
-            if fresh.any():
-                none = SentCommands(np.empty(0), np.empty(0))
-                kernel.place(bank, model, none, time[1], pose, fresh)
-            if watched:
-                ln_weight, latest = bank.ln_weight[middle], bank.next_command[middle] - 1
-                z = bank.state[middle, each, ln_weight.argmax(axis=1)]
-                residuals.append(np.where(use[:, None], _residual(pose, z), np.nan))
-                others = np.exp(ln_weight) * (bank.direction[middle] != track.u[latest][:, None])
-                missed[latest, each] = others[:, :-1].sum(axis=1)
-        lost += missed[:-1].sum(axis=0)
-        best = bank.ln_weight.argmax(axis=2)[..., None, None]
-        bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
-        bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
-    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
-    mean, std = bank.state[:, :, 0, IDENTIFIED], np.sqrt(np.maximum(variance, 0.0))
-    return Passed(likelihood, mean, std, np.array(residuals), lost)
+    commands = SentCommands(track.when, track.u)
+    times = track.time[:, rows]
+    poses = np.ascontiguousarray(track.poses[:, rows])
+    used = np.ascontiguousarray(track.used[:, rows])
+    placed = np.ascontiguousarray(track.placed[:, rows])
+    likelihood = np.zeros((len(bank.dead_time_s), len(rows)))
+    # the filter is called with two frames: one without poses, by which no interval is too long
+    # for its commands, and the camera's
+    both_poses = np.full((2, *poses.shape[1:]), np.nan)
+    both_valid = np.zeros((2, len(rows)), np.bool_)
+    last = np.full(len(rows), -np.inf)
+    for frame, now in enumerate(times):
+        both_times = np.stack([np.maximum(last, now - 2 * UNSEEN_S), now])
+        both_poses[1] = poses[frame]
+        both_valid[1] = used[frame]
+        both = PoseFrames(both_times, both_poses, both_valid)
+        likelihood += kernel.follow(bank, model, commands, both, False, apart_s)
+        bank.noise_scale[...] = 1.0
+        if placed[frame].any():
+            kernel.place(bank, model, NO_COMMANDS, now, poses[frame], placed[frame])
+        if watch is not None:
+            watch.add(bank, poses[frame], used[frame])
+        last = now
+    return likelihood
+
+
+class _Watch:
+    """Watches the dead time in the middle of a bank along a track, with directions u (C,).
+
+    `residuals` has an entry (R, 3) per frame; `lost` (R,) is the expected number of directions that
+    did not reach a robot.
+    """
+
+    def __init__(self, u: Floats, rows: int) -> None:
+        self.residuals: list[Floats] = []
+        self._u = u
+        self._rows = np.arange(rows)
+        # by the newest direction sent: the probability that the robot follows another one; the
+        # last row is of none sent
+        self._missed = np.zeros((len(u) + 1, rows))
+
+    def add(self, bank: Bank, poses: Floats, used: Bools) -> None:
+        """Add a frame: poses (R, 3) and whether each is used (R,)."""
+        middle = len(bank.dead_time_s) // 2
+        ln_weight = bank.ln_weight[middle]
+        state = bank.state[middle, self._rows, ln_weight.argmax(axis=1)]
+        self.residuals.append(np.where(used[:, None], _residual(poses, state), np.nan))
+        newest = bank.next_command[middle] - 1
+        follows_another = bank.direction[middle] != self._u[newest][:, None]
+        weights = np.exp(ln_weight) * follows_another
+        self._missed[newest, self._rows] = weights[:, :-1].sum(axis=1)
+
+    @property
+    def lost(self) -> Floats:
+        """The expected number of lost directions (R,)."""
+        return self._missed[:-1].sum(axis=0)
+
+
+def _keep_likeliest(bank: Bank) -> None:
+    """Let each branch of a row have the state of the likeliest one."""
+    best = bank.ln_weight.argmax(axis=2)[..., None, None]
+    bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
+    bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
+
+
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """The likeliest dead time [s] of N robots, and their `mean` and `std` (N, 3) at it, as in
+    `Belief`; `passed` is the pass with dead times around the former one."""
+
+    dead_time: float
+    dead_time_std: float
+    mean: Floats
+    std: Floats
+    passed: Passed
 
 
 def marginal(
     tracks: Sequence[TrackFrames], belief: Belief, tau: float, tau_std: float, watched: bool = False
-) -> tuple[float, float, Floats, Floats, Passed]:
+) -> Marginal:
     """Run the filter with dead times around `tau` [s], apart by `tau_std`, for N robots.
 
-    Returns the likeliest dead time and its standard deviation [s], by a parabola, means and
-    standard deviations (N, 3) there, which account for that of the dead time, and the pass.
+    The likeliest dead time and its standard deviation are those of a parabola through the
+    likelihoods. Means change with the dead time as a line fitted to them, and so the deviations
+    account for that of the dead time.
     """
-    rows, taus = np.arange(len(belief.mean)), tau + POINTS * tau_std
-    found = run(tracks, rows, belief, taus, watched=watched)
-    total = found.likelihood.sum(axis=1)
-    bend, slope, _ = np.polyfit(POINTS, total, 2)
-    best = -slope / (2 * bend) if bend < 0 else POINTS[total.argmax()]
+    rows = np.arange(len(belief.mean))
+    passed = run(tracks, rows, belief, tau + POINTS * tau_std, watched=watched)
+    likelihood = passed.likelihood.sum(axis=1)
+    bend, slope, _ = np.polyfit(POINTS, likelihood, 2)
+    best = -slope / (2 * bend) if bend < 0 else POINTS[likelihood.argmax()]
     best = float(np.clip(best, 2 * POINTS[0], 2 * POINTS[-1]))
+    factor = float(np.clip(np.sqrt(0.5 / max(-bend, 1e-9)), SHRINKS_TO, GROWS_TO))
+    dead_time_std = min(tau_std * factor, UNKNOWN_S)
+    rise, middle = np.polyfit(POINTS, passed.mean.reshape(len(POINTS), -1), 1)
     shape = belief.mean.shape
-    rise, middle = np.polyfit(POINTS, found.mean.reshape(len(POINTS), -1), 1)
-    std = tau_std * float(np.clip(np.sqrt(0.5 / max(-bend, 1e-9)), *GROWTH))
-    std = min(std, UNKNOWN_S)
-    deviation = np.hypot(found.std[len(POINTS) // 2], rise.reshape(shape) * std / tau_std)
-    return tau + best * tau_std, std, (middle + best * rise).reshape(shape), deviation, found
+    by_dead_time = rise.reshape(shape) * dead_time_std / tau_std
+    return Marginal(
+        dead_time=tau + best * tau_std,
+        dead_time_std=dead_time_std,
+        mean=(middle + best * rise).reshape(shape),
+        std=np.hypot(passed.std[MIDDLE], by_dead_time),
+        passed=passed,
+    )
 
 
 def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
     """Return the filter's model and its bank at the start."""
     count = len(belief.mean)
-    noise, walk = np.repeat(belief.noise, (2, 1), axis=1).T, np.zeros((STATES_OF_WHEELS, count))
+    # positions along and across have the same noise and walk
+    noise = np.repeat(belief.noise, (2, 1), axis=1).T
+    walk = np.zeros((STATES_OF_WHEELS, count))
     walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
     mean = np.zeros((len(tau), count, STATES))
-    std = np.zeros((count, STATES_OF_WHEELS))
     mean[..., IDENTIFIED] = belief.mean
+    std = np.zeros((count, STATES_OF_WHEELS))
     std[:, IDENTIFIED] = belief.std
-    bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64), LOG_FOLLOWS)
-    noise, ones = np.ascontiguousarray(noise), np.ones((count, len(PARAMETERS)))
+    groups = np.zeros(len(tau), dtype=np.int64)
+    bank = Bank.start(tau, mean, std, groups, LOG_FOLLOWS)
+    ones = np.ones((count, len(PARAMETERS)))
+    noise = np.ascontiguousarray(noise)
     return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf, branch_all=True), bank
 
 
-def _residual(pose: Floats, z: Floats) -> Floats:
+def _residual(poses: Floats, states: Floats) -> Floats:
     """Return measured poses (R, 3) less estimated ones: along the path, across it, in heading."""
-    x, y, heading = (pose - z[:, :3]).T
-    c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
-    return np.column_stack([c * x + s * y, c * y - s * x, wrap(heading)])
+    x, y, heading = (poses - states[:, :3]).T
+    cos = np.cos(states[:, 2])
+    sin = np.sin(states[:, 2])
+    return np.column_stack([cos * x + sin * y, cos * y - sin * x, wrap(heading)])

@@ -12,7 +12,8 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.wheels import body_velocity
 
-SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
+SETTLED_S = 0.5
+"""Time from the first direction after a pause until all robots drive again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +66,13 @@ def track_of(log: TrialLog) -> Track:
     """Return the track of a log: measured poses and commands, never the true poses."""
     require_field(log)
     setup = log.start.setup
-    sent = [one for one in log.commands if one.direction is not None]
-    if not sent and log.steps:
-        sent = [step.command for step in log.steps]
-    ages = [s.command.sent_ns - s.observation.sampled_ns for s in log.steps[1:]]
-    last = stopped_ns(log)
-    last = max((one.sent_ns for one in sent), default=0) if last is None else last
+    directed = [command for command in log.commands if command.direction is not None]
+    if not directed and log.steps:
+        directed = [step.command for step in log.steps]
+    ages_ns = [step.command.sent_ns - step.observation.sampled_ns for step in log.steps[1:]]
+    last_ns = stopped_ns(log)
+    if last_ns is None:
+        last_ns = max((command.sent_ns for command in directed), default=0)
     return Track(
         source=log.log,
         origin=log.origin.value,
@@ -80,10 +82,10 @@ def track_of(log: TrialLog) -> Track:
         poses=log.mocap,
         own=log.exposed_ns / SECOND,
         valid=log.valid & ~_paused(log)[:, None],
-        sent=np.array([one.sent_ns for one in sent], dtype=float) / SECOND,
-        u=np.array([one.direction for one in sent], dtype=float),
-        until=last / SECOND,
-        frame_age=float(np.median(ages)) / SECOND if ages else None,
+        sent=np.array([command.sent_ns for command in directed], dtype=float) / SECOND,
+        u=np.array([command.direction for command in directed], dtype=float),
+        until=last_ns / SECOND,
+        frame_age=float(np.median(ages_ns)) / SECOND if ages_ns else None,
         watchdog=setup.watchdog_s,
         lag=setup.lag_s,
         on_wheels=setup.wheel_radius is not None,
@@ -95,34 +97,41 @@ def track_of(log: TrialLog) -> Track:
 def wheels_of(log: TrialLog) -> Track:
     """Return the track of a log with the speeds and turning rates that wheels were sent, by (21)-
     (23) with the spec's radius; UsageError if the robots have no wheels."""
-    setup, track = log.start.setup, track_of(log)
-    sent = [(c.sent_ns, c.left, c.right) for c in log.commands]
-    driven = [(t, a, b) for t, a, b in sent if a is not None and b is not None]
-    if not driven or setup.wheel_radius is None:
+    radius = log.start.setup.wheel_radius
+    track = track_of(log)
+    sent_ns: list[int] = []
+    left: list[Floats] = []
+    right: list[Floats] = []
+    for command in log.commands:
+        if command.left is not None and command.right is not None:
+            sent_ns.append(command.sent_ns)
+            left.append(command.left)
+            right.append(command.right)
+    if not sent_ns or radius is None:
         raise UsageError(f"{log.log}: has no speeds of wheels")
-    left, right = np.array([[a, b] for _, a, b in driven]).transpose(1, 0, 2)
-    twists = np.stack(body_velocity(left, right, setup.wheel_radius), axis=-1)
-    when = np.array([t for t, _, _ in driven]) / SECOND
-    return replace(track, sent=when, u=np.full(len(when), math.nan), twists=twists)
+    twists = np.stack(body_velocity(np.array(left), np.array(right), radius), axis=-1)
+    no_directions = np.full(len(sent_ns), math.nan)
+    return replace(track, sent=np.array(sent_ns) / SECOND, u=no_directions, twists=twists)
 
 
 def _paused(log: TrialLog) -> Bools:
     """Return which frames (M,) were exposed between a stop and SETTLED_S after the next direction:
     the robots stop, stand still, or start to drive.
     """
-    sent = [one.sent_ns for one in log.commands if one.direction is not None]
-    found = np.zeros(len(log.mocap_ns), dtype=np.bool_)
-    for stop in (one.sent_ns for one in log.commands if one.stops):
-        again = min((one for one in sent if one > stop), default=None)
-        if again is not None:
-            until = again + round(SETTLED_S * SECOND)
-            found |= (log.mocap_ns >= stop) & (log.mocap_ns < until)
-    return found
+    directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
+    stops_ns = [command.sent_ns for command in log.commands if command.stops]
+    paused = np.zeros(len(log.mocap_ns), dtype=np.bool_)
+    for stop_ns in stops_ns:
+        again_ns = min((sent_ns for sent_ns in directed_ns if sent_ns > stop_ns), default=None)
+        if again_ns is not None:
+            until_ns = again_ns + round(SETTLED_S * SECOND)
+            paused |= (log.mocap_ns >= stop_ns) & (log.mocap_ns < until_ns)
+    return paused
 
 
 def require_field(log: TrialLog) -> None:
     """Raise UsageError for a log whose robots drove with the field off at times."""
-    if any(isinstance(one.action, FieldOff) for one in log.commands):
+    if any(isinstance(command.action, FieldOff) for command in log.commands):
         raise UsageError(
             f"{log.log}: its robots drove with the field off at times",
             "use the log of a controller that sends a direction at every step",
@@ -134,22 +143,26 @@ def stopped_ns(log: TrialLog) -> int | None:
 
     A lab sends several stops at the end; `log.stop` is the last of them.
     """
-    last = max((one.sent_ns for one in log.commands if one.direction is not None), default=-1)
-    stops = [one.sent_ns for one in log.commands if one.direction is None and one.sent_ns > last]
-    return min(stops, default=log.stop.sent_ns if log.stop else None)
+    directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
+    last_ns = max(directed_ns, default=-1)
+    stops_ns = [command.sent_ns for command in log.commands if command.direction is None]
+    after_ns = [stop_ns for stop_ns in stops_ns if stop_ns > last_ns]
+    if after_ns:
+        return min(after_ns)
+    return log.stop.sent_ns if log.stop else None
 
 
 def require_same(tracks: list[Track]) -> None:
     """Raise UsageError if tracks are not of the same robots in the same unit and field."""
     first = tracks[0]
-    for other in tracks[1:]:
-        if (other.strength, other.strength_unit) != (first.strength, first.strength_unit):
+    for track in tracks[1:]:
+        if (track.strength, track.strength_unit) != (first.strength, first.strength_unit):
             raise UsageError(
-                f"{other.source}: the field's strength differs from that of {first.source}",
+                f"{track.source}: the field's strength differs from that of {first.source}",
                 "identify them separately: a depends on it",
             )
-        if (other.names, other.unit) != (first.names, first.unit):
+        if (track.names, track.unit) != (first.names, first.unit):
             raise UsageError(
-                f"{other.source}: robots or length unit differ from those of {first.source}",
+                f"{track.source}: robots or length unit differ from those of {first.source}",
                 "identify them separately",
             )

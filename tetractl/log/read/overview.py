@@ -16,7 +16,7 @@ from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
 from tetractl.log.read.damage import with_alteration
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.reader import trial_of, written
+from tetractl.log.read.reader import decode_errors, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
 
@@ -70,7 +70,7 @@ def overview(path: Path) -> Overview:
     Of an undamaged log, frames, plans and pictures are counted and hashed, but not decoded.
     """
     contents = scan(path)
-    with written(contents):
+    with decode_errors(contents):
         shown = contents.records if contents.problems else _shown(contents)
     trial = trial_of(replace(contents, records=shown))
     last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)

@@ -1,6 +1,14 @@
-"""Reads trials from their logs: completely, or the intact part of a damaged log."""
+"""Reads trials from their logs: completely, or the intact part of a damaged log.
 
-from collections.abc import Iterator
+    read_trial(path)   = trial_of(scan(path)), for a log that is not brief
+    read_result(path)  = result_of(peek(path)), or of scan(path) if the index does not serve
+
+`scan` finds the records of a file and checks them; here they are decoded. Every function raises
+LogError for a log that has lost its spec, or whose values tetractl does not write
+(`decode_errors`).
+"""
+
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
@@ -40,34 +48,30 @@ def read_trial(path: Path) -> TrialLog:
     `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
     newer format, has lost its spec, or is brief.
     """
-    return trial_of(whole(scan(Path(path))))
-
-
-def whole(contents: RawLog) -> RawLog:
-    """Return a scanned file; LogError for a brief log, which has neither frames nor steps."""
+    contents = scan(Path(path))
     if contents.brief:
         raise LogError(
             f"{contents.path}: a brief log, which holds only the result of its trial",
             f"write the whole log with: tetractl rerun {contents.path}",
         )
-    return contents
+    return trial_of(contents)
 
 
 def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
-    """Decode the trial in a scanned file, with only its first `steps` control steps if given;
-    raises LogError as `read_trial` does."""
+    """Decode the trial in a scanned file, with only its first `steps` control steps if given. A
+    brief log has a trial without frames and steps."""
     experiment, start = _start(contents)
-    with written(contents):
+    with decode_errors(contents):
         return _trial(contents, experiment, start, steps)
 
 
 @contextmanager
-def written(contents: RawLog) -> Iterator[None]:
-    """Raise a LogError for a value that cannot be decoded within the `with` block."""
+def decode_errors(contents: RawLog) -> Iterator[None]:
+    """Raise a LogError for a value that cannot be decoded within the `with` block: the record is
+    intact, but tetractl does not write such values."""
     try:
         yield
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
-        # intact records with values that tetractl does not write
         raise LogError(
             f"{contents.path}: contains a value that tetractl does not write: {error}"
         ) from None
@@ -79,15 +83,14 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | 
     commands = tuple(map(codec.decode_command, contents.messages(channels.COMMANDS)))
     validate.check_commands(commands, robots)
     stops = [command for command in commands if command.stops]
-    simulated = start.plant.simulated
-    log = TrialLog(
+    trial = TrialLog(
         log=str(contents.path),
         experiment=experiment,
         start=start,
         mocap_ns=frames.sampled_ns,
         mocap=frames.poses,
         valid=frames.valid,
-        truth=frames.truth if simulated else None,
+        truth=frames.truth if start.plant.simulated else None,
         steps=_steps(contents, robots, steps),
         stop=stops[-1] if stops else None,
         result=contents.result,
@@ -99,13 +102,20 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | 
         commands=commands,
         notes=tuple(_notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,
-        pictures=tuple(
-            (entry.publish_ns - start.start_unix_ns, CompressedImage.FromString(entry.data).data)
-            for entry in contents.by_topic[channels.PICTURE]
-        ),
+        pictures=_pictures(contents, start.start_unix_ns),
     )
-    until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
-    return replace(log, damage=damage_of(contents, until_s))
+    # damage is stated with a time since the first direction, which the trial knows
+    until_s = trial.elapsed_s(int(frames.received_ns.max(initial=0)))
+    return replace(trial, damage=damage_of(contents, until_s))
+
+
+def _pictures(contents: RawLog, start_unix_ns: int) -> tuple[tuple[int, bytes], ...]:
+    """Return the microscope's pictures, each with its time on the trial's clock [ns]."""
+    pictures = []
+    for entry in contents.by_topic[channels.PICTURE]:
+        picture = CompressedImage.FromString(entry.data)
+        pictures.append((entry.publish_ns - start_unix_ns, picture.data))
+    return tuple(pictures)
 
 
 def read_result(path: Path) -> ResultSummary:
@@ -121,7 +131,7 @@ def result_of(contents: RawLog) -> ResultSummary:
     """Return the result of the trial in a scanned file.
 
     Frames and steps are decoded only if the result is lost: it is then computed from the last
-    poses. Raises LogError as `read_trial` does, and for a log without poses.
+    poses. Raises LogError also for a log without poses.
     """
     experiment, start = _start(contents)
     result = contents.result
@@ -187,31 +197,26 @@ def content_digest(path: Path) -> str:
 
 def _start(contents: RawLog) -> tuple[Experiment, Start]:
     """Return the experiment and the start of a trial; LogError if they cannot be read."""
-    run, resolved = contents.run, contents.text(channels.RESOLVED_SPEC)
+    run = contents.run
+    resolved = contents.text(channels.RESOLVED_SPEC)
     if resolved is None:
         raise LogError(f"{contents.path}: damaged: the resolved spec is lost")
     if len(resolved) > MAX_BYTES:
         raise LogError(f"{contents.path}: its resolved spec is longer than {MAX_BYTES} characters")
     try:
-        experiment, hashed = _resolved(resolved)
+        experiment, spec_hash = _parse_spec(resolved)
         validate.check_run(run, len(experiment.robots))
     except (SpecError, RecursionError, ValueError) as error:
-        facts = contents.facts
-        used = [
-            f"{key.removeprefix(provenance.PLUGIN)} {version}"
-            for key, version in facts.items()
-            if key.startswith(provenance.PLUGIN)
-        ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
-            f"the log was written with {', '.join(used) or writer(facts)}: install this version",
+            f"the log was written with {_writers(contents.facts)}: install this version",
         ) from None
     return experiment, Start(
         setup=experiment.setup,
         spec_text=contents.text(channels.SPEC) or "",
         spec_name=run.spec_name,
         resolved=resolved,
-        spec_hash=hashed,
+        spec_hash=spec_hash,
         seed=run.seed,
         trial=run.trial,
         plant=decode_plant(run),
@@ -224,8 +229,19 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
     )
 
 
+def _writers(facts: Mapping[str, str]) -> str:
+    """Return the plug-ins that a log was written with, or the version of tetractl if there were
+    none."""
+    plugins = [
+        f"{key.removeprefix(provenance.PLUGIN)} {version}"
+        for key, version in facts.items()
+        if key.startswith(provenance.PLUGIN)
+    ]
+    return ", ".join(plugins) or writer(facts)
+
+
 @lru_cache(maxsize=16)
-def _resolved(text: str) -> tuple[Experiment, str]:
+def _parse_spec(text: str) -> tuple[Experiment, str]:
     """Return the experiment of a resolved spec, and its hash."""
     spec = parse_written(text, channels.RESOLVED_SPEC)
     return spec.experiment, spec.hash
@@ -233,19 +249,22 @@ def _resolved(text: str) -> tuple[Experiment, str]:
 
 def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots."""
-    parts = (codec.decode_frames(one, robots) for one in contents.messages(channels.FRAMES))
-    found = Frames.joined([Frames.of((), robots), *parts])
-    validate.check_frames(found)
-    return found
+    none = Frames.of((), robots)  # a log may have no frames
+    messages = contents.messages(channels.FRAMES)
+    frames = Frames.joined([none, *(codec.decode_frames(part, robots) for part in messages)])
+    validate.check_frames(frames)
+    return frames
 
 
 def _steps(contents: RawLog, robots: int, most: int | None) -> tuple[Step, ...]:
     """Decode the control steps of N robots, at `most` so many, with their solve times."""
-    timings = {message.k: message for message in contents.messages(channels.HOST_TIMING)}
+    timings = {timing.k: timing for timing in contents.messages(channels.HOST_TIMING)}
     messages = islice(contents.messages(channels.STEP), most)
-    found = tuple(codec.decode_step(one, timings.get(one.k), robots) for one in messages)
-    validate.check_steps(found, robots)
-    return found
+    steps = tuple(
+        codec.decode_step(message, timings.get(message.k), robots) for message in messages
+    )
+    validate.check_steps(steps, robots)
+    return steps
 
 
 def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:

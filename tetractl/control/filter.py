@@ -45,6 +45,18 @@ Most probably all robots have the same dead time, so that each robot's frames sa
 of the others. By all of them, filters that are unlikely end, and the grid is refined around those
 that are likely (`kernels.bank`). A *forecast* is by each robot's likeliest hypothesis.
 
+**What happens next, if**
+
+    a pose jumps                  it is an outlier beyond the gate: hypotheses are predicted on
+                                  without it; if none fits for ASSUMED.lost_track_s, the robot is
+                                  placed at the camera's pose
+    a frame is missing            robots are predicted on to the next one
+    a command is missed           a hypothesis that follows the command before becomes the likeliest
+    a robot sticks                the stuck hypothesis becomes the likeliest
+    the camera freezes            its frames are not used
+    the model does not fit        standard deviations grow; the bank of wheels is opened again
+    a robot is replaced           `restart`: it begins with first filters
+
 **Frames** are used if they are 30 ms apart, and each control step's newest one: wheels whose lag is
 not given respond over tens of milliseconds, and at shorter intervals the start of the response
 would bias dead time and turning rate to smaller values.

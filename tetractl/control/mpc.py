@@ -35,17 +35,21 @@ the method of its name.
              lower value, or all found collide     give up  if it does so after all turns
              soon                                  drive    by the plan of least value
 
-What else can happen in a step, and what follows:
+What happens next, if
 
-    the searches take too long    they end at the spec's `deadline`; the first one is always done,
-                                  and its plan is a candidate
+    a plan fails: all collide     robots rest, and search from there; at rest they turn on the spot,
+    soon, or it leads astray      up to 12 times, and then give up: the trial ends in the step after
+    a search takes too long       searches end at the spec's `deadline`; the first one is always
+                                  done, and its plan is a candidate
+    a step is late                the next one begins with the poses that robots have by then
+    a pose jumps                  the filter predicts on without it (`tetractl.control.filter`)
+    a robot dies                  ControlError, if the spec ends a trial then; else it is lost
     a robot is lost               the leg begins again for the others, at rest or driving as they
                                   are; on wheels, its body is an obstacle from now on
     all are at their targets,     the leg ends, and the next one begins in the same step; after the
     or a rule ends the leg        last leg, the trial ends
     the time limit is over        the trial ends
-    robots gave up                the trial ends in the step after: its log has what was searched
-    a robot is dead               ControlError, if the spec ends a trial then
+    Ctrl-C                        nothing here: no further step is asked for (`run.run_trial`)
 
 Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
 robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and

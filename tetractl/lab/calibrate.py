@@ -283,7 +283,8 @@ class _Bench:
         """Return how long after the sending of outputs a robot at rest is seen to turn [s]; None if
         it is not seen, or does not turn."""
         frames = self.rig.frames.last(SECOND // 10)
-        poses = [pose for pose in (frame.pose(0) for frame in frames) if pose is not None]
+        shown = [frame.pose(0) for frame in frames]
+        poses = [pose for pose in shown if pose is not None]
         first = self.rig.frames.count
         if not poses:
             return None

@@ -38,7 +38,8 @@ def encode(payload: bytes) -> bytes:
 
     So short a payload needs none of the full blocks of 254 bytes that COBS also has.
     """
-    return b"".join(bytes([len(part) + 1]) + part for part in payload.split(b"\0")) + b"\0"
+    parts = payload.split(b"\0")
+    return b"".join(bytes([len(part) + 1]) + part for part in parts) + b"\0"
 
 
 def decode(frame: bytes) -> bytes:

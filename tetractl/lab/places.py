@@ -71,5 +71,6 @@ class Places:
         for shape in self._obstacles:
             left, bottom, right, top = shape.box
             if left - near <= x <= right + near and bottom - near <= y <= top + near:
-                deepest = max(deepest, -float(shape.distance(np.array(x), np.array(y))))
+                distance = shape.distance(np.array(x), np.array(y))
+                deepest = max(deepest, -float(distance))
         return deepest

@@ -207,7 +207,8 @@ def holder(port: str) -> int | None:
 def command_line(pid: int) -> list[str]:
     """Return the command line of a process as a list, empty if the process has ended."""
     with suppress(OSError):
-        return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")[:-1]
+        line = Path(f"/proc/{pid}/cmdline").read_bytes()
+        return line.decode(errors="replace").split("\0")[:-1]
     return []
 
 

@@ -81,8 +81,8 @@ def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> floa
     gain = pair_errors - alone[pairs[:, 0]] - alone[pairs[:, 1]]
     raising = np.flatnonzero(gain > 0)
     raising = raising[np.argsort(-gain[raising], kind="stable")[:PAIRS_MAX]]
-    finite = np.isfinite(alone).all() and np.isfinite(pair_errors[raising]).all()
-    if not raising.size or not finite:
+    errors = np.concatenate([alone, pair_errors[raising]])
+    if not raising.size or not np.isfinite(errors).all():
         return float(alone.sum())
     return _least_sum(alone, pairs[raising], pair_errors[raising])
 
@@ -115,7 +115,8 @@ def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> 
     from scipy.sparse import coo_array
 
     rows = np.repeat(np.arange(len(pairs)), 2)
-    sums = coo_array((-np.ones(rows.size), (rows, pairs.ravel())), (len(pairs), len(alone)))
+    shape = (len(pairs), len(alone))
+    sums = coo_array((-np.ones(rows.size), (rows, pairs.ravel())), shape)
     scale = max(pair_errors.max(), 1.0)  # the solver's tolerances are absolute
     solved = linprog(
         np.ones(len(alone)),

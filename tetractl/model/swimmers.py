@@ -115,10 +115,9 @@ class Swimmers:
 
     def joined(self, others: "Swimmers") -> "Swimmers":
         """Return these cells followed by others."""
-        appended = {
-            name: np.append(values, getattr(others, name)) for name, values in vars(self).items()
-        }
-        return Swimmers(**appended)
+        appended = vars(others)
+        columns = {name: np.append(values, appended[name]) for name, values in vars(self).items()}
+        return Swimmers(**columns)
 
     def kept(self, which: Bools) -> "Swimmers":
         """Return the cells for which a mask (N,) is true."""

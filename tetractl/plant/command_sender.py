@@ -87,7 +87,8 @@ class CommandSender:
             )
             heard |= self._transit.send(stop, now_ns).reached
         still = None if self._setup.wheel_radius is None else np.zeros(robots)
-        return Command(Stop(), now_ns, tuple(heard.tolist()), still, still)
+        received = tuple(heard.tolist())
+        return Command(Stop(), now_ns, received, still, still)
 
     def _transmit(self, now_ns: int, answered: Observation, is_new: bool) -> Command:
         """Send the held action."""

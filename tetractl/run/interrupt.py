@@ -20,7 +20,8 @@ _FAULTS = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGPIPE", "SIGXFSZ"}
 _HARMLESS = {"SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO"}
 _SUSPENDING = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 _UNCAUGHT = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
-STOP_SIGNALS = tuple(sorted(signal.valid_signals() - {getattr(signal, n, None) for n in _UNCAUGHT}))
+_UNCAUGHT_HERE = {getattr(signal, name, None) for name in _UNCAUGHT}
+STOP_SIGNALS = tuple(sorted(signal.valid_signals() - _UNCAUGHT_HERE))
 """The signals handled: those that can be caught and end a process by default, except faults."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None

@@ -242,7 +242,8 @@ def _alike_text(alike: Setup, least: str) -> str:
     robots = len(alike.names)
     spread = float(np.ptp(alike.a) / alike.a.mean())
     headings = alike.starts.heading
-    turned = float(np.abs(wrap(headings - headings[0])).max())
+    turns = np.abs(wrap(headings - headings[0]))
+    turned = float(turns.max())
     if spread == 0 and turned < SAME_HEADING_RAD:
         return (
             f"is that of {first}, and so is the start heading: {them} can only move "

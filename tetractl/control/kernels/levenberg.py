@@ -339,7 +339,8 @@ def _pull_to_targets(work, floor):
     room = work.room
     path = room.traced.path
     last = room.rows.shape[1] - 1
-    c = 1 / math.sqrt(max(math.sqrt(_squared_misses(work) / len(work.target)), floor))
+    root_mean_square = math.sqrt(_squared_misses(work) / len(work.target))
+    c = 1 / math.sqrt(max(root_mean_square, floor))
     for i in range(len(work.target)):
         r = 2 * i
         room.residual[r] = c * (path[0, i, last] - work.target[i, 0])

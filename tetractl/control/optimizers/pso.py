@@ -106,8 +106,8 @@ class Pso(OptimizerSection):
         if warm is None:
             return scattered
         cost_of_one = compiled_costs(problem, 1)
-        cost = cost_of_one(warm[:, None])[0]
-        return replace(scattered, best=Best(warm.copy(), float(cost)))
+        cost = float(cost_of_one(warm[:, None])[0])
+        return replace(scattered, best=Best(warm.copy(), cost))
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield the fields of a logged search that contradict its history."""

@@ -163,7 +163,8 @@ class ExactLanes(NamedTuple):
     def of(cls, parameters: Floats, t: float) -> Self:
         """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
         a, v = parameters.T[:2]
-        pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
+        largest_turn = float(a.max()) * t
+        pieces = max(1, math.ceil(largest_turn / LARGEST_TURN))
         turn = a * t / pieces
         middle = np.tanh(turn / 4)
         end = np.tanh(turn / 2)

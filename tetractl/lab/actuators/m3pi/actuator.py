@@ -8,7 +8,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import Action, Health, Stop, Transmission
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
-from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Flag
@@ -49,12 +49,18 @@ class M3piActuator(WheeledActuator):
         return self._transmission(sent_ns, action, self.drivetrains.speeds(outputs), moving)
 
 
+def _signed_gains(wheels: Sequence[WheelSection]) -> list[float]:
+    """Return the gains of wheels [mm/s per count], negative for one that is inverted."""
+    return [-wheel.gain_mm if wheel.invert else wheel.gain_mm for wheel in wheels]
+
+
 def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:
     """Return robots' wheels."""
-    sides = [[robot.left for robot in robots], [robot.right for robot in robots]]
+    left = [robot.left for robot in robots]
+    right = [robot.right for robot in robots]
     return Drivetrains(
-        np.array([[-w.gain_mm if w.invert else w.gain_mm for w in side] for side in sides]),
-        np.array([[wheel.dead_zone for wheel in side] for side in sides]),
+        np.array([_signed_gains(left), _signed_gains(right)]),
+        np.array([[wheel.dead_zone for wheel in left], [wheel.dead_zone for wheel in right]]),
         np.array([robot.limit for robot in robots]),
         np.array([robot.swap for robot in robots]),
     )

@@ -45,7 +45,8 @@ def encode_command(command: BroadcastCommand) -> bytes:
     if len(command.wheels) > ROBOTS_MAX:
         raise WireError(f"{len(command.wheels)} robots; a frame has space for {ROBOTS_MAX}")
     counts = [count for pair in command.wheels for count in pair]
-    if len(counts) != 2 * len(command.wheels) or any(abs(count) > COUNT_MAX for count in counts):
+    is_too_large = any(abs(count) > COUNT_MAX for count in counts)
+    if len(counts) != 2 * len(command.wheels) or is_too_large:
         raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
     head = bytes(
         [COMMAND, command.sequence, cobs.checked_flags(command.flags), len(command.wheels)]

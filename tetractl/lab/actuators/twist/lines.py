@@ -71,7 +71,8 @@ def decode_command(line: bytes) -> LineCommand:
 
 def encode_reply(reply: Reply) -> bytes:
     """Return the line of a reply, with its end."""
-    return _sealed(" ".join(["S", *(str(int(number)) for number in astuple(reply))]))
+    numbers = [str(int(number)) for number in astuple(reply)]
+    return _sealed(" ".join(["S", *numbers]))
 
 
 def decode_reply(line: bytes) -> Reply:

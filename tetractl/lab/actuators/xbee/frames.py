@@ -52,7 +52,9 @@ def encode(content: bytes) -> bytes:
     if not 0 < len(content) <= CONTENT_MAX:
         raise WireError(f"{len(content)} bytes do not fit in an API frame")
     out = bytearray((START,))
-    for byte in len(content).to_bytes(2, "big") + content + bytes((0xFF - sum(content) % 256,)):
+    size = len(content).to_bytes(2, "big")
+    checksum = bytes((0xFF - sum(content) % 256,))
+    for byte in size + content + checksum:
         out += bytes((ESCAPE, byte ^ 0x20)) if byte in _ESCAPED else bytes((byte,))
     return bytes(out)
 

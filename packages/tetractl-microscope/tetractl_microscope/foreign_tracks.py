@@ -20,6 +20,7 @@ from tetractl.core.table.quantities import (
     name_and_unit,
 )
 from tetractl.replay.identification.csv_tracks import POSES_MAX
+from tetractl_microscope.film.field_file import STRENGTH
 from tetractl_microscope.film.track_log import CELL
 from tetractl_microscope.number_columns import read_numbers
 
@@ -79,8 +80,18 @@ def pose_rows(
         yield from _poses(path, spots, um_px, rate_hz)
         return
     for row in read_csv(path):
+        _require_full_field(path, row)
         cell = row.cells.get("cell")
         yield row if cell is None else replace(row, cells=row.cells | {"robot": CELL + cell})
+
+
+def _require_full_field(path: Path, row: CsvRow) -> None:
+    """Raise UsageError if a row states a strength of the field other than 1, which is used of films
+    alone."""
+    text = row.cells.get(STRENGTH, "")
+    if text and not (is_number(text) and float(text) == 1):
+        said = f"{path}, line {row.line}: {STRENGTH} {printable(text[:20])}: of tracks, a is found"
+        raise UsageError(f"{said} in a field of strength 1 only", "give the film itself")
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable | None:

@@ -46,8 +46,9 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
 
     Raises UsageError if the file is not CSV, has no header, or is larger than the limits above.
     """
-    if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is not a regular file")
+    if not path.is_file():
+        said = "is not a regular file" if path.exists() else "no such file"
+        raise UsageError(f"{path}: {said}")
     if path.stat().st_size > CSV_BYTES:
         raise _too_large(path)
     try:

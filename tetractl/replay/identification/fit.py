@@ -133,15 +133,14 @@ def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | 
 
 def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
     """Return the likeliest dead time of those that are possible [s], for robots `rows` (R,) with
-    each of RATES; UsageError if it is at an end of these."""
+    each of RATES; UsageError if it is below 0 or at the end of these."""
     taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
     passed = run([frames], rows, belief, taus, SEARCHED_APART_S)
     best = _likeliest(passed)
     tau = float(taus[best])
     if tau < -EARLY_S or best == len(taus) - 1:
-        way = "before" if tau < 0 else "after"
         raise UsageError(
-            f"robots seem to turn {abs(tau):.2g} s {way} they are sent a direction",
+            f"no dead time from 0 to {taus[-1]:.3g} s explains how the robots turn",
             "are all times of one clock, and in s?",
         )
     return max(0.0, tau)

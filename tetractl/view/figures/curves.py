@@ -1,7 +1,7 @@
 """Figures of errors over time: of one trial, or of the trials of several folders."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -14,7 +14,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.core.table.table import lengths
+from tetractl.core.table.table import lengths, plural
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import end_ns, tracked
 from tetractl.view import style
@@ -27,7 +27,17 @@ from tetractl.view.figures.axes import (
     unfinished,
 )
 
-NAME_IN = 0.1  # height of a robot's name at its curve [in]
+NAME_IN = 0.1
+"""Height of a robot's name at its curve."""
+NAME_PT = 6.5
+NAME_OF_MANY_PT = 5.5
+"""Sizes of names, the second for NUMBERED curves or more."""
+LINE = 1.3
+"""Height of a line of text over the size of its letters."""
+HEADROOM = 1.04
+"""Height of a panel over its greatest value."""
+TIMES = 400
+"""Points of a median over time."""
 SINCE = "time since the first command [s]"
 
 
@@ -64,19 +74,19 @@ def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
     Names are at least the height of a line apart, in the order of the values.
     """
     ends = np.array([curve.values[-1] for curve in curves])
-    size = 6.5 if len(curves) < NUMBERED else 5.5
+    size = NAME_PT if len(curves) < NUMBERED else NAME_OF_MANY_PT
     figure = axes.get_figure(root=True)
     assert figure is not None
     style.lay_out(figure)  # computes the height of the axes
-    line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
+    line = LINE * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")
     points = np.column_stack([np.zeros(len(ends)), ends[order]])
     places = axes.transAxes.inverted().transform(axes.transData.transform(points))[:, 1]
     wanted = np.clip(places, 0.0, 1.0)
-    for which, height, place in zip(order, wanted, separated(wanted, line), strict=True):
-        color = curves[which].color
+    for index, height, place in zip(order, wanted, separated(wanted, line), strict=True):
+        color = curves[index].color
         axes.annotate(
-            curves[which].name, (1.0, float(height)), (1.025, float(place)), color=color,
+            curves[index].name, (1.0, float(height)), (1.025, float(place)), color=color,
             xycoords="axes fraction", textcoords="axes fraction", va="center", fontsize=size,
             annotation_clip=False,
             arrowprops={
@@ -96,14 +106,17 @@ def robot_curves(
     more robots have no bands. A curve is named after its robot, followed by the last value if
     `show` formats it.
     """
-    colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
-    bands = [None] * len(names)
-    if band is not None and len(names) < NUMBERED:
-        bands = list(np.moveaxis(band, -1, 0))
-    return [
-        Curve(one, color, f"{name} {show(one[-1])}" if show else name, f"robot-{i}", of)
-        for i, (one, color, name, of) in enumerate(zip(values.T, colors, names, bands, strict=True))
-    ]
+    colors = robot_colors(setup.names, setup.colors)
+    labels = robot_labels(setup.names)
+    curves = []
+    for robot, (color, label) in enumerate(zip(colors, labels, strict=True)):
+        of_robot = values[:, robot]
+        name = label if show is None else f"{label} {show(of_robot[-1])}"
+        curve = Curve(of_robot, color, name, f"robot-{robot}")
+        if band is not None and len(labels) < NUMBERED:
+            curve = replace(curve, band=band[..., robot])
+        curves.append(curve)
+    return curves
 
 
 def errors_at(log: TrialLog, time_s: Floats) -> Floats:
@@ -114,13 +127,13 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     the result, if the log has a result.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
-    rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
+    rows = np.where(np.isfinite(gaps), np.arange(len(gaps))[:, None], 0)
     held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)
-    sampled_s = _since(log)
-    found = held[np.maximum(np.searchsorted(sampled_s, time_s, side="right") - 1, 0)]
+    newest = np.searchsorted(_since(log), time_s, side="right") - 1
+    errors = held[np.maximum(newest, 0)]
     if log.result is not None:  # the robots stand still after the trial
-        found[time_s >= end_s(log)] = log.result.robot_errors
-    return found
+        errors[time_s >= end_s(log)] = log.result.robot_errors
+    return errors
 
 
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -139,25 +152,31 @@ def _of_trial(log: TrialLog) -> Figure:
     # only the names show the last values, which are the result's
     gaps = np.vstack([gaps, ends])
     show = lengths(float(ends.sum()))
-    figure, [(total, each)] = _panels([setup], 1.9, 1.6, end_s(log))
+    figure, [panels] = _panels([setup], 1.9, 1.6, end_s(log))
     name = f"{show(ends.sum())} {unit}"
-    whole = [Curve(gaps.sum(axis=1), style.WHOLE, name, "total", width=1.4)]
+    total = [Curve(gaps.sum(axis=1), style.WHOLE, name, "total", width=1.4)]
     robots = robot_curves(setup, gaps, show=show)
-    panels = (total, whole, gaps.sum(axis=1)), (each, robots, gaps)
-    for axes, curves, values in panels:
-        draw_curves(axes, time_s, curves)
-        seen = values[:-1][time_s >= 0]
-        axes.set_ylim(0, float(np.nanmax(seen, initial=1e-9)) * 1.04)
-    if tolerance := log.experiment.controller.arrival_tolerance:
+    _draw_from_zero(panels.total, time_s, total, gaps.sum(axis=1))
+    _draw_from_zero(panels.robots, time_s, robots, gaps)
+    tolerance = log.experiment.controller.arrival_tolerance
+    if tolerance:
         label = f"arrival within {tolerance:g} {unit}"
-        each.axhline(tolerance, **style.LIMIT, label=label)
-    _mark_steps(each, log)
-    total.set_title("(a) total error, the sum over the robots", loc="left")
-    each.set_title("(b) distance of each robot to its target", loc="left")
-    style.legend(figure, each.get_legend_handles_labels()[0])
-    for axes, curves, _ in panels:
-        name_curves(axes, curves)
+        panels.robots.axhline(tolerance, **style.LIMIT, label=label)
+    _mark_steps(panels.robots, log)
+    panels.total.set_title("(a) total error, the sum over the robots", loc="left")
+    panels.robots.set_title("(b) distance of each robot to its target", loc="left")
+    style.legend(figure, panels.robots.get_legend_handles_labels()[0])
+    name_curves(panels.total, total)
+    name_curves(panels.robots, robots)
     return figure
+
+
+def _draw_from_zero(axes: Axes, time_s: Floats, curves: Sequence[Curve], values: Floats) -> None:
+    """Draw curves, with room for the values since the first command; the last row of `values` is
+    not drawn."""
+    draw_curves(axes, time_s, curves)
+    shown = values[:-1][time_s >= 0]
+    axes.set_ylim(0, float(np.nanmax(shown, initial=1e-9)) * HEADROOM)
 
 
 @style.styled()
@@ -170,59 +189,69 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     """
     arms = panels_of(logs)
     time_s = _common_times(logs)
-    setups = [found[0].start.setup for found in arms.values()]
+    setups = [of_arm[0].start.setup for of_arm in arms.values()]
     figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
     signs: dict[str, Artist] = {}
-    drawn = list[tuple[Axes, list[Curve]]]()
+    drawn: list[_ArmCurves] = []
     letters = iter("abcdefghijklmnopqrstuvwxyz")
-    for (name, found), pair in zip(arms.items(), panels, strict=True):
-        curves, more = _arm_errors(found, time_s, *pair)
-        drawn += zip(pair, curves, strict=True)
-        signs |= {str(sign.get_label()): sign for sign in more}
-        trials = f"{len(found)} trial{'s' * (len(found) > 1)}"
+    for (name, of_arm), of_panels in zip(arms.items(), panels, strict=True):
+        curves = _arm_errors(of_arm, time_s, of_panels)
+        drawn.append(curves)
+        signs |= {str(sign.get_label()): sign for sign in curves.signs}
+        start = f"{name}: " if name else ""
+        trials = f"{len(of_arm)} {plural('trial', len(of_arm))}"
         total = f"total error of {trials}, the sum over the robots"
-        each = "distance of each robot to its target, median of the trials"
-        for axes, text in zip(pair, (total, each), strict=True):
-            what = f"{name}: {text}" if name else text
-            axes.set_title(f"({next(letters)}) {what}", loc="left")
-            axes.set_ylim(bottom=0)
+        robots = "distance of each robot to its target, median of the trials"
+        of_panels.total.set_title(f"({next(letters)}) {start}{total}", loc="left")
+        of_panels.robots.set_title(f"({next(letters)}) {start}{robots}", loc="left")
+        of_panels.total.set_ylim(bottom=0)
+        of_panels.robots.set_ylim(bottom=0)
     style.legend(figure, list(signs.values()), 5)
-    for axes, curves in drawn:  # the limits are set
-        name_curves(axes, curves)
+    for curves, of_panels in zip(drawn, panels, strict=True):  # the limits are set
+        name_curves(of_panels.total, curves.total)
+        name_curves(of_panels.robots, curves.robots)
     return figure
 
 
-def _arm_errors(
-    logs: Sequence[TrialLog], time_s: Floats, total: Axes, each: Axes
-) -> tuple[tuple[list[Curve], list[Curve]], list[Artist]]:
-    """Draw the errors of one folder's trials; return the medians of the total error and of the
-    robots' errors, and the signs of the legend.
-    """
+@dataclass(frozen=True, slots=True)
+class _ArmCurves:
+    """The medians that were drawn of a folder's trials: of the total error, and of the robots'
+    errors; and signs of the legend."""
+
+    total: list[Curve]
+    robots: list[Curve]
+    signs: list[Artist]
+
+
+def _arm_errors(logs: Sequence[TrialLog], time_s: Floats, panels: "_Panels") -> _ArmCurves:
+    """Draw the errors of one folder's trials."""
     setup = logs[0].start.setup
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
     whole = np.array([not unfinished(log) for log in logs])
     counted = errors[whole] if whole.any() else errors
     for values, complete in zip(errors.sum(axis=2), whole, strict=True):
         color = style.GREY if complete else style.ALARM
-        total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
+        panels.total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
     middle, band = _quartiles(counted.sum(axis=2))
     name = f"median {middle[-1]:.3g} {unit_of(setup.unit)}"
     median = [Curve(middle, style.WHOLE, name, "median", band, "median", 1.5)]
-    draw_curves(total, time_s, median)
-    robots = robot_curves(setup, *_quartiles(counted), "{:.3g}".format)
-    draw_curves(each, time_s, robots)
+    draw_curves(panels.total, time_s, median)
+    medians, bands = _quartiles(counted)
+    robots = robot_curves(setup, medians, bands, "{:.3g}".format)
+    draw_curves(panels.robots, time_s, robots)
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
-        *total.get_legend_handles_labels()[0],
+        *panels.total.get_legend_handles_labels()[0],
         _middle_half(style.WHOLE),
     ]
     if not whole.all():
         label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
         signs.append(style.sign(label, color=style.ALARM, ls="-", lw=0.5))
-    if reference := logs[0].experiment.reference:
+    reference = logs[0].experiment.reference
+    if reference:
         label = "published mean at the end"
-        signs.append(total.axhline(reference.mean, **style.LIMIT, label=label))
-    return (median, robots), signs
+        signs.append(panels.total.axhline(reference.mean, **style.LIMIT, label=label))
+    return _ArmCurves(median, robots, signs)
 
 
 def _quartiles(values: Floats) -> tuple[Floats, Floats]:
@@ -231,21 +260,30 @@ def _quartiles(values: Floats) -> tuple[Floats, Floats]:
     return middle, np.stack([low, high])
 
 
+@dataclass(frozen=True, slots=True)
+class _Panels:
+    """The axes of a batch: for the total error and, below, for the robots' errors."""
+
+    total: Axes
+    robots: Axes
+
+
 def _panels(
-    setups: Sequence[Setup], top_in: float, least_in: float, end_s: float
-) -> tuple[Figure, list[tuple[Axes, Axes]]]:
-    """Return a figure with two axes for each batch: for the total error and, below, for the robots'
-    errors, all from 0 to `end_s` [s] and of the same scale.
+    setups: Sequence[Setup], total_in: float, least_in: float, end_s: float
+) -> tuple[Figure, list[_Panels]]:
+    """Return a figure with two axes for each batch, all from 0 to `end_s` [s] and of the same
+    scale.
     """
-    each_in = max(least_in, *(NAME_IN * len(setup.names) for setup in setups))
-    figure = style.figure(style.PAGE_IN, (top_in + each_in) * len(setups))
-    ratios = [0.7 * top_in, each_in] * len(setups)
-    panels = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
-    for i, axes in enumerate(panels):
-        axes.sharey(panels[i % 2])
+    robots_in = max(least_in, *(NAME_IN * len(setup.names) for setup in setups))
+    figure = style.figure(style.PAGE_IN, (total_in + robots_in) * len(setups))
+    ratios = [0.7 * total_in, robots_in] * len(setups)
+    places = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    for index, axes in enumerate(places):
+        axes.sharey(places[index % 2])
         axes.set(ylabel=f"error [{unit_of(setups[0].unit)}]", xlim=(0, end_s))
-    panels[-1].set_xlabel(SINCE)
-    return figure, list(zip(panels[::2], panels[1::2], strict=True))
+    places[-1].set_xlabel(SINCE)
+    pairs = zip(places[::2], places[1::2], strict=True)
+    return figure, [_Panels(total, robots) for total, robots in pairs]
 
 
 def _since(log: TrialLog) -> Floats:
@@ -263,7 +301,7 @@ def end_s(log: TrialLog) -> float:
 
 def _common_times(logs: Sequence[TrialLog]) -> Floats:
     """Return times since the first command (M,) until the end of the longest trial [s]."""
-    return np.linspace(0, max(map(end_s, logs)), 400)
+    return np.linspace(0, max(map(end_s, logs)), TIMES)
 
 
 def _middle_half(color: str) -> Patch:

@@ -3,6 +3,7 @@ each robot's values and of the dead time.
 """
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, wrap
+from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, log_axis, need_steps, one_trial, positive
@@ -35,6 +37,13 @@ PI_TICKS = {
     "labels": ["−π", "−π/2", "0", "π/2", "π"],
 }
 LETTERS = "abcdefgh"
+ROW_IN = 2.0
+"""Height of a row of panels; more if names of robots need it."""
+ABOVE_NAMES_IN = 0.7
+TRUE_MARGIN = 1.0
+"""Between a true value and the edge of its panel [%]."""
+OUTLIERS = (1, 99)
+"""Percentiles between which values are shown, so that one outlier does not hide the rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +58,17 @@ class _Panel:
 
 
 @dataclass(frozen=True, slots=True)
+class _Value:
+    """What an estimate states of a quantity, of all robots (N,) or of each; None if it does not."""
+
+    mean: Floats | float | None
+    std: Floats | float | None
+
+
+@dataclass(frozen=True, slots=True)
 class _Quantity:
-    """An estimated quantity: title, label of its axis, what an estimate states of it and of its
-    standard deviation, and the factor from that to what is drawn.
+    """An estimated quantity: title, label of its axis, what an estimate states of it, and the
+    factor from that to what is drawn.
 
     For a quantity that the spec states too, `spec` (N,), the difference from it is drawn, and a
     dotted line at the `true` value (N,) of a simulation.
@@ -59,7 +76,7 @@ class _Quantity:
 
     title: str
     label: str
-    of: Callable[[Estimate], tuple[Floats | float | None, Floats | float | None]]
+    of: Callable[[Estimate], _Value]
     factor: Floats | float = 1.0
     spec: Floats | None = None
     true: Floats | None = None
@@ -77,24 +94,29 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     log = one_trial(logs)
     need_steps(log)
     estimated = any(step.plan.estimate is not None for step in log.steps)
-    panels = [_signal(log), _solve_times(log), *(_estimates(log) if estimated else [])]
+    panels = [_signal(log), _solve_times(log)]
+    row_in = ROW_IN
+    if estimated:
+        panels += _estimates(log)
+        row_in = max(ROW_IN, ABOVE_NAMES_IN + NAME_IN * len(log.start.setup.names))
     time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
-    rows = -(-len(panels) // 2)
-    row_in = max(2.0, 0.7 + NAME_IN * len(log.start.setup.names)) if estimated else 2.0
+    rows = math.ceil(len(panels) / 2)
     figure = style.figure(style.PAGE_IN, rows * row_in)
-    places = [*figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()]
+    places = list(figure.subplots(rows, 2, squeeze=False, sharex=True).ravel())
     for spare in places[len(panels) :]:
         spare.set_axis_off()
-    named: list[tuple[Axes, list[Curve]]] = []
+    curves: list[list[Curve]] = []
+    signs: list[Artist] = []
     for axes, letter, panel in zip(places, LETTERS, panels, strict=False):
         style.panel(axes, letter, panel.title, SINCE, panel.label)
         axes.set_xlim(0, end_s(log))
-        named.append((axes, panel.draw(axes, time_s)))
-    handles = [one for axes in places for one in axes.get_legend_handles_labels()[0]]
-    style.legend(figure, [*handles, *_signs_of_estimates(log, estimated)], 4)
-    for axes, curves in named:  # the limits are set
-        if curves:
-            name_curves(axes, curves)
+        curves.append(panel.draw(axes, time_s))
+        handles, _ = axes.get_legend_handles_labels()
+        signs += handles
+    style.legend(figure, [*signs, *_signs_of_estimates(log, estimated)], 4)
+    for axes, to_name in zip(places, curves, strict=False):  # the limits are set
+        if to_name:
+            name_curves(axes, to_name)
     return figure
 
 
@@ -155,14 +177,12 @@ def _solve_times(log: TrialLog) -> _Panel:
                 "first plan", (time_s[0], solve_ms[0]), (6, 0), textcoords="offset points",
                 va="center", fontsize=6.5,
             )  # fmt: skip
-        shares = {"half within": 50, "99 % within": 99}
-        return [
-            Curve(
-                np.array([np.percentile(solve_ms, share, method="inverted_cdf")]), style.INK,
-                f"{text}\n{np.percentile(solve_ms, share, method='inverted_cdf'):.3g} ms", "share",
-            )
-            for text, share in shares.items()
-        ]  # fmt: skip
+        curves = []
+        for text, share in {"half within": 50, "99 % within": 99}.items():
+            within_ms = np.percentile(solve_ms, share, method="inverted_cdf")
+            name = f"{text}\n{within_ms:.3g} ms"
+            curves.append(Curve(np.array([within_ms]), style.INK, name, "share"))
+        return curves
 
     return _Panel(
         f"solve time: {late.sum()} of {len(late)} deadlines missed", "solve time [ms]", draw
@@ -171,42 +191,59 @@ def _solve_times(log: TrialLog) -> _Panel:
 
 def _estimates(log: TrialLog) -> list[_Panel]:
     """Return a panel for each quantity that the controller estimated."""
-    estimates = [step.plan.estimate for step in log.steps]
-    last = next(one for one in reversed(estimates) if one is not None)
+    steps = [k for k, step in enumerate(log.steps) if step.plan.estimate is not None]
+    estimates = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
 
     def panel(quantity: _Quantity) -> _Panel:
         def draw(axes: Axes, time_s: Floats) -> list[Curve]:
-            known = [k for k, one in enumerate(estimates) if one is not None]
-            shown = [one for one in estimates if one is not None]
-            return _draw(axes, quantity, time_s[known], shown, log)
+            return _draw(axes, quantity, time_s[steps], estimates, log.start.setup)
 
         return _Panel(quantity.title, quantity.label, draw)
 
-    return [panel(quantity) for quantity in _quantities(log, last)]
+    return [panel(quantity) for quantity in _quantities(log, estimates[-1])]
 
 
 def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
     """Return the panels for what the last estimate states."""
     setup = log.start.setup
-    unit, off = unit_of(setup.unit), "difference from the spec [%]"
-    a, speed, rate = setup.a, setup.speed, "turning rate a, at the end in rad/s"
-    rate += f", at {setup.strength:g} {setup.strength_unit}" if setup.strength else ""
+    difference = "difference from the spec [%]"
+    rate = "turning rate a, at the end in rad/s"
+    if setup.strength:
+        rate += f", at {setup.strength:g} {setup.strength_unit}"
     shown = [
-        _Quantity(rate, off, lambda e: (e.a, e.a_std), 100 / a, a, _true(log, "a")),
         _Quantity(
-            f"speed, at the end in {unit}/s", off, lambda e: (e.speed, e.speed_std), 100 / speed,
-            speed, _true(log, "speed"),
+            rate,
+            difference,
+            lambda estimate: _Value(estimate.a, estimate.a_std),
+            factor=100 / setup.a,
+            spec=setup.a,
+            true=_true(log, "a"),
         ),
-    ]  # fmt: skip
+        _Quantity(
+            f"speed, at the end in {unit_of(setup.unit)}/s",
+            difference,
+            lambda estimate: _Value(estimate.speed, estimate.speed_std),
+            factor=100 / setup.speed,
+            spec=setup.speed,
+            true=_true(log, "speed"),
+        ),
+    ]
     if last.heading_bias is not None:
-        bias = "heading bias"
         shown.append(
-            _Quantity(bias, f"{bias} [rad]", lambda e: (e.heading_bias, e.heading_bias_std))
+            _Quantity(
+                "heading bias",
+                "heading bias [rad]",
+                lambda estimate: _Value(estimate.heading_bias, estimate.heading_bias_std),
+            )
         )
     if last.dead_time is not None:
-        dead = "dead time, from the sending of a direction"
         shown.append(
-            _Quantity(dead, "dead time [ms]", lambda e: (e.dead_time, e.dead_time_std), 1e3)
+            _Quantity(
+                "dead time, from the sending of a direction",
+                "dead time [ms]",
+                lambda estimate: _Value(estimate.dead_time, estimate.dead_time_std),
+                factor=1e3,
+            )
         )
     return shown
 
@@ -216,51 +253,57 @@ def _draw(
     quantity: _Quantity,
     time_s: Floats,
     estimates: Sequence[Estimate],
-    log: TrialLog,
+    setup: Setup,
 ) -> list[Curve]:
     """Draw a quantity over time, and return the curves to name at their ends: those of robots.
 
-    The axis shows the range from the 1st to the 99th percentile and every last value, so that one
-    outlier does not hide the rest.
+    The axis shows the range between OUTLIERS and every last value.
     """
-    found = [quantity.of(estimate) for estimate in estimates]
-    ends, stds = (_stack([pair[i] for pair in found]) for i in (0, 1))
-    spec, factor = 0.0 if quantity.spec is None else quantity.spec, quantity.factor
-    values, stds = (ends - spec) * factor, stds * factor
+    stated = [quantity.of(estimate) for estimate in estimates]
+    means = _stack([value.mean for value in stated])
+    stds = _stack([value.std for value in stated]) * quantity.factor
+    spec = 0.0 if quantity.spec is None else quantity.spec
+    values = (means - spec) * quantity.factor
     band = np.stack([values - stds, values + stds])
     if values.ndim == 1:
         draw_curves(axes, time_s, [Curve(values, style.INK, "", "all", band, width=1.2)])
         return []
     if quantity.spec is not None:
         axes.axhline(0, color=style.GREY, lw=0.6)
-    curves = robot_curves(log.start.setup, values, band)
+    curves = robot_curves(setup, values, band)
     draw_curves(axes, time_s, curves)
-    low, high = np.nanpercentile(band if curves[0].band is not None else values, [1, 99])
-    low, high = min(low, values[-1].min()), max(high, values[-1].max())
+    low, high = np.nanpercentile(values if curves[0].band is None else band, OUTLIERS)
+    low = min(low, values[-1].min())
+    high = max(high, values[-1].max())
     margin = max(0.08 * (high - low), 1e-6)
-    low, high = low - margin, high + margin
+    low -= margin
+    high += margin
     if quantity.spec is not None:
-        texts = [f"{curve.name} {end:.3g}" for curve, end in zip(curves, ends[-1], strict=True)]
-        curves = [replace(one, name=text) for one, text in zip(curves, texts, strict=True)]
+        curves = _named(curves, [f"{end:.3g}" for end in means[-1]])
     if quantity.true is not None:
-        true = (quantity.true - spec) * factor
+        true = (quantity.true - spec) * quantity.factor
         for value, curve in zip(true, curves, strict=True):
             axes.axhline(value, color=curve.color, lw=0.9, ls=":", zorder=5, gid="true")
-        texts = [
-            f"{curve.name} (true {value:.3g})"
-            for curve, value in zip(curves, quantity.true, strict=True)
-        ]
-        curves = [replace(one, name=text) for one, text in zip(curves, texts, strict=True)]
-        low, high = min(low, true.min() - 1), max(high, true.max() + 1)
+        curves = _named(curves, [f"(true {value:.3g})" for value in quantity.true])
+        low = min(low, true.min() - TRUE_MARGIN)
+        high = max(high, true.max() + TRUE_MARGIN)
     axes.set_ylim(low, high)
     return curves
+
+
+def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
+    """Return curves with a text each added to their names."""
+    return [
+        replace(curve, name=f"{curve.name} {text}")
+        for curve, text in zip(curves, texts, strict=True)
+    ]
 
 
 def _stack(values: Sequence[Floats | float | None]) -> Floats:
     """Return the values of all estimates, NaN where an estimate lacks them, but the last does
     not."""
     unknown = np.full_like(values[-1], np.nan, dtype=np.float64)
-    return np.array([unknown if one is None else one for one in values], dtype=np.float64)
+    return np.array([unknown if value is None else value for value in values], dtype=np.float64)
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
@@ -272,7 +315,7 @@ def _true(log: TrialLog, what: str) -> Floats | None:
     if fact is None:
         return None
     with suppress(OverflowError, RecursionError, TypeError, ValueError):
-        found = np.array(json.loads(fact), dtype=np.float64)
-        if found.shape == log.start.setup.a.shape and np.isfinite(found).all():
-            return found
+        values = np.array(json.loads(fact), dtype=np.float64)
+        if values.shape == log.start.setup.a.shape and np.isfinite(values).all():
+            return values
     raise LogError(f"{log.log}: the fact true_{what} is not a number for each robot")

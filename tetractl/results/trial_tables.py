@@ -22,7 +22,7 @@ from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import ESTIMATE_FIELDS, STOP_REASON_MAX
 from tetractl.log.format.tetractl_pb2 import ControllerStep, Estimate, StepTiming
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.reader import result_of, trial_of, whole, written
+from tetractl.log.read.reader import decode_errors, refuse_brief, result_of, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.results.as_json import trial_items
@@ -231,11 +231,11 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
     if "trials" in names:
         tables["trials"] = trials_table(Batch.of([result_of(contents)]))
     if any(name in names for name in OF_TRIAL):
-        whole(contents)
+        refuse_brief(contents)
     log = trial_of(contents, 1)
     for name, table in OF_TRIAL.items():
         if name in names:
-            with written(contents):
+            with decode_errors(contents):
                 rows = table(log, contents)
             tables[name] = rows.with_first(log=str(path), trial=log.start.trial)
     return tables, log.damage

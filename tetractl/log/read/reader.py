@@ -49,12 +49,17 @@ def read_trial(path: Path) -> TrialLog:
     newer format, has lost its spec, or is brief.
     """
     contents = scan(Path(path))
+    refuse_brief(contents)
+    return trial_of(contents)
+
+
+def refuse_brief(contents: RawLog) -> None:
+    """Raise a LogError for a brief log, which has neither frames nor steps."""
     if contents.brief:
         raise LogError(
             f"{contents.path}: a brief log, which holds only the result of its trial",
             f"write the whole log with: tetractl rerun {contents.path}",
         )
-    return trial_of(contents)
 
 
 def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:

@@ -50,8 +50,8 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
             add(name, table, "")
     path = folder / "track.mcap"
     cells = defaultdict[int, Cells](list)
-    for each in followed.paths:
-        for number, cell in zip(each.frames.tolist(), each.seen, strict=True):
+    for path_of_cell in followed.paths:
+        for number, cell in zip(path_of_cell.frames.tolist(), path_of_cell.seen, strict=True):
             cells[number].append(cell)
     try:
         _write_pictures(path, film, followed, record, cells)
@@ -125,14 +125,14 @@ def _transforms(cells: Cells, ns: int) -> FrameTransforms:
     message = FrameTransforms()
     time = stamp(ns)
     for cell in cells:
-        one = message.transforms.add()
-        one.timestamp.CopyFrom(time)
-        one.parent_frame_id = LENS
-        one.child_frame_id = f"{CELL}{cell.identity}"
-        one.translation.x = cell.x * UM
-        one.translation.y = cell.y * UM
-        one.rotation.z = math.sin(cell.heading / 2)
-        one.rotation.w = math.cos(cell.heading / 2)
+        transform = message.transforms.add()
+        transform.timestamp.CopyFrom(time)
+        transform.parent_frame_id = LENS
+        transform.child_frame_id = f"{CELL}{cell.identity}"
+        transform.translation.x = cell.x * UM
+        transform.translation.y = cell.y * UM
+        transform.rotation.z = math.sin(cell.heading / 2)
+        transform.rotation.w = math.cos(cell.heading / 2)
     return message
 
 
@@ -140,14 +140,16 @@ def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[i
     """Draw a cell: its trail, the outline of its body if it was found, heading and number."""
     look = COLORS[cell.identity % len(COLORS)], 1, cv2.LINE_AA
     ((x, y),) = pixels_of(np.array([(cell.x, cell.y)]), um_px, picture.shape[0]).tolist()
-    at = column, row = round(x), round(y)
-    trail[:] = [*trail[1 - TRAIL :], at]
+    column = round(x)
+    row = round(y)
+    middle = (column, row)
+    trail[:] = [*trail[1 - TRAIL :], middle]
     cv2.polylines(picture, [np.array(trail, np.int32)], False, *look)
     if cell.found and math.isfinite(cell.long_um):
         axes = (round(cell.long_um / 2 / um_px), round(cell.wide_um / 2 / um_px))
-        cv2.ellipse(picture, at, axes, -math.degrees(cell.axis), 0, 360, *look)
+        cv2.ellipse(picture, middle, axes, -math.degrees(cell.axis), 0, 360, *look)
     ahead = ARROW_UM * math.cos(cell.heading), ARROW_UM * math.sin(cell.heading)
     tip = (round(column + ahead[0] / um_px), round(row - ahead[1] / um_px))
-    cv2.arrowedLine(picture, at, tip, *look, tipLength=0.25)
+    cv2.arrowedLine(picture, middle, tip, *look, tipLength=0.25)
     doubt = "" if cell.sure else "?"
     cv2.putText(picture, f"{cell.identity}{doubt}", (column + 8, row - 8), 0, 0.4, *look)

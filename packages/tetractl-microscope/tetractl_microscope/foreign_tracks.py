@@ -310,13 +310,16 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
         ends = {axis.name.lower()[-1:]: axis for axis in places}
         *_, y, x = places
         return [times[0], ends["x"], ends["y"]] if {"x", "y"} <= set(ends) else [times[0], x, y]
-    known = [*stated] or [_NamedAxis(name) for name in names]
-    by_name = {axis.name.lower(): axis for axis in known}
-    found = [next((by_name[one] for one in each if one in by_name), None) for each in AXES]
-    if None in found:
-        said = ", ".join(axis.name for axis in known)
+    named_axes = [*stated] or [_NamedAxis(name) for name in names]
+    by_name = {axis.name.lower(): axis for axis in named_axes}
+    by_place = [
+        next((by_name[axis_name] for axis_name in names_of_place if axis_name in by_name), None)
+        for names_of_place in AXES
+    ]
+    if None in by_place:
+        said = ", ".join(axis.name for axis in named_axes)
         raise ValueError(f"no axis has a type, and their names are {said}")
-    return found
+    return by_place
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:

@@ -63,26 +63,26 @@ def watch_turning(
     """Turn the field of an entered rig; return the cells in view, and how they turned, None if too
     few of them were seen for long enough. Raises as `turn_field`.
     """
-    seen: dict[int, list[tuple[float, float, float]]] = {}
+    seen_paths: dict[int, list[tuple[float, float, float]]] = {}
     tracker = tracker_of(rig)
 
     def on_look() -> None:
         if (newest := rig.frames.newest) is None:
             return
-        at = newest.frame.sampled_ns / SECOND
+        now_s = newest.frame.sampled_ns / SECOND
         for cell in tracker.candidates():
-            path = seen.setdefault(cell.number, [])
-            if cell.free and (not path or at > path[-1][0]):
-                path.append((at, cell.pose.x, cell.pose.y))
+            path = seen_paths.setdefault(cell.number, [])
+            if cell.free and (not path or now_s > path[-1][0]):
+                path.append((now_s, cell.pose.x, cell.pose.y))
 
     cells = turn_field(rig, choice, seed, supervision, on_look)
     rig.loop.stop()
     direction = manoeuvre(choice.turn, seed)
 
     def field(times: Floats) -> NDArray[np.complex128]:
-        return np.exp(1j * np.array([direction(round(at * SECOND)) for at in times]))
+        return np.exp(1j * np.array([direction(round(time_s * SECOND)) for time_s in times]))
 
-    return cells, handedness([np.array(path) for path in seen.values()], field)
+    return cells, handedness([np.array(path) for path in seen_paths.values()], field)
 
 
 def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
@@ -98,8 +98,8 @@ def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
     for side in (0, 1):
         fits = [np.linalg.lstsq(bases[side], way, rcond=None)[0] for way, bases in turns]
         off = [way - bases[side] @ fit for (way, bases), fit in zip(turns, fits, strict=True)]
-        left = sum(float(each @ each) + STILL**2 * len(each) for each in off)
-        sides.append((1 - left / total, np.array([complex(*fit) for fit in fits])))
+        unexplained = sum(float(residual @ residual) + STILL**2 * len(residual) for residual in off)
+        sides.append((1 - unexplained / total, np.array([complex(*fit) for fit in fits])))
     mirrored = sides[1][0] > sides[0][0]
     explained, vectors = sides[mirrored]
     turned = float(np.angle(vectors.sum()))
@@ -109,31 +109,32 @@ def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
     return Handedness(len(turns), bool(mirrored), turned, spread, explained)
 
 
-def handedness_lines(found: Handedness | None) -> tuple[list[str], str]:
+def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
     """Return problems, and a text on how the cells turned."""
-    if found is None:
+    if turning is None:
         return [f"fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned"], "-"
-    off = f"{found.turned:+.2f} +- {1.96 * found.turned_sd:.2f} rad off it"
-    text = f"{100 * found.explained:.0f} % of the turning of {found.cells} cells is towards " + (
-        "the mirror image of the field" if found.mirrored else f"the field, {off}"
+    off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"
+    text = (
+        f"{100 * turning.explained:.0f} % of the turning of {turning.cells} cells is towards "
+        + ("the mirror image of the field" if turning.mirrored else f"the field, {off}")
     )
-    if found.explained < EXPLAINED:
+    if turning.explained < EXPLAINED:
         return ["the cells do not turn with the field: is there a field, have cells magnets?"], text
     mirrored = (
         "the picture is mirrored (change lab.camera.mirrored), or one coil pair's current is "
         "reversed (the sign of gain_mt_a)"
     )
     rotated = "subtract this from lab.camera.rotation, or add it to the coils' rotation"
-    return wrong_sides(found, mirrored, rotated), text
+    return wrong_sides(turning, mirrored, rotated), text
 
 
-def wrong_sides(found: Handedness, mirrored: str, rotated: str) -> list[str]:
+def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
     """Return what is wrong with the field's directions, each with its cause or cure."""
-    if found.explained < EXPLAINED or not (found.mirrored or found.rotated):
+    if turning.explained < EXPLAINED or not (turning.mirrored or turning.rotated):
         return []
-    if found.mirrored:
+    if turning.mirrored:
         return [f"cells turn right where the field turns left: {mirrored}"]
-    off = f"{found.turned:+.2f} +- {1.96 * found.turned_sd:.2f} rad off the field's"
+    off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off the field's"
     return [f"cells turn to a direction {off}: {rotated}"]
 
 

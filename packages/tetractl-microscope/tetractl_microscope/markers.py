@@ -50,7 +50,7 @@ def markers(
             f"{loaded.name}: lab.camera is of type {camera.type}, which has no tags",
             "a spec with tags: tetractl init NAME --lab --camera apriltag --robots twist",
         )
-    tags = [(one.tag, one.size_mm, f"robot {one.name}") for one in camera.robots]
+    tags = [(robot.tag, robot.size_mm, f"robot {robot.name}") for robot in camera.robots]
     tags += [(f.tag, f.size_mm, f"floor, centre at {f.at[0]:g}, {f.at[1]:g}") for f in camera.floor]
     pages = [drawn(PAPERS[paper], page) for page in arranged(PAPERS[paper], tags)]
     save_whole(out, _pdf(pages))
@@ -117,8 +117,8 @@ def _card(axes: "Axes", x: float, y: float, tag: int, side: float) -> None:
     for row, modules in enumerate(tag_picture(tag)):
         for column, grey in enumerate(modules.tolist()):
             if grey:
-                at = x + (1 + column) * module, y + (MODULES - row) * module
-                axes.add_patch(Rectangle(at, module, module, color="w", linewidth=0))
+                corner = x + (1 + column) * module, y + (MODULES - row) * module
+                axes.add_patch(Rectangle(corner, module, module, color="w", linewidth=0))
 
 
 def _pdf(pages: Sequence["Figure"]) -> bytes:

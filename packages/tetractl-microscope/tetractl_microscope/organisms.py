@@ -44,7 +44,8 @@ class Organism:
     @property
     def outline_um(self) -> tuple[Range, Range]:
         """Ranges of length and width of an outline that may be this organism [um]."""
-        (short, long), (thin, thick) = self.long_um, self.wide_um
+        short, long = self.long_um
+        thin, thick = self.wide_um
         return (short / OUTLINE, long * OUTLINE), (thin / OUTLINE, thick * OUTLINE)
 
     @property

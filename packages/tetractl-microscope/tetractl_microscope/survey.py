@@ -99,13 +99,16 @@ def survey(
         _print_cells(cells, pairs, unit)
         print(f"turning: {turning}")
 
-    def done(count: int, of: int) -> None:
-        ui.tell(f"prediction {count} of {of}")
+    def done(count: int, total: int) -> None:
+        ui.tell(f"prediction {count} of {total}")
 
-    found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
+    choices = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
     if as_json:
-        choices = [{"cells": [c.number for c in one.cells], "error": one.error} for one in found]
-        numbers = [[one.number, two.number] for one, two in pairs]
+        listed_choices = [
+            {"cells": [cell.number for cell in choice.cells], "error": choice.error}
+            for choice in choices
+        ]
+        numbers = [[first.number, second.number] for first, second in pairs]
         listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
         print(
             json_text(
@@ -114,20 +117,22 @@ def survey(
                     "cells": listed,
                     "alike": numbers,
                     "turning": turning,
-                    "choices": choices,
+                    "choices": listed_choices,
                 }
             )
         )
     else:
-        for one in found:
-            numbers = ", ".join(str(cell.number) for cell in one.cells)
-            error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "none, no plan found"
+        for choice in choices:
+            numbers = ", ".join(str(cell.number) for cell in choice.cells)
+            error = (
+                f"{choice.error:.0f} {unit}" if np.isfinite(choice.error) else "none, no plan found"
+            )
             print(f"cells {numbers}: predicted mean total error {error}")
-    if not found or not np.isfinite(found[0].error):
+    if not choices or not np.isfinite(choices[0].error):
         control = planner(experiment)
         able = sum(cell.magnetised for cell in cells)
         horizon_s = control.horizon_max * control.signal_periods * control.period
-        if found:
+        if choices:
             why = (
                 f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
                 f"{tolerance(control):g} {unit} of the targets"
@@ -140,7 +145,7 @@ def survey(
         return Exit.FAILED
     if out is not None:
         data = SpecText(loaded.text, str(spec)).with_settings(sets or []).data
-        wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
+        wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in choices[0].cells]
         data["robots"]["wanted"] = wanted
         save_whole(out, dump(data).encode())
         ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
@@ -178,5 +183,5 @@ def _print_cells(
             f"a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "
             f"{cell.speed:.0f} ± {Z * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
         )
-    for one, two in pairs:
-        print(f"cells {one.number} and {two.number} cannot be distinguished after they meet")
+    for first, second in pairs:
+        print(f"cells {first.number} and {second.number} cannot be distinguished after they meet")

@@ -114,30 +114,30 @@ def track(
     pictures = open_film(film, rate, scale)
     ui.tell(*(f"{film}: {remark}" for remark in pictures.remarks))
     with ui.progress("Following") as on_picture:
-        found = follow(
+        followed = follow(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
     if directions is not None and field is not None:
-        ends = pictures.seconds(0), pictures.seconds(found.pictures - 1)
+        ends = pictures.seconds(0), pictures.seconds(followed.pictures - 1)
         ui.tell(*clock_remarks(directions, str(field), str(film), *ends))
-        paths = [np.column_stack([path.times, path.places]) for path in found.paths]
-        found = replace(found, remarks=(*found.remarks, *side_remarks(directions, paths)))
+        paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
+        followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
-        found, cells = fit_cells(found, directions)
-    record = as_items(film.name, found, cells, directions)
+        followed, cells = fit_cells(followed, directions)
+    record = as_items(film.name, followed, cells, directions)
     if out is not None:
         with ui.progress("Writing"):
-            write_results(out, pictures, found, record)
+            write_results(out, pictures, followed, record)
     ui.show(as_json, record, cell_tables(record))
     if out is not None and not as_json:
         print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
-    if not found.paths:
-        read = found.pictures - found.damaged
+    if not followed.paths:
+        read = followed.pictures - followed.damaged
         ui.tell(
-            f"{film}: no cell swims in this film: {read} pictures read, {found.seconds:.3g} s, "
-            f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px"
+            f"{film}: no cell swims in this film: {read} pictures read, {followed.seconds:.3g} s, "
+            f"contrast {followed.contrast:.0f} grey levels, {followed.um_px:.3g} um/px"
         )
-    return Exit.DONE if found.paths else Exit.FAILED
+    return Exit.DONE if followed.paths else Exit.FAILED
 
 
 def _show(log: Path, out: Path | None, as_json: bool) -> int:
@@ -149,18 +149,18 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
     from tetractl_microscope.results.cell_tables import cell_data, cell_tables
 
     ui.refuse_existing(out, folder=True)
-    found = read_track(log)
-    ui.show(as_json, found.record, cell_tables(found.record))
-    ui.tell(*(f"damaged: {log}: {line}" for line in found.damage))
+    track = read_track(log)
+    ui.show(as_json, track.record, cell_tables(track.record))
+    ui.tell(*(f"damaged: {log}: {line}" for line in track.damage))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         with table_files({"cells": out / "cells.csv"}) as add:
-            add("cells", cell_data(found.record), "")
+            add("cells", cell_data(track.record), "")
         for kind in CELL_FIGURES.names():
             with suppress(UsageError):  # this film has no field, or no cell
-                save(CELL_FIGURES.load(kind)(found), out / f"{kind}.png")
+                save(CELL_FIGURES.load(kind)(track), out / f"{kind}.png")
         ui.tell(printable(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}"))
-    return Exit.FAILED if found.damage else Exit.DONE
+    return Exit.FAILED if track.damage else Exit.DONE
 
 
 def _identify(
@@ -181,10 +181,11 @@ def _identify(
     ui.refuse_existing(out)
     remarks: list[str] = []
     rows_of = partial(pose_rows, um_px=scale, rate_hz=rate, remarks=remarks)
-    found = csv_tracks([tracks, field], rows_of, SHORTEST_S, on_wheels=False)
+    identified = csv_tracks([tracks, field], rows_of, SHORTEST_S, on_wheels=False)
     ui.tell(*remarks)
-    if left_out := [name for track in found for name in track.left_out]:
+    left_out = [name for track in identified for name in track.left_out]
+    if left_out:
         ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")
-    tell_remarks(found)
-    show_found(identify(found, None, None), out, as_json)
+    tell_remarks(tracks)
+    show_found(identify(tracks, None, None), out, as_json)
     return Exit.DONE

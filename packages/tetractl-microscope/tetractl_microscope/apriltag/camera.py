@@ -62,19 +62,19 @@ class Tracker:
         or the floor tag is not used.
         """
         sightings = self._detector.find(picture)
-        counts = Counter(each.tag for each in sightings)
-        once = {each.tag: each for each in sightings if counts[each.tag] == 1}
+        counts = Counter(sighting.tag for sighting in sightings)
+        once = {sighting.tag: sighting for sighting in sightings if counts[sighting.tag] == 1}
         corners = {number: once[number].corners for number in once if number in self._on_floor}
         self.floor.see(corners, (picture.shape[1], picture.shape[0]))
-        found = [self._robot(robot, once.get(robot.tag)) for robot in self.robots]
-        wanted = [each for each in sightings if each.tag in self._wanted]
+        measured = [self._robot(robot, once.get(robot.tag)) for robot in self.robots]
+        wanted = [sighting for sighting in sightings if sighting.tag in self._wanted]
         return Seen(
-            tuple(pose for pose, _ in found),
+            tuple(pose for pose, _ in measured),
             self._strangers(sightings),
-            tuple(sorted(each.tag for each in sightings)),
-            tuple(size for _, size in found),
-            max((8 * each.blur_px / each.side_px for each in wanted), default=None),
-            min((each.side_px for each in wanted), default=None),
+            tuple(sorted(sighting.tag for sighting in sightings)),
+            tuple(size for _, size in measured),
+            max((8 * sighting.blur_px / sighting.side_px for sighting in wanted), default=None),
+            min((sighting.side_px for sighting in wanted), default=None),
         )
 
     def _robot(
@@ -97,8 +97,8 @@ class Tracker:
         plane = self.floor.plane
         if plane is None:
             return ()
-        unknown = (each for each in sightings if each.tag not in self._wanted)
-        return tuple(self._posed(plane.locate(each.corners), 0.0)[0] for each in unknown)
+        unknown = (sighting for sighting in sightings if sighting.tag not in self._wanted)
+        return tuple(self._posed(plane.locate(sighting.corners), 0.0)[0] for sighting in unknown)
 
     def _posed(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
         """Return pose and side [m] of the square that fits the corners (4, 2) [m] best."""
@@ -121,11 +121,11 @@ def _findings(
 ) -> Iterator[Finding]:
     counts = Counter(tag for look in looks for tag in set(look.seen.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
-    seen = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(looks))
+    shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(looks))
     twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
-    others = f"; tags seen: {_listed(seen)}"
+    others = f"; tags seen: {_listed(shown_tags)}"
     floor = [tag.tag for tag in section.floor]
-    if missing := [tag for tag in floor if tag not in seen]:
+    if missing := [tag for tag in floor if tag not in shown_tags]:
         yield True, f"floor {_tags(missing)} not seen{others}"
     if double := [tag for tag in floor if tag in twice]:
         yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
@@ -148,7 +148,7 @@ def _findings(
         sizes = [size for look in looks if (size := look.seen.sizes[i]) is not None]
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
-        elif robot.tag not in seen:
+        elif robot.tag not in shown_tags:
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
         elif sizes and _odd(ratio := statistics.median(sizes), robot, looks, above_mm):
             yield (

@@ -54,8 +54,8 @@ class Detector:
         # OpenCV's dictionary is rotated against the AprilTag project's pictures, by an angle that
         # depends on the release: a picture of tag 0 shows which corner is the top left one
         square = np.kron(_zero(), np.ones((10, 10), np.uint8))
-        (shown,) = self.find(np.pad(square, 20, constant_values=255))
-        self._top_left = int(np.argmin(shown.corners.sum(axis=1)))
+        (sighting,) = self.find(np.pad(square, 20, constant_values=255))
+        self._top_left = int(np.argmin(sighting.corners.sum(axis=1)))
 
     def find(self, picture: Grey) -> list[Sighting]:
         """Return every tag in the picture; two tags with the same number are both returned."""
@@ -66,14 +66,14 @@ class Detector:
             searched = cv2.resize(
                 picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC
             )
-        found, numbers, _ = self._detector.detectMarkers(searched)
+        rough, numbers, _ = self._detector.detectMarkers(searched)
         if numbers is None or not len(numbers):
             return []
-        corners = (np.array(found, float).reshape(-1, 4, 2) + 0.5) / factor - 0.5
+        corners = (np.array(rough, float).reshape(-1, 4, 2) + 0.5) / factor - 0.5
         corners, blurs = refined(picture, np.roll(corners, -self._top_left, axis=1), MODULES)
         return [
-            Sighting(int(number), each, float(blur))
-            for number, each, blur in zip(numbers.ravel(), corners, blurs, strict=True)
+            Sighting(int(number), corners_of_tag, float(blur))
+            for number, corners_of_tag, blur in zip(numbers.ravel(), corners, blurs, strict=True)
         ]
 
 
@@ -138,13 +138,13 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
     return np.where(good[:, None, None], corners, rough), blur
 
 
-def _sampled(picture: NDArray[np.uint8], at: Floats) -> Floats:
+def _sampled(picture: NDArray[np.uint8], points: Floats) -> Floats:
     """Return the interpolated grey levels (..., M) at columns and rows (..., M, 2)."""
-    flat = at.reshape(-1, at.shape[-2], 2).astype(np.float32)
+    flat = points.reshape(-1, points.shape[-2], 2).astype(np.float32)
     across = flat[..., 0].copy()
     down = flat[..., 1].copy()
     grey = cv2.remap(picture, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return grey.reshape(at.shape[:-1]).astype(float)
+    return grey.reshape(points.shape[:-1]).astype(float)
 
 
 def _lines(points: Floats, weight: Floats) -> Floats:
@@ -159,8 +159,8 @@ def _lines(points: Floats, weight: Floats) -> Floats:
     return np.concatenate([normal, -(normal * middle).sum(axis=-1, keepdims=True)], axis=-1)
 
 
-def _crossings(one: Floats, other: Floats) -> Floats:
+def _crossings(lines: Floats, other_lines: Floats) -> Floats:
     """Return the intersections (..., 2) of lines (..., 3), not finite for parallel lines."""
-    meet = np.cross(one, other)
+    meet = np.cross(lines, other_lines)
     with np.errstate(divide="ignore", invalid="ignore"):
         return meet[..., :2] / meet[..., 2:]

@@ -82,12 +82,12 @@ class Plane:
             square, pixels, self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
         misfits = np.ravel(errors)
-        found = [
+        stances = [
             self._upright(np.asarray(turn, float), np.asarray(shift, float))
             for turn, shift, misfit in zip(turns, shifts, misfits, strict=True)
             if misfit <= misfits.min() + ALIKE_PX
         ]
-        return min(found, key=lambda each: each[1], default=None)
+        return min(stances, key=lambda stance: stance[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
         """Return a tag's height above the floor [m] and tilt [rad] from its pose in camera axes."""
@@ -130,11 +130,11 @@ def calibrated(
         centres = pixels.mean(axis=1)
         # points between the tags, where robots may be
         between = (centres[:, None] + centres[None]) / 2
-        here = plane.locate(between, highest)
+        positions = plane.locate(between, highest)
         for deviation in deviations:
             # a lens that is wrong by two standard deviations
-            other = _posed(*lens_of(usual + 2.0 * deviation, size[0], middle), points, spots)
-            gaps = np.linalg.norm(other.locate(between, highest) - here, axis=-1)
+            wrong_plane = _posed(*lens_of(usual + 2.0 * deviation, size[0], middle), points, spots)
+            gaps = np.linalg.norm(wrong_plane.locate(between, highest) - positions, axis=-1)
             doubt = math.hypot(doubt, float(gaps.max()) / MM)
     off = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
     error = float(np.sqrt(np.mean(off**2)))
@@ -227,14 +227,14 @@ class Floor:
 
         `size` is the picture's width and height [px].
         """
-        seen = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
+        by_tag = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
         if self.mean is not None and any(
-            np.abs(each - self.mean[i]).max() > MOVED_PX for i, each in seen.items()
+            np.abs(tag_corners - self.mean[i]).max() > MOVED_PX for i, tag_corners in by_tag.items()
         ):
             self.mean = self.plane = self.misfit = None
-        if len(seen) < len(self._numbers):
+        if len(by_tag) < len(self._numbers):
             return
-        now = np.array([seen[i] for i in range(len(seen))])
+        now = np.array([by_tag[i] for i in range(len(by_tag))])
         if self.mean is None:
             self.mean = now
             self._count = 0

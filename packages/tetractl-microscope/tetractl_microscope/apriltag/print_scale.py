@@ -51,9 +51,11 @@ def print_scale(
         spots = centres + math.exp(x[6]) * corners
         space = np.column_stack([spots.reshape(-1, 2), np.zeros(len(points))])
         usual = x[7:]
-        seen = (plane.matrix, plane.distortion) if lens else lens_of(usual, width, middle)
-        shown, _ = cv2.projectPoints(space, x[:3], x[3:6], *seen)
-        return np.append((shown.reshape(-1, 2) - points).ravel() / CORNER_PX, usual)
+        lens_of_picture = (
+            (plane.matrix, plane.distortion) if lens else lens_of(usual, width, middle)
+        )
+        projected, _ = cv2.projectPoints(space, x[:3], x[3:6], *lens_of_picture)
+        return np.append((projected.reshape(-1, 2) - points).ravel() / CORNER_PX, usual)
 
     turn, _ = cv2.Rodrigues(plane.rotation)
     first = np.concatenate([turn.ravel(), plane.shift, np.zeros(1 if lens else 3)])

@@ -79,7 +79,7 @@ class AprilTagSection(PictureSection):
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        for tag, count in Counter(each.tag for each in (*self.robots, *self.floor)).items():
+        for tag, count in Counter(printed.tag for printed in (*self.robots, *self.floor)).items():
             if count > 1:
                 raise inconsistent("floor", f"tag {tag} is used twice: numbers must differ")
         if _flat([tag.at for tag in self.floor]):

@@ -161,7 +161,8 @@ class CellCamera(PictureCamera[SeenDish]):
             self._learn(picture, exposed_ns)
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
-        (columns, rows), um_px = self._tracker.finder.light.shift_px, self.section.um_px
+        columns, rows = self._tracker.finder.light.shift_px
+        um_px = self.section.um_px
         self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
         self._cells = cells
         self._now = exposed_ns / SECOND
@@ -170,8 +171,8 @@ class CellCamera(PictureCamera[SeenDish]):
         identities = self._bound(cells)
         mothers = {born.divided for born in self._tracker.born}
         self.divided |= {i for i, identity in enumerate(identities) if identity in mothers}
-        found = {cell.identity: cell for cell in cells}
-        robots = [found.get(identity) for identity in identities]
+        by_identity = {cell.identity: cell for cell in cells}
+        robots = [by_identity.get(identity) for identity in identities]
         messages = self._pictures.messages(picture, exposed_ns, self._tracker.finder.background)
         sure = np.array([np.nan if cell is None else cell.probability for cell in robots])
         self._added.append(FrameAddition(exposed_ns, messages))
@@ -255,7 +256,7 @@ def _sharpness(
     """
     if not light.contrast:
         return None
-    found = []
+    steepest = []
     for cell in cells[:8]:
         column = round(cell.x / um_px)
         row = round(picture.shape[0] - cell.y / um_px)
@@ -264,5 +265,5 @@ def _sharpness(
         if min(part.shape) > 6:
             smooth = part[:, :-2].astype(float) + part[:, 1:-1] + part[:, 2:]
             slopes = np.abs(smooth[2:, 2:] - smooth[2:, :-2]) / 6
-            found.append(float(np.quantile(slopes, 0.98)) / light.contrast)
-    return float(np.median(found)) if found else None
+            steepest.append(float(np.quantile(slopes, 0.98)) / light.contrast)
+    return float(np.median(steepest)) if steepest else None

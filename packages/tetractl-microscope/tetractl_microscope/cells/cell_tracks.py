@@ -166,8 +166,8 @@ class WhichIsWhich:
             self._sized[t] += 1
             sizes = np.array([cell.size for cell in self.cells])
             squared = np.square(np.log(np.array(size) / sizes) / SIZE_SD)
-            each = -(TAIL + 1) / 2 * np.log1p(squared / TAIL).sum(axis=1)
-            self.likelihood[t] += each / SIZED
+            log_likelihoods = -(TAIL + 1) / 2 * np.log1p(squared / TAIL).sum(axis=1)
+            self.likelihood[t] += log_likelihoods / SIZED
 
     def probabilities(self) -> Floats:
         """Return the probability of each assignment of cells to tracks (P,), as in `orders`."""
@@ -180,8 +180,8 @@ class WhichIsWhich:
         """
         shares = self.probabilities()
         order = self.orders[int(np.argmax(shares))]
-        here = self.known[np.arange(len(order)), order]
-        return tuple(order.tolist()), here * (shares @ (self.orders == order))
+        not_unknown = self.known[np.arange(len(order)), order]
+        return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
 
     def on_track(self, t: int) -> Floats:
         """Return the probability (K,) that each cell is on the track with the index `t`."""

@@ -40,9 +40,9 @@ class CellWatch:
     def see(self, sampled_ns: int) -> Iterator[Note]:
         """Take a frame that the guard has accepted; yield a note if it changes what is known."""
         while self._waiting and self._waiting[0].exposed_ns <= sampled_ns:
-            one = self._waiting.popleft()
-            if one.exposed_ns == sampled_ns:
-                yield from self._identities.see(sampled_ns, one.probability)
+            identities = self._waiting.popleft()
+            if identities.exposed_ns == sampled_ns:
+                yield from self._identities.see(sampled_ns, identities.probability)
 
     def lost(self) -> Iterator[Lose]:
         """Yield each robot whose cell has divided or cannot be identified."""
@@ -55,12 +55,12 @@ class CellWatch:
     def replace(self, robot: int) -> str:
         """Steer the most similar free cell in place of a lost robot; return a text about it, "" if
         no free cell is similar."""
-        other = most_alike(self._setup, robot, free_cells(self._camera))
-        if other is None:
+        candidate = most_alike(self._setup, robot, free_cells(self._camera))
+        if candidate is None:
             return ""
-        self._camera.replace(robot, other.number)
+        self._camera.replace(robot, candidate.number)
         self._identities.forget(robot)
-        what = f"a {other.a:.2f} rad/s, speed {other.speed:.0f} {self._setup.unit}/s"
+        what = f"a {candidate.a:.2f} rad/s, speed {candidate.speed:.0f} {self._setup.unit}/s"
         return f"is another cell now: {what}"
 
 

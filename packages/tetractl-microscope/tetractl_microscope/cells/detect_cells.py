@@ -8,6 +8,7 @@ what exceeds the noise of these averages; compute the moments of each body.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -126,19 +127,22 @@ class BlobFinder:
         """Compute the background as the median of pictures (height, width), each shifted and scaled
         to fit the middle one; determine whether most cells are brighter or darker than it.
         """
-        levels = np.array([max(float(np.median(_sparse(each))), 1.0) for each in pictures])
+        levels = np.array([max(float(np.median(_sparse(picture))), 1.0) for picture in pictures])
         gains = np.median(levels) / levels
         half = len(pictures) // 2
         near = slice(max(0, half - 2), half + 3)
         usual = _grey(cv2.convertScaleAbs(_median(pictures[near], gains[near])))
         still = [
-            moved(each, shift_of(cv2.convertScaleAbs(each, alpha=gain), usual))
-            for each, gain in zip(pictures, gains, strict=True)
+            moved(picture, shift_of(cv2.convertScaleAbs(picture, alpha=gain), usual))
+            for picture, gain in zip(pictures, gains, strict=True)
         ]
         self._fine = _median(still, gains)
         _blurred(self._fine, np.empty_like(self._fine), self._fine)
         self.background = _grey(cv2.convertScaleAbs(self._fine))
-        apart = [g * _sparse(e) - _sparse(self._fine) for e, g in zip(still, gains, strict=True)]
+        expected = _sparse(self._fine)
+        apart = [
+            gain * _sparse(picture) - expected for picture, gain in zip(still, gains, strict=True)
+        ]
         self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
         self._usual = None
         self._lost = 0
@@ -168,9 +172,9 @@ class BlobFinder:
         self._noise = light.noise if first else self._noise
         noisy = light.noise > NOISY * max(self._noise, 1.0)
         lost = light.lost or noisy or light.changed > CHANGED or bool(self._again)
-        found = [] if lost else self._blobs()
-        blobs = [blob for blob in found if not self._mended(blob, light.gain)]
-        contrast = float(np.median([each.strength for each in blobs])) if blobs else None
+        candidates = [] if lost else self._blobs()
+        blobs = [blob for blob in candidates if not self._mended(blob, light.gain)]
+        contrast = float(np.median([blob.strength for blob in blobs])) if blobs else None
         self.light = replace(
             light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if first else shift
         )
@@ -182,14 +186,14 @@ class BlobFinder:
         differences and the mask of those above the lower limit.
         """
         assert self.background is not None
-        seen = _sparse(self._smooth)
-        known = np.maximum(_sparse(self.background), 1)
-        gain = float(np.median(seen / known))
+        levels = _sparse(self._smooth)
+        background_levels = np.maximum(_sparse(self.background), 1)
+        gain = float(np.median(levels / background_levels))
         gain = gain if 0.05 < gain < 20 else 1.0
         cv2.convertScaleAbs(self.background, self._searched, gain)
         cv2.absdiff(self._smooth, self._searched, self._searched)
         # medians, and averages of what is near them: cells and debris do not count
-        noise = min(1.48 * float(np.median(np.abs(seen - gain * known))), NOISE_MAX)
+        noise = min(1.48 * float(np.median(np.abs(levels - gain * background_levels))), NOISE_MAX)
         size = _square(self.least_px2).shape
         cv2.boxFilter(self._searched, cv2.CV_32F, size, self._mean, borderType=cv2.BORDER_CONSTANT)
         sample = _sparse(self._mean)
@@ -201,19 +205,20 @@ class BlobFinder:
         self._limits = (low, high, self.least_px2, self.most_px2)
         np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
-        lost = noise == NOISE_MAX or float(np.median(seen)) == 255 > float(np.median(known))
+        is_white = float(np.median(levels)) == 255 > float(np.median(background_levels))
+        lost = noise == NOISE_MAX or is_white
         changed = cv2.countNonZero(self._mask) / self._mask.size
         return Light(gain, noise, None, changed, lost, limit=high)
 
     def _blobs(self) -> list[Blob]:
         """Return the blobs of the newest picture, largest first."""
-        boxes = [(cv2.boundingRect(region), region) for region in self.regions()]
-        large = [each for each in boxes if each[0][2] * each[0][3] >= self.least_px2]
-        large.sort(key=lambda each: -each[0][2] * each[0][3])
-        found: list[Blob] = []
-        for box, region in large[:BLOBS]:
-            found += _bodies(box, region, self._searched, self._mean, self._limits)
-        return found[:BLOBS]
+        regions = [_Region(Box(*cv2.boundingRect(contour)), contour) for contour in self.regions()]
+        large = [region for region in regions if region.box.area >= self.least_px2]
+        large.sort(key=lambda region: -region.box.area)
+        blobs: list[Blob] = []
+        for region in large[:BLOBS]:
+            blobs += _bodies(region, self._searched, self._mean, self._limits)
+        return blobs[:BLOBS]
 
     def regions(self) -> Sequence[np.ndarray]:
         """Return the contours of all that differs from the background in the newest picture."""
@@ -224,16 +229,16 @@ class BlobFinder:
         corrected.
         """
         assert self.background is not None
-        (left, top), (tall, wide) = blob.corner, blob.body.shape
-        here = slice(top, top + tall), slice(left, left + wide)
-        seen, known = (
-            cv2.meanStdDev(each[here])[1].item() for each in (self._smooth, self.background)
-        )
-        if gain * known < GHOST * max(seen, 1.0):
+        left, top = blob.corner
+        tall, wide = blob.body.shape
+        part = Box(left, top, wide, tall).part
+        sd_now = cv2.meanStdDev(self._smooth[part])[1].item()
+        sd_before = cv2.meanStdDev(self.background[part])[1].item()
+        if gain * sd_before < GHOST * max(sd_now, 1.0):
             return False
         wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
-        self._fine[here][wrong] = self._smooth[here][wrong] / gain
-        self.background[here][wrong] = np.clip(self._fine[here][wrong], 0, 255)
+        self._fine[part][wrong] = self._smooth[part][wrong] / gain
+        self.background[part][wrong] = np.clip(self._fine[part][wrong], 0, 255)
         return True
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
@@ -247,61 +252,87 @@ class BlobFinder:
         self._stripe = (self._stripe + 1) % STRIPES
         if top == bottom:  # a picture with fewer rows than stripes
             return
-        here = slice(top, bottom)
-        old = self._fine[here]
-        mask = self._mask[here]
-        was = self._was[here]
+        rows_of_stripe = slice(top, bottom)
+        old = self._fine[rows_of_stripe]
+        mask = self._mask[rows_of_stripe]
+        was = self._was[rows_of_stripe]
         still = mask & was
         calm = 1 - mask
         was[:] = mask
-        for left, upper, right, lower in keep:
+        for first_column, upper, last_column, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
-            for each in (still, calm):
-                each[rows, max(0, left) : max(0, right)] = 0
-        scaled = self._smooth[here].astype(np.float32) / max(self.light.gain, 0.05)
+            for updated in (still, calm):
+                updated[rows, max(0, first_column) : max(0, last_column)] = 0
+        scaled = self._smooth[rows_of_stripe].astype(np.float32) / max(self.light.gain, 0.05)
         cv2.accumulateWeighted(scaled, old, LEARNING, calm)
         cv2.accumulateWeighted(scaled, old, RELEARNING, still)
-        self.background[here] = cv2.convertScaleAbs(old)
+        self.background[rows_of_stripe] = cv2.convertScaleAbs(old)
         if self._lost > LOST and self._stripe % EVERY == 0:
             self._again.append(self._smooth.copy())
             if len(self._again) == AGAIN:
                 self.learn(self._again)
 
 
+class Box(NamedTuple):
+    """A rectangle of pixels."""
+
+    left: int
+    top: int
+    wide: int
+    tall: int
+
+    @property
+    def area(self) -> int:
+        """The number of its pixels."""
+        return self.wide * self.tall
+
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Its rows and columns in a picture."""
+        return slice(self.top, self.top + self.tall), slice(self.left, self.left + self.wide)
+
+    def is_at_edge(self, height: int, width: int) -> bool:
+        """Return whether it touches the edge of a picture of this size."""
+        right = self.left + self.wide
+        bottom = self.top + self.tall
+        return self.left == 0 or self.top == 0 or right == width or bottom == height
+
+
+class _Region(NamedTuple):
+    """A contour of what differs from the background, and the box around it."""
+
+    box: Box
+    contour: np.ndarray
+
+
 def _bodies(
-    box: Sequence[int],
-    region: np.ndarray,
-    difference: Grey,
-    mean: NDArray[np.float32],
-    limits: Sequence[float],
+    region: _Region, difference: Grey, mean: NDArray[np.float32], limits: Sequence[float]
 ) -> Iterator[Blob]:
-    """Yield the bodies in a region, given by its contour and the box around it; that with the
-    greatest difference comes first.
+    """Yield the bodies in a region; that with the greatest difference comes first.
 
     The weights of a body's moments rise from 0 to 1 with the difference, so that neither a pixel at
     its edge nor what is inside moves them much.
     """
-    left, top, wide, tall = box
+    box = region.box
     low, high, least, most = limits
     level = low - (high - low) * LOW / (HIGH - LOW)  # the mean of averages without a body
-    here, (height, width) = (slice(top, top + tall), slice(left, left + wide)), mean.shape
-    inside = np.zeros((tall, wide), np.uint8)
-    cv2.drawContours(inside, [region], -1, 1, -1, offset=(-left, -top))
-    rest = mean[here] * inside
-    at_edge = left == 0 or top == 0 or left + wide == width or top + tall == height
+    inside = np.zeros((box.tall, box.wide), np.uint8)
+    cv2.drawContours(inside, [region.contour], -1, 1, -1, offset=(-box.left, -box.top))
+    rest = mean[box.part] * inside
+    at_edge = box.is_at_edge(*mean.shape)
     for _ in range(BODIES if cv2.countNonZero(inside) >= least else 0):
-        _, peak, _, at = cv2.minMaxLoc(rest)
+        _, peak, _, peak_at = cv2.minMaxLoc(rest)
         if peak <= high:
             return
         high = max(high, NEXT * peak)
         mask = _grey(rest > max(low, level + EDGE * (peak - level)))
-        cv2.floodFill(mask, None, at, 2)
+        cv2.floodFill(mask, None, peak_at, 2)
         body = _grey(mask == 2)
         near = cv2.dilate(body, _square(least)) > 0
         rest[near] = 0
         if not least / 2 <= cv2.countNonZero(body) <= most:  # a neighbour cuts a part off
             continue
-        weights = np.clip((difference[here] - level) / (peak - level), *RAMP) - RAMP[0]
+        weights = np.clip((difference[box.part] - level) / (peak - level), *RAMP) - RAMP[0]
         moments = cv2.moments(weights * near)
         if moments["m00"] == 0:
             moments = cv2.moments(body, binaryImage=True)
@@ -312,14 +343,14 @@ def _bodies(
         middle = (xx + yy) / 2
         spread = math.hypot((xx - yy) / 2, xy)
         yield Blob(
-            x=left + moments["m10"] / mass,
-            y=top + moments["m01"] / mass,
+            x=box.left + moments["m10"] / mass,
+            y=box.top + moments["m01"] / mass,
             axis=0.5 * math.atan2(2 * xy, xx - yy),
             long=4 * math.sqrt(middle + spread),
             wide=4 * math.sqrt(max(middle - spread, 1e-3)),
-            strength=cv2.mean(difference[here], body)[0],
+            strength=cv2.mean(difference[box.part], body)[0],
             body=body,
-            corner=(left, top),
+            corner=(box.left, box.top),
             at_edge=at_edge,
         )
 
@@ -346,13 +377,15 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 
 def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
     """Return the median of scaled pictures; for some rows at a time, to save memory."""
-    found = np.empty(pictures[0].shape, np.float32)
-    tall = max(1, min(SPARSE, ROWS_PX // found[0].size))
-    for top in range(0, len(found), tall):
-        here = slice(top, top + tall)
-        rows = [g * each[here].astype(np.float32) for each, g in zip(pictures, gains, strict=True)]
-        np.median(rows, axis=0, out=found[here], overwrite_input=True)
-    return found
+    median = np.empty(pictures[0].shape, np.float32)
+    tall = max(1, min(SPARSE, ROWS_PX // median[0].size))
+    for top in range(0, len(median), tall):
+        part = slice(top, top + tall)
+        rows = [
+            g * picture[part].astype(np.float32) for picture, g in zip(pictures, gains, strict=True)
+        ]
+        np.median(rows, axis=0, out=median[part], overwrite_input=True)
+    return median
 
 
 def _grey(picture: np.ndarray) -> Grey:

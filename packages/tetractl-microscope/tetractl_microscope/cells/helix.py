@@ -80,7 +80,7 @@ def open_water(x: Floats, y: Floats) -> Bools:
     return np.zeros(len(x), bool)
 
 
-def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
+def new_cell(organism: Organism, field_known: bool) -> tuple[Floats, Floats, Floats]:
     """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
     numbers (12,) of its model, as in `kernels.helix_steps`; `known` as in `HelixFilter`.
     """
@@ -88,7 +88,7 @@ def new_cell(organism: Organism, known: bool) -> tuple[Floats, Floats, Floats]:
     slowest = organism.slowest_um_s
     rate, rate_sd = math.tau * np.array(organism.helix_hz)
     helix = math.hypot(*organism.helix_um) / math.sqrt(2)
-    turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if known else (TURN_UNKNOWN, 0.0, 1e-6)
+    turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if field_known else (TURN_UNKNOWN, 0.0, 1e-6)
     mean = np.zeros(STATES)
     model = np.zeros(MODEL)
     mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
@@ -208,9 +208,17 @@ class HelixFilter:
         """
         likelihood = np.empty(len(rows))
         distance = np.empty(len(rows))
-        given = np.ascontiguousarray(measured), np.ascontiguousarray(deviation)
-        state = self.mean, self.covariance, rows, self._new[2]
-        helix_steps.update(*state, *given, likelihood, distance)
+        _, _, model = self._new
+        helix_steps.update(
+            self.mean,
+            self.covariance,
+            rows,
+            model,
+            np.ascontiguousarray(measured),
+            np.ascontiguousarray(deviation),
+            likelihood,
+            distance,
+        )
         return likelihood, distance
 
     def _free(self) -> int:

@@ -21,20 +21,20 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
     scale = min(1.0, SIDE / max(now.shape))
     if round(scale * min(now.shape)) < PLAIN:
         return 0.0, 0.0
-    one, two = (
-        _even(cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
-        for each in (before, now)
+    even_before, even_now = (
+        _even(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+        for picture in (before, now)
     )
-    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
-    (x, y), _ = cv2.phaseCorrelate(_features(one), _features(two), window)
+    window = cv2.createHanningWindow(even_before.shape[::-1], cv2.CV_32F)
+    (x, y), _ = cv2.phaseCorrelate(_features(even_before), _features(even_now), window)
     far = max(abs(x), abs(y))
-    if math.hypot(x, y) < LEAST or not far < MOST * min(one.shape):
+    if math.hypot(x, y) < LEAST or not far < MOST * min(even_before.shape):
         return 0.0, 0.0
-    apart = cv2.absdiff(one, two)
-    left = cv2.absdiff(moved(one, (x, y)), two)
+    apart = cv2.absdiff(even_before, even_now)
+    remaining = cv2.absdiff(moved(even_before, (x, y)), even_now)
     changed = max(STANDS_OUT * float(np.median(apart)), 8.0)
-    both = _both(y, one.shape[0]), _both(x, one.shape[1])
-    counts = [np.count_nonzero(each[both] > changed) for each in (apart, left)]
+    shared = _both(y, even_before.shape[0]), _both(x, even_before.shape[1])
+    counts = [np.count_nonzero(difference[shared] > changed) for difference in (apart, remaining)]
     return (x / scale, y / scale) if counts[1] < LEFT * counts[0] else (0.0, 0.0)
 
 

@@ -59,9 +59,9 @@ def own_path(path: Floats, long: float, wide: float, body_um: float) -> Floats:
     """
     steps = np.diff(path[:, 1:3], axis=0)
     usual_um = float(np.median(np.linalg.norm(steps, axis=1)))
-    other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
-    other[1:] |= np.linalg.norm(np.diff(steps, axis=0), axis=1) > JUMP * body_um + usual_um
-    return path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
+    is_other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
+    is_other[1:] |= np.linalg.norm(np.diff(steps, axis=0), axis=1) > JUMP * body_um + usual_um
+    return path[int(np.flatnonzero(is_other).max(initial=-1)) + 1 :]
 
 
 def own_reading(

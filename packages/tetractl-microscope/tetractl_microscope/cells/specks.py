@@ -46,8 +46,8 @@ def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
 
 def usual_size(path: Floats) -> tuple[float, float]:
     """Return the median length and width [um] of a path's blobs (M, 6) that are not cut off."""
-    whole = path[np.isfinite(path[:, 4])]
-    return float(np.median(whole[:, 4])), float(np.median(whole[:, 5]))
+    is_whole = path[np.isfinite(path[:, 4])]
+    return float(np.median(is_whole[:, 4])), float(np.median(is_whole[:, 5]))
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:

@@ -32,8 +32,10 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
     able = sorted(able, key=lambda cell: -cell.a)[:14]  # more would have very many combinations
     if choice.wanted:
         return _found_again(choice, able)
-    every = combinations(able, choice.choose)
-    return list(max(every, key=lambda some: worth(some, experiment)))
+    combinations_of_cells = combinations(able, choice.choose)
+    return list(
+        max(combinations_of_cells, key=lambda cells_chosen: worth(cells_chosen, experiment))
+    )
 
 
 def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
@@ -53,8 +55,8 @@ def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experime
         )
         for i, (cell, goal) in enumerate(zip(cells, dealt(places, goals), strict=True), 1)
     ]
-    found = choice.model_copy(update={"found": True})
-    copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
+    chosen = choice.model_copy(update={"found": True})
+    copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": chosen})
     vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
     return copied
 
@@ -92,14 +94,14 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> Rob
 def _found_again(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
     """Return a different cell, similar in turning rate and speed, for each of `choice.wanted`."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
-    there = np.log([(cell.a, cell.speed) for cell in cells])
-    found = dealt(wanted, there)
-    for want, i in zip(wanted, found, strict=True):
-        if np.abs(want - there[i]).max() > MISSED:
+    in_view = np.log([(cell.a, cell.speed) for cell in cells])
+    dealt_cells = dealt(wanted, in_view)
+    for want, i in zip(wanted, dealt_cells, strict=True):
+        if np.abs(want - in_view[i]).max() > MISSED:
             a, speed = np.exp(want)
             raise AbortError(
                 f"the cell with turning rate {a:.2f} rad/s and speed {speed:.0f} "
                 "length units/s cannot be found",
                 "survey the dish again",
             )
-    return [cells[i] for i in found]
+    return [cells[i] for i in dealt_cells]

@@ -36,8 +36,10 @@ def prepare(
         raise UsageError(f"a plant of type {plant.type} has no robots to choose from")
     random = generator(seed, RandomStream.TRIAL_ROBOTS)
     cells = scattered_cells(choice_of(experiment), experiment.setup, random)
-    found = settled(experiment, chosen_from(experiment, cells))
-    return PreparedTrial(found, plant.build(found.setup, clock, seed, supervision))
+    chosen_experiment = settled(experiment, chosen_from(experiment, cells))
+    return PreparedTrial(
+        chosen_experiment, plant.build(chosen_experiment.setup, clock, seed, supervision)
+    )
 
 
 def _in_a_dish(
@@ -55,9 +57,9 @@ def _in_a_dish(
         turned = int(seed.generate_state(1)[0])
         cells = turn_field(rig, choice_of(experiment), turned, supervision)
         chosen = chosen_from(experiment, cells)
-        found = settled(experiment, chosen)
-        settle(rig, found.setup, chosen)
-        return PreparedTrial(found, lab.plant(rig, supervision))
+        settled_experiment = settled(experiment, chosen)
+        settle(rig, settled_experiment.setup, chosen)
+        return PreparedTrial(settled_experiment, lab.plant(rig, supervision))
     except BaseException:
         rig.close()
         raise

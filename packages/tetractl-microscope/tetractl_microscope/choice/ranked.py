@@ -77,24 +77,26 @@ def ranked(
     """
     choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
-    told_apart = [some for some in combinations(able, choice.choose) if not any(alike(some))]
-    every = sorted(told_apart, key=lambda some: worth(some, experiment))
-    found = [RankedChoice(experiment, some, noise) for some in every[: -COMPARED - 1 : -1]]
-    counts = [min(max(5, round(share * len(found))), len(found)) for share, _ in ROUNDS]
+    told_apart = [chosen for chosen in combinations(able, choice.choose) if not any(alike(chosen))]
+    by_worth = sorted(told_apart, key=lambda chosen: worth(chosen, experiment))
+    candidates = [
+        RankedChoice(experiment, chosen, noise) for chosen in by_worth[: -COMPARED - 1 : -1]
+    ]
+    counts = [min(max(5, round(share * len(candidates))), len(candidates)) for share, _ in ROUNDS]
     done = 0
     for count, (_, share) in zip(counts, ROUNDS, strict=True):
-        for one in found[:count]:
-            one.along(math.ceil(share * plans))
+        for candidate in candidates[:count]:
+            candidate.along(math.ceil(share * plans))
             done += 1
             on_done(done, sum(counts))
-        found[:count] = sorted(found[:count], key=lambda one: one.error)
-        if found and math.isinf(found[0].error):
+        candidates[:count] = sorted(candidates[:count], key=lambda candidate: candidate.error)
+        if candidates and math.isinf(candidates[0].error):
             break  # no plan reaches the targets, and more plans of the same choices would not
-    return found[: counts[-1]]
+    return candidates[: counts[-1]]
 
 
 def alike(cells: Sequence[RobotCandidate]) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:
     """Yield pairs of cells with turning rates too similar to tell them apart after they meet."""
-    for one, two in combinations([cell for cell in cells if cell.magnetised], 2):
-        if abs(math.log(one.a / two.a)) < ALIKE:
-            yield one, two
+    for first, second in combinations([cell for cell in cells if cell.magnetised], 2):
+        if abs(math.log(first.a / second.a)) < ALIKE:
+            yield first, second

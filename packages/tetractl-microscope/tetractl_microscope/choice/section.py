@@ -25,8 +25,8 @@ class Ring(Model):
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
         return tuple(
-            (x + self.radius * float(np.cos(one)), y + self.radius * float(np.sin(one)))
-            for one in angles
+            (x + self.radius * float(np.cos(angle)), y + self.radius * float(np.sin(angle)))
+            for angle in angles
         )
 
 

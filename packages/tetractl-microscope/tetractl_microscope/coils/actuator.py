@@ -188,7 +188,7 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     slew_a_s = reply.slew_ma_s / 1000
     volts = reply.supply_mv / 1000
     celsius = reply.temperature_dc / 10
-    known = reply.temperature_dc != UNKNOWN_TEMPERATURE
+    has_temperature = reply.temperature_dc != UNKNOWN_TEMPERATURE
     limit_ma = round(1000 * section.current_max_a)
     least_mt = section.coils.least_reach(section.current_max_a)
     facts = {
@@ -200,7 +200,7 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     }
     if volts:
         facts["field_driver_supply_v"] = f"{volts:g}"
-    if known:
+    if has_temperature:
         facts["field_driver_temperature_c"] = f"{celsius:g}"
     problems = {
         f"the current driver allows {most_a:g} A, not the spec's {section.current_max_a:g} A: "
@@ -216,7 +216,7 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
             DriverStatus.EMERGENCY_STOPPED in reply.status
         ),
         f"the current driver's supply is at {volts:.2f} V": 0 < volts < section.supply_min_v,
-        f"the coils are at {celsius:.0f} °C: let them cool down": known and celsius >= 60,
+        f"the coils are at {celsius:.0f} °C: let them cool down": has_temperature and celsius >= 60,
     }
     warnings = {
         f"only {least_mt:.3g} of {wanted_mt:g} mT can be reached in every direction: in "

@@ -35,7 +35,7 @@ class Panel(NamedTuple):
 
     title: str
     draw: Callable[[Axes, TrackLog], None]
-    known: Callable[[TrackLog], bool]
+    is_known: Callable[[TrackLog], bool]
 
 
 @style.styled()
@@ -101,9 +101,11 @@ def _paths(axes: Axes, log: TrackLog) -> None:
         axes.plot(*poses[-1, :2], "o", ms=2.5, color=_color(number), mec="white", mew=0.4)
         if len(log.record["cells"]) <= NUMBERED:
             x, y = poses[-1, :2].tolist()
-            at = sorted((0, x, 0.96 * width))[1], sorted((0, y, 0.96 * height))[1]
+            position = sorted((0, x, 0.96 * width))[1], sorted((0, y, 0.96 * height))[1]
             look = {"color": _color(number), "weight": "bold", "path_effects": edge}
-            axes.annotate(str(number), at, (3, 3), textcoords="offset points", fontsize=7, **look)
+            axes.annotate(
+                str(number), position, (3, 3), textcoords="offset points", fontsize=7, **look
+            )
     bar = _round_length(BAR_SHARE * width)
     x = 0.97 * width - bar
     y = 0.04 * height
@@ -130,20 +132,20 @@ def _speeds(axes: Axes, log: TrackLog) -> None:
     order = np.argsort(speeds, kind="stable").tolist()
     cells = [cells[k] for k in order]
     rows = range(len(cells))
-    colors = [_color(each["cell"]) for each in cells]
-    for row, (each, color) in enumerate(zip(cells, colors, strict=True)):
-        if isinstance(each["speed_um_s"], dict):
-            axes.hlines(row, *each["speed_um_s"]["ci95"], color=color, lw=1.4)
+    colors = [_color(cell["cell"]) for cell in cells]
+    for row, (cell, color) in enumerate(zip(cells, colors, strict=True)):
+        if isinstance(cell["speed_um_s"], dict):
+            axes.hlines(row, *cell["speed_um_s"]["ci95"], color=color, lw=1.4)
     axes.scatter([speeds[k] for k in order], rows, s=9, color=colors)
     few = len(cells) <= NUMBERED / 2
-    labels = [f"{each['cell']}{'      ' * (row % 2)}" for row, each in enumerate(cells)]
+    labels = [f"{cell['cell']}{'      ' * (row % 2)}" for row, cell in enumerate(cells)]
     axes.set_yticks(range(len(cells)) if few else [], labels * few)
     axes.tick_params(axis="y", length=0, labelsize=5.5)
-    found = _mean(cells, sorted(speeds))
-    axes.axvline(found.mean, color=style.GREY, lw=0.8, ls="--", zorder=0)
-    if found.ci95.known:
-        axes.axvspan(found.ci95.low, found.ci95.high, color=style.FAINT, lw=0, zorder=0)
-    axes.set(xlabel=f"speed [µm/s]\nmean {_stated(found)}", ylabel="cell")
+    mean = _mean(cells, sorted(speeds))
+    axes.axvline(mean.mean, color=style.GREY, lw=0.8, ls="--", zorder=0)
+    if mean.ci95.known:
+        axes.axvspan(mean.ci95.low, mean.ci95.high, color=style.FAINT, lw=0, zorder=0)
+    axes.set(xlabel=f"speed [µm/s]\nmean {_stated(mean)}", ylabel="cell")
 
 
 def _mean(cells: Sequence[Any], values: Sequence[float]) -> Distribution:
@@ -151,8 +153,8 @@ def _mean(cells: Sequence[Any], values: Sequence[float]) -> Distribution:
     few = Interval.none(f"fewer than {CELLS_MIN} cells")
     if not cells:
         return known_distribution(0, math.nan, math.nan, few)
-    found = cell_mean(cells, values)
-    return found if found.n >= CELLS_MIN else replace(found, ci95=few)
+    mean = cell_mean(cells, values)
+    return mean if mean.n >= CELLS_MIN else replace(mean, ci95=few)
 
 
 def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], Floats]:
@@ -161,18 +163,18 @@ def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], F
     """
     means = []
     for column in np.array(rows, dtype=float).T:
-        (known,) = np.nonzero(np.isfinite(column))
-        means.append(_mean([cells[i] for i in known.tolist()], column[known].tolist()))
-    return means, np.array([(found.ci95.low, found.ci95.high) for found in means]).T
+        (rows_known,) = np.nonzero(np.isfinite(column))
+        means.append(_mean([cells[i] for i in rows_known.tolist()], column[rows_known].tolist()))
+    return means, np.array([(mean.ci95.low, mean.ci95.high) for mean in means]).T
 
 
-def _stated(found: Distribution, decimals: int = 0, lines: bool = False) -> str:
+def _stated(mean: Distribution, decimals: int = 0, lines: bool = False) -> str:
     """Return a mean with its interval and n, as text in one line or three."""
-    ends = found.ci95
-    text = f"{found.mean:.{decimals}f}"
+    ends = mean.ci95
+    text = f"{mean.mean:.{decimals}f}"
     if ends.known:
         text += f" [{ends.low:.{decimals}f}, {ends.high:.{decimals}f}]"
-    text += f", n = {found.n}"
+    text += f", n = {mean.n}"
     return text.replace(" [", "\n[").replace(", n", "\nn") if lines else text
 
 
@@ -184,7 +186,7 @@ def _turning(axes: Axes, log: TrackLog) -> None:
     middle = (edges[:-1] + edges[1:]) / 2
     rates = []
     cells, values = known_values(log.record["cells"], "a_rad_s")
-    responds = [each["cell"] for each in cells]
+    responds = [cell["cell"] for cell in cells]
     for number, times, poses in log.tracks:
         angle, rate = turns(times, poses[:, 2], log.record["field"])
         binned = np.digitize(angle, edges) - 1
@@ -199,13 +201,13 @@ def _turning(axes: Axes, log: TrackLog) -> None:
         return
     means, ends = _means(cells, rates)
     axes.vlines(middle, *ends, color=style.INK, lw=1, zorder=2)
-    axes.plot(middle, [found.mean for found in means], "s", ms=3, color=style.INK)
-    found = _mean(cells, values)
+    axes.plot(middle, [mean.mean for mean in means], "s", ms=3, color=style.INK)
+    overall = _mean(cells, values)
     curve = np.linspace(-math.pi, math.pi, 100)
-    axes.plot(curve, found.mean * np.sin(curve), color=style.INK, lw=1, label="a sin(angle)")
+    axes.plot(curve, overall.mean * np.sin(curve), color=style.INK, lw=1, label="a sin(angle)")
     axes.set_xticks([-math.pi, 0, math.pi], ["-π", "0", "π"])
     axes.set(
-        xlabel=f"angle to the field [rad]\na = {_stated(found, 2)} cells",
+        xlabel=f"angle to the field [rad]\na = {_stated(overall, 2)} cells",
         ylabel="rate of turning [rad/s]",
     )
     axes.legend(loc="upper left")
@@ -223,9 +225,9 @@ def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
     last = np.arange(span, len(times))
     row = np.searchsorted(since, times, side="right") - 1
     strength = np.hypot(x, y)[row]
-    kept = (row[first] == row[last]) & (row[first] >= 0) & (strength[first] > 0)
-    first = first[kept]
-    last = last[kept]
+    is_steady = (row[first] == row[last]) & (row[first] >= 0) & (strength[first] > 0)
+    first = first[is_steady]
+    last = last[is_steady]
     rate = (heading[last] - heading[first]) / (times[last] - times[first]) / strength[first]
     angle = np.arctan2(y, x)[row[first]] - (heading[first] + heading[last]) / 2
     return (angle + math.pi) % (2 * math.pi) - math.pi, rate
@@ -238,14 +240,14 @@ def _displacement(axes: Axes, log: TrackLog) -> None:
     longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
     lags = np.unique(np.geomspace(1, max(longest, 2), LAGS).astype(int))
     rows = []
-    by_number = {each["cell"]: each for each in log.record["cells"]}
+    by_number = {cell["cell"]: cell for cell in log.record["cells"]}
     for number, times, poses in log.tracks:
         row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
         axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)
         rows.append(row)
     cells = [by_number[number] for number, _, _ in log.tracks]
     means, ends = _means(cells, rows)
-    axes.plot(lags * step, [found.mean for found in means], color=style.INK, lw=1.8)
+    axes.plot(lags * step, [mean.mean for mean in means], color=style.INK, lw=1.8)
     axes.fill_between(lags * step, *ends, color=style.INK, alpha=0.2, lw=0)
     begin = means[0].mean
     for power, look, name in ((2, ":", "∝ lag²"), (1, "--", "∝ lag")):
@@ -260,8 +262,8 @@ def _squared(times: Floats, places: Floats, lag: int, step: float) -> float:
     """Return the mean squared displacement over `lag` pictures; NaN if the track is too short."""
     if lag > LAG_SHARE * len(times):
         return math.nan
-    whole = np.abs(times[lag:] - times[:-lag] - lag * step) < step / 2  # no picture is missing
-    squares = np.square(places[lag:] - places[:-lag]).sum(axis=1)[whole]
+    is_whole = np.abs(times[lag:] - times[:-lag] - lag * step) < step / 2  # no picture is missing
+    squares = np.square(places[lag:] - places[:-lag]).sum(axis=1)[is_whole]
     return float(squares.mean()) if len(squares) else math.nan
 
 
@@ -270,16 +272,16 @@ def _strips(
 ) -> None:
     """Draw a column of the cells' values for each quantity, with their mean."""
     labels = []
-    for at, (key, name) in enumerate(names.items()):
+    for place, (key, name) in enumerate(names.items()):
         cells, values = known_values(log.record["cells"], key)
         aside = 0.5 * (np.arange(len(values)) * 0.6180339887 % 1) - 0.25  # separates neighbours
-        colors = [_color(each["cell"]) for each in cells]
-        axes.scatter(at + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
-        found = _mean(cells, values)
-        ends = [found.ci95.low, found.ci95.high]
-        axes.plot([at, at], ends, color=style.INK, lw=3, zorder=4)
-        axes.plot(at, found.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)
-        labels.append(f"{name}\n{_stated(found, decimals, lines=True)}")
+        colors = [_color(cell["cell"]) for cell in cells]
+        axes.scatter(place + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
+        mean = _mean(cells, values)
+        ends = [mean.ci95.low, mean.ci95.high]
+        axes.plot([place, place], ends, color=style.INK, lw=3, zorder=4)
+        axes.plot(place, mean.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)
+        labels.append(f"{name}\n{_stated(mean, decimals, lines=True)}")
     axes.set_xticks(range(len(labels)), labels)
     axes.tick_params(axis="x", length=0)
     axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, most), ylabel=label)

@@ -24,8 +24,9 @@ AXIS = struct.Struct("<4si12x")  # name and first index of a subblock along an a
 ENTRIES_AT = SEGMENT_B + 256  # place of the first entry in the directory
 ENTRY = struct.Struct("<2s10xq4x16x8s80s")  # schema, place, type and name of an attachment
 CONTENT_AT = SEGMENT_B + 256  # place of the content in an attachment
-ATTACHMENTS_MAX, TIMES_MAX, SUBBLOCKS_MAX = 10_000, 10_000_000, 10_000_000
-"""Most that are read."""
+ATTACHMENTS_MAX = 10_000  # most attachments that are read
+TIMES_MAX = 10_000_000  # most times
+SUBBLOCKS_MAX = 10_000_000  # most subblocks
 AXES_MAX = 20  # most axes of a subblock
 PIXEL_TYPES = {
     0: "Gray8", 1: "Gray16", 2: "Gray32Float", 3: "Bgr24", 4: "Bgr48", 8: "Bgr96Float",

@@ -88,12 +88,12 @@ def _opened(path: Path) -> films.FilmSource:
         if head in NO_FILMS:
             said, hint = NO_FILMS[head]
             raise UsageError(f"{path}: {said}", hint)
-        found = MICROSCOPES.get(head, films.video_film)(path)
+        source = MICROSCOPES.get(head, films.video_film)(path)
         size = path.stat().st_size
-        if (found.count or 0) * HEADER_B > size:  # the libraries make up pictures that are missing
-            said = f"{path}: cannot have {found.count} pictures in {size} bytes"
+        if (source.count or 0) * HEADER_B > size:  # the libraries make up pictures that are missing
+            said = f"{path}: cannot have {source.count} pictures in {size} bytes"
             raise UsageError(said, "is the film damaged?")
-        return found
+        return source
     except (TetractlError, MemoryError):
         raise
     except ModuleNotFoundError as error:

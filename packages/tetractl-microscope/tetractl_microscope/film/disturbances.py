@@ -77,10 +77,10 @@ class Disturbances:
                 f"for {np.ptp(times):.0f} s: cells near it may be missed, or change "
                 "their numbers. Film without it"
             )
-        slow = [each for each in self._drifts if np.hypot(*each) < FAST * self.body_um]
+        slow = [drift for drift in self._drifts if np.hypot(*drift) < FAST * self.body_um]
         drift = np.median(slow or [(0.0, 0.0)], axis=0)
         speed = float(np.hypot(*drift))
-        near = sum(np.hypot(*(each - drift)) < speed / 2 for each in slow)
+        near = sum(np.hypot(*(other_drift - drift)) < speed / 2 for other_drift in slow)
         if near >= max(PAIRS, ALIKE * len(slow)):
             yield (
                 f"what does not swim moves by {speed:.0f} um/s: the stage drifts or the medium "

@@ -61,8 +61,8 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
         "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
         "and magnet"
     )
-    found = handedness(paths, field.at)
-    lines = [] if found is None else wrong_sides(found, mirrored, "is it rotated?")
+    turning = handedness(paths, field.at)
+    lines = [] if turning is None else wrong_sides(turning, mirrored, "is it rotated?")
     return tuple(f"warning: {line}" for line in lines)
 
 
@@ -71,9 +71,9 @@ def clock_remarks(
 ) -> tuple[str, ...]:
     """Return a warning if the field's times are hardly those of a film from `begin` to `end` [s];
     UsageError if none is."""
-    seen = Span(film, begin, end)
+    shown_span = Span(film, begin, end)
     sent = Span(source, float(field.times[0]), math.inf)
-    remark = clock_remark(seen, field.times, sent)
+    remark = clock_remark(shown_span, field.times, sent)
     return () if remark is None else (f"warning: {remark}",)
 
 

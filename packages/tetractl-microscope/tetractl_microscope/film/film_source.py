@@ -164,8 +164,8 @@ def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
     divided by 16, and floats up to 1 multiplied by 255. If the film then had too few grey levels to
     tell cells from noise, its own range, without the outermost pixels, is stretched instead.
     """
-    deep = (each for each in sample if each is not None and each.dtype != np.uint8)
-    values = np.concatenate([[], *(each.astype(np.float32).ravel() for each in deep)])
+    deep = (picture for picture in sample if picture is not None and picture.dtype != np.uint8)
+    values = np.concatenate([[], *(picture.astype(np.float32).ravel() for picture in deep)])
     values = values[np.isfinite(values)]
     if not values.size:
         return 0.0, 1.0
@@ -194,18 +194,18 @@ def video_film(path: Path) -> FilmSource:
     """Open a film that OpenCV reads, which converts it to 8 bits."""
     capture = cv2.VideoCapture(str(path))
     with path.open("rb") as file:
-        own = None if file.read(len(JPEG)) == JPEG else float(capture.get(cv2.CAP_PROP_FPS))
+        own_hz = None if file.read(len(JPEG)) == JPEG else float(capture.get(cv2.CAP_PROP_FPS))
 
     def read(_: int) -> Raw:
-        found, pixels = capture.read()
-        if not found:
+        was_read, pixels = capture.read()
+        if not was_read:
             return None
         return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
 
     def clock() -> float:
         return capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
 
-    return FilmSource(read, rate_hz=own, clock=None if own is None else clock)
+    return FilmSource(read, rate_hz=own_hz, clock=None if own_hz is None else clock)
 
 
 def nd2_film(path: Path) -> FilmSource:
@@ -242,8 +242,8 @@ def czi_film(path: Path) -> FilmSource:
     scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
 
     def read(index: int) -> Raw:
-        at = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
-        plane = {axis: begin + int(at[axis]) for axis, begin in begins.items()}
+        indices = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
+        plane = {axis: begin + int(indices[axis]) for axis, begin in begins.items()}
         if stated.planes and tuple(plane.get(a, 0) for a in PLANE_AXES) not in stated.planes:
             return None  # of one that is missing, the library makes a black picture
         pixels = file.read(plane=plane, scene=scene, pixel_type=stated.pixels)

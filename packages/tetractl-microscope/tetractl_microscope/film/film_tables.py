@@ -26,34 +26,34 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     """Return remarks on how well the cells of a film were followed, one line each."""
     width, height = followed.size
     look = "bright on dark" if followed.bright else "dark on bright"
-    found = [
+    lines = [
         f"{followed.pictures} pictures of {width} x {height} px at {followed.rate_hz:g} Hz, "
         f"{followed.um_px:.3g} um/px; cells {look}, contrast {followed.contrast:.0f} grey levels, "
         f"noise {followed.noise:.1f}",
         *followed.remarks,
     ]
     if followed.paths:
-        found.append(
+        lines.append(
             f"a number lasts {followed.number_lasts_s:.1f} s, and a track, which may have several "
             f"in turn, {followed.track_lasts_s:.1f} s (medians)"
         )
     share = followed.not_followed
     if share is not None and share >= NOT_FOLLOWED_SAID:
-        found.append(f"warning: of what moves, {100 * share:.0f} % is not followed")
+        lines.append(f"warning: of what moves, {100 * share:.0f} % is not followed")
     if followed.damaged:
-        found.append(
+        lines.append(
             f"warning: {followed.damaged} pictures could not be read, or are not as large as most"
         )
     for names in followed.doubtful[:LISTED]:
         who = f"cells {', '.join(map(str, names))} met"
         if len(names) == 1:
             who = f"cell {names[0]} met others"
-        found.append(f"warning: {who} and cannot be distinguished afterwards")
+        lines.append(f"warning: {who} and cannot be distinguished afterwards")
     if more := len(followed.doubtful[LISTED:]):
-        found.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
+        lines.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
     if any(cell.speed is None for cell in cells):
-        found.append("Cells seen for less than 2 s have no speed.")
-    return found
+        lines.append("Cells seen for less than 2 s have no speed.")
+    return lines
 
 
 def as_items(
@@ -100,8 +100,8 @@ def _cell(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
     With a guessed scale the speed has no interval: it would hold the guess's error only by chance.
     """
 
-    def value(found: SampleInterval | None) -> dict | None:
-        return found and {"value": found.value, "ci95": [found.low, found.high]}
+    def value(interval: SampleInterval | None) -> dict | None:
+        return interval and {"value": interval.value, "ci95": [interval.low, interval.high]}
 
     return {
         "cell": cell.cell,

@@ -110,16 +110,18 @@ def fit_cells(
     A path with fewer than START blobs of its own stays as it is, and has no numbers.
     """
     measured = [_Measured.of(path, followed, field) for path in followed.paths]
-    exact = _exact([each for each in measured if each is not None])
-    fits = [None if each is None else _Fit.of(each, exact) for each in measured]
-    found = [fit for fit in fits if fit is not None]
-    squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in found)
-    usual = max(1.0, squares / max(sum(fit.parts for fit in found), 1))
+    exact = _exact([table for table in measured if table is not None])
+    fits = [None if table is None else _Fit.of(table, exact) for table in measured]
+    known_fits = [fit for fit in fits if fit is not None]
+    squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in known_fits)
+    usual = max(1.0, squares / max(sum(fit.parts for fit in known_fits), 1))
     paths = [
         path if fit is None else fit.smoothed(path)
         for path, fit in zip(followed.paths, fits, strict=True)
     ]
-    among = float(np.std([fit.states[:, SPEED].mean() for fit in found])) if found else 0.0
+    among = (
+        float(np.std([fit.states[:, SPEED].mean() for fit in known_fits])) if known_fits else 0.0
+    )
     cells = [
         _summary(path, fit, field is not None, usual, among, followed.timing)
         for path, fit in zip(paths, fits, strict=True)
@@ -152,31 +154,22 @@ class _Measured:
         count little. The axis of a cell's blobs counts little if it is not along the cell's way.
         """
         body = followed.organism.body_um[0]
-        measured = np.full((len(path.seen), 6), np.nan)
-        shared = MERGED[0] * body
-        for k, cell in enumerate(path.seen):
-            if cell.measured is not None:
-                measured[k] = cell.measured
-            elif cell.found:
-                measured[k] = cell.x, cell.y, cell.axis, shared, shared, MERGED[1]
+        shared_um = MERGED[0] * body
+        measured = _measurements(path, shared_um)
         span = np.array(followed.size) * followed.um_px
         edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
         lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
-        own = measured[:, 3] < shared
-        cut = edge < np.where(own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
+        is_own = measured[:, 3] < shared_um
+        cut = edge < np.where(is_own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
         measured[cut] = np.nan
-        own = own & ~cut
-        before, after = _around(path.times, AROUND_S)
-        way = measured[after, :2] - measured[before, :2]
-        off = measured[:, 2] - np.arctan2(way[:, 1], way[:, 0])
-        off = np.abs(np.arcsin(np.sin(off)))[own & (before < after) & np.isfinite(off)]
-        if len(off) and np.median(off) > ASTRAY:
+        is_own = is_own & ~cut
+        if not _shows_axis(path.times, measured, is_own):
             measured[:, 5] = NO_AXIS
-        some = np.flatnonzero(own)
-        if len(some) < START:
+        own_rows = np.flatnonzero(is_own)
+        if len(own_rows) < START:
             return None
         times = path.times - path.times[0]
-        early = some[: max(START, int((times[some] <= times[some[0]] + START_S).sum()))]
+        early = own_rows[: max(START, int((times[own_rows] <= times[own_rows[0]] + START_S).sum()))]
         (vx, vy), (x, y) = np.polyfit(times[early], measured[early, :2], 1)
         mean, covariance, model = new_cell(followed.organism, field is not None)
         mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
@@ -188,24 +181,32 @@ class _Measured:
             first.append(len(pieces))
         values, deviations = map(np.ascontiguousarray, np.hsplit(measured, 2))
         field_of = np.array(pieces).reshape(-1, 3), np.array(first)
-        return cls(values, deviations, own, *field_of, mean, covariance, model)
+        return cls(values, deviations, is_own, *field_of, mean, covariance, model)
 
     def models(self, noise: Floats) -> Floats:
         """Return the numbers (V, 12) of models by ln of the noise (V, 4) over the usual one."""
-        found = np.tile(self.model, (len(noise), 1))
-        found[:, [HEADING, EXACT, SPEED]] *= (USUAL * np.exp(noise))[:, :3]
-        found[:, [X, Y, C, S]] *= (USUAL * np.exp(noise))[:, 3:]
-        found[:, [A, BIAS]] = 0.0
-        return found
+        models = np.tile(self.model, (len(noise), 1))
+        models[:, [HEADING, EXACT, SPEED]] *= (USUAL * np.exp(noise))[:, :3]
+        models[:, [X, Y, C, S]] *= (USUAL * np.exp(noise))[:, 3:]
+        models[:, [A, BIAS]] = 0.0
+        return models
 
     def likelihood(self, noise: Floats, mean: Floats) -> Floats:
         """Return ln of the likelihood (V,) of V variants of ln of the noise (V, 4) over the usual
         one, and of the first state (V, n).
         """
-        found = np.empty(len(noise))
-        given = self.values, self.deviations, self.pieces, self.first
-        likelihoods(mean.copy(), self.covariance, self.models(noise), *given, found)
-        return found
+        totals = np.empty(len(noise))
+        likelihoods(
+            mean.copy(),
+            self.covariance,
+            self.models(noise),
+            self.values,
+            self.deviations,
+            self.pieces,
+            self.first,
+            totals,
+        )
+        return totals
 
     def smoothed(
         self, noise: Floats, mean: Floats, start: int = 0, end: int | None = None
@@ -220,9 +221,41 @@ class _Measured:
         first[0] = first[1]
         states = np.empty((len(values), STATES))
         bodies = np.empty((len(values), 3))
-        given = self.models(noise[None])[0], values, self.deviations[start:end], self.pieces, first
-        covariance = smooth(last, self.covariance, *given, states, bodies)
+        covariance = smooth(
+            last,
+            self.covariance,
+            self.models(noise[None])[0],
+            values,
+            self.deviations[start:end],
+            self.pieces,
+            first,
+            states,
+            bodies,
+        )
         return last, covariance, states, bodies
+
+
+def _measurements(path: CellPath, shared_um: float) -> Floats:
+    """Return x, y [um] and axis [rad] of a path's blobs and their deviations (K, 6), NaN where it
+    has none; the place of a blob that shows other cells, too, deviates by `shared_um`.
+    """
+    measured = np.full((len(path.seen), 6), np.nan)
+    for k, cell in enumerate(path.seen):
+        if cell.measured is not None:
+            measured[k] = cell.measured
+        elif cell.found:
+            measured[k] = cell.x, cell.y, cell.axis, shared_um, shared_um, MERGED[1]
+    return measured
+
+
+def _shows_axis(times: Floats, measured: Floats, is_own: np.ndarray) -> bool:
+    """Return whether the axes of a cell's own blobs are along its way, in the median."""
+    before, after = _around(times, AROUND_S)
+    way = measured[after, :2] - measured[before, :2]
+    off = measured[:, 2] - np.arctan2(way[:, 1], way[:, 0])
+    counts = is_own & (before < after) & np.isfinite(off)
+    aside = np.abs(np.arcsin(np.sin(off)))[counts]
+    return not len(aside) or bool(np.median(aside) <= ASTRAY)
 
 
 def _around(times: Floats, seconds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -244,13 +277,13 @@ def _exact(measured: Sequence[_Measured]) -> Floats:
     film's, at most 1 for places, by differences of successive blobs, in which a smooth path leaves
     little.
     """
-    found = [np.zeros((0, 3))]
-    for each in measured:
-        values = each.values.copy()
+    differences = [np.zeros((0, 3))]
+    for table in measured:
+        values = table.values.copy()
         values[:, 2] = np.unwrap(np.nan_to_num(values[:, 2]), period=math.pi)
-        values[~each.own | (each.deviations[:, 2] == NO_AXIS)] = np.nan
-        found.append(np.diff(values, ORDER, axis=0) / each.deviations[ORDER:])
-    off = np.abs(np.concatenate(found)) / math.sqrt(math.comb(2 * ORDER, ORDER))
+        values[~table.own | (table.deviations[:, 2] == NO_AXIS)] = np.nan
+        differences.append(np.diff(values, ORDER, axis=0) / table.deviations[ORDER:])
+    off = np.abs(np.concatenate(differences)) / math.sqrt(math.comb(2 * ORDER, ORDER))
     off = off[np.isfinite(off).all(axis=1)]
     if not len(off):
         return np.ones(3)
@@ -298,10 +331,11 @@ class _Fit:
         mean = tried[table.likelihood(np.tile(noise, (2, 1)), tried).argmax()]
         last, covariance, states, bodies = table.smoothed(noise[0], mean)
         parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
+        ends = np.linspace(0, len(states), parts + 1).astype(int).tolist()
         misfit = 0.0
-        for start, end in pairwise(np.linspace(0, len(states), parts + 1).astype(int).tolist()):
-            begun = states[start] if start else mean
-            part, spread, _, _ = table.smoothed(noise[0], begun, start, end)
+        for start, end in pairwise(ends):
+            first_state = states[start] if start else mean
+            part, spread, _, _ = table.smoothed(noise[0], first_state, start, end)
             misfit += (part[A] - last[A]) ** 2 / spread[A, A]
         return cls(table, last, np.sqrt(np.diagonal(covariance)), states, bodies, misfit, parts - 1)
 
@@ -314,11 +348,11 @@ class _Fit:
         reach = FAR * self.measured.deviations
         poses = self.bodies + np.nan_to_num(off - np.clip(off, -reach, reach))
         rows = np.column_stack([poses, self.states[:, HEADING]]).tolist()
-        seen = tuple(
+        cells = tuple(
             replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
             for cell, (x, y, axis, heading), state in zip(path.seen, rows, self.states, strict=True)
         )
-        return replace(path, seen=seen)
+        return replace(path, seen=cells)
 
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
@@ -328,7 +362,12 @@ def _interval(value: float, sd: float, error: float) -> SampleInterval:
 
 
 def _summary(
-    path: CellPath, fit: _Fit | None, known: bool, usual: float, among: float, timing: PictureTimes
+    path: CellPath,
+    fit: _Fit | None,
+    field_known: bool,
+    usual: float,
+    among: float,
+    timing: PictureTimes,
 ) -> CellSummary:
     between = float(path.times[-1] - path.times[0])
     seconds = timing.duration(int(path.frames[0]), int(path.frames[-1]))
@@ -338,9 +377,8 @@ def _summary(
     if fit is not None and seconds >= SHORTEST_S - 0.5 / timing.rate_hz:
         states = fit.states
         way = float(fit.mean[WAY])
-        wider = math.sqrt(
-            max(1.0, (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts))
-        )
+        misfit = (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts)
+        wider = math.sqrt(max(1.0, misfit))
         # the part of the way that may be another cell's, whose speed differs
         doubt = among * float(np.mean([1 - cell.probability for cell in path.seen]))
         sd = math.hypot(wider * float(fit.sd[WAY]) / between, doubt)
@@ -349,7 +387,7 @@ def _summary(
         sway = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
         hz = float(np.median(states[:, RATE])) / math.tau
         radius = float(np.median(np.hypot(states[:, C], states[:, S])))
-        if known:
+        if field_known:
             a = _interval(fit.mean[A], wider * fit.sd[A], A_ERROR)
             bias = _interval(fit.mean[BIAS], wider * fit.sd[BIAS], 0.0)
             magnetised = bool(fit.mean[A] > RESPONDS * wider * fit.sd[A])

@@ -78,11 +78,11 @@ class Followed:
     @property
     def track_lasts_s(self) -> float | None:
         """Median time for which a track lasts, under one number after another [s]."""
-        shown = defaultdict[int, list[float]](list)
+        times_of_track = defaultdict[int, list[float]](list)
         for path in self.paths:
             for seconds, cell in zip(path.times.tolist(), path.seen, strict=True):
-                shown[cell.track].append(seconds)
-        return _median_s(list(shown.values()))
+                times_of_track[cell.track].append(seconds)
+        return _median_s(list(times_of_track.values()))
 
 
 def follow(
@@ -116,8 +116,8 @@ def follow(
         where.answer(answer)
     pairs = fill_pairs(where, seen_as.organism.body_um[0])
     where.split()
-    seen = [light.contrast for light in lights if light.contrast is not None]
-    contrast = float(np.median(seen)) if seen else None
+    contrasts = [light.contrast for light in lights if light.contrast is not None]
+    contrast = float(np.median(contrasts)) if contrasts else None
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()
     lines = [faint_line(contrast, limit), _faded_line(where), *_pace_lines(where)]
     lines += disturbances.lines()
@@ -149,7 +149,7 @@ def follow(
 
 def _median_s(times: Sequence[Sequence[float] | Floats]) -> float | None:
     """Return the median time from the earliest to the latest of some times [s], None of none."""
-    return float(np.median([np.ptp(each) for each in times])) if times else None
+    return float(np.median([np.ptp(shown_s) for shown_s in times])) if times else None
 
 
 def _faded_line(where: Whereabouts) -> str | None:
@@ -165,21 +165,21 @@ def _faded_line(where: Whereabouts) -> str | None:
 
 def _pace_lines(where: Whereabouts) -> Iterator[str]:
     """Yield a line if all cells move too far at once in several pictures, and one if not at all."""
-    found = []
+    steps = []
     for track, rows in where.tracks.items():
         for before, now in pairwise(rows):
-            one = before.cell.blob_um
+            first_blob = before.cell.blob_um
             two = now.cell.blob_um
             alone = not (before.cell.merged or now.cell.merged) and now.at == before.at + 1
-            if alone and one is not None and two is not None:
-                way = math.dist(one[:2].tolist(), two[:2].tolist())
+            if alone and first_blob is not None and two is not None:
+                way = math.dist(first_blob[:2].tolist(), two[:2].tolist())
                 passed = where.times[now.at] - where.times[before.at]
-                found.append((now.at, track, way / passed))
-    picture, track, speed = np.array(found).reshape(-1, 3).T
-    for each in np.unique(track):
-        speed[track == each] /= max(float(np.median(speed[track == each])), 1e-9)
-    seen = [speed[picture == k] for k in np.unique(picture)]
-    pace = np.array([np.median(each) for each in seen if len(each) >= TELL])
+                steps.append((now.at, track, way / passed))
+    picture, track, speed = np.array(steps).reshape(-1, 3).T
+    for number in np.unique(track):
+        speed[track == number] /= max(float(np.median(speed[track == number])), 1e-9)
+    speeds = [speed[picture == k] for k in np.unique(picture)]
+    pace = np.array([np.median(speeds_then) for speeds_then in speeds if len(speeds_then) >= TELL])
     least = max(ODD[0] * len(pace), ODD[1])
     lost = int((pace > LOST).sum())
     doubled = int((pace < DOUBLED).sum())

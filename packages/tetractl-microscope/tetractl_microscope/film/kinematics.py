@@ -53,12 +53,12 @@ def _ends(times: Floats) -> list[int]:
     shorter is one.
     """
     step = float(np.median(np.diff(times)))
-    found = [0]
-    while (due := times[found[-1]] + WINDOW_S) < times[-1] + step / 2:
+    ends = [0]
+    while (due := times[ends[-1]] + WINDOW_S) < times[-1] + step / 2:
         after = min(int(np.searchsorted(times, due)), len(times) - 1)
         nearest = after - 1 if due - times[after - 1] < times[after] - due else after
-        found.append(max(nearest, found[-1] + 1))
-    return found if len(found) > 1 else [0, len(times) - 1]
+        ends.append(max(nearest, ends[-1] + 1))
+    return ends if len(ends) > 1 else [0, len(times) - 1]
 
 
 def _smoothed(times: Floats, places: Floats, span_s: float) -> Floats:

@@ -68,8 +68,8 @@ def recognised(
     finder = _learned(film)
     ways = _ways(film, copy.copy(finder))
     moving = _moving(ways)
-    known = list(ORGANISMS.usable().values())
-    taken = organism or known[0]
+    organisms = list(ORGANISMS.usable().values())
+    taken = organism or organisms[0]
     scale = um_px
     why = ()
     still = ()
@@ -93,11 +93,14 @@ def recognised(
             f"{taken.name} of {taken.body_um[0]:.0f} um are at {scale:.3g} um/px; lengths and "
             "speeds have this guess's error. Give the scale by --scale, what swims by --organism",
         )
-    moving, (usual_um, _) = moving * scale, known[0].body_um
+    moving = moving * scale
+    usual_um = organisms[0].body_um[0]
     # small cells seem larger in coarse pictures
-    known = [k for k in known if k.body_um[0] <= usual_um or k.body_um[1] >= COARSE_PX * scale]
+    organisms = [
+        k for k in organisms if k.body_um[0] <= usual_um or k.body_um[1] >= COARSE_PX * scale
+    ]
     if um_px is not None and organism is None:
-        taken = known[int(np.argmax(_shares(moving, known)))]  # the first if nothing moves
+        taken = organisms[int(np.argmax(_shares(moving, organisms)))]  # the first if nothing moves
         fits = _fits(moving, taken)
         if len(moving) >= ENOUGH and fits.mean() < KNOWN:
             hints = *_coarse(taken, scale, film.rate_hz), "--organism NAME follows one all the same"
@@ -110,7 +113,7 @@ def recognised(
         none = "nothing that swims in the first pictures has a known size and speed"
         why = (f"cells are taken for {taken.name}: {few if fits.any() else none}",)
     coarse = (f"warning: {line}" for line in _coarse(taken, scale, film.rate_hz))
-    remarks = (*why, *still, *_others(moving, taken, known), *coarse)
+    remarks = (*why, *still, *_others(moving, taken, organisms), *coarse)
     return Recognised(taken, scale, um_px is None, remarks, finder)
 
 
@@ -150,13 +153,13 @@ def _ways(film: FilmPictures, finder: BlobFinder) -> list[Floats]:
     going: list[list[Floats]] = []  # those of the newest picture
     for number, picture in film:
         seconds = film.seconds(number)
-        seen = sum(len(path) >= SEEN for path in paths)
-        if seconds > (LOOK_S if seen >= ENOUGH else LATEST_S) and number > 2 * SEEN:
+        long_paths = sum(len(path) >= SEEN for path in paths)
+        if seconds > (LOOK_S if long_paths >= ENOUGH else LATEST_S) and number > 2 * SEEN:
             break
         if number % step:
             continue
-        found = (blob for blob in finder.find(picture) if not blob.at_edge)
-        rows = np.array([(seconds, b.x, b.y, b.long, b.wide) for b in found]).reshape(-1, 5)
+        blobs = (blob for blob in finder.find(picture) if not blob.at_edge)
+        rows = np.array([(seconds, b.x, b.y, b.long, b.wide) for b in blobs]).reshape(-1, 5)
         last = np.array([(path[-1], path[-2:][0]) for path in going]).reshape(-1, 2, 5)
         ahead = 2 * last[:, 0, 1:3] - last[:, 1, 1:3]
         gaps = np.linalg.norm(ahead[:, None] - rows[:, 1:3], axis=-1)
@@ -252,7 +255,8 @@ def _shares(moving: Floats, kinds: Sequence[Organism]) -> Floats:
 
 def _coarse(taken: Organism, um_px: float, rate_hz: float) -> Iterator[str]:
     """Yield a line if the pictures are too coarse, and one if they are too rare."""
-    (long, wide), fast = taken.body_um, taken.speed_um_s[1]
+    long, wide = taken.body_um
+    fast = taken.speed_um_s[1]
     if wide / um_px < SMALL_PX:
         yield (
             f"{taken.name} is {wide / um_px:.1f} px wide at {um_px:.3g} um/px; "
@@ -268,13 +272,13 @@ def _coarse(taken: Organism, um_px: float, rate_hz: float) -> Iterator[str]:
 
 def _others(moving: Floats, taken: Organism, kinds: Sequence[Organism]) -> tuple[str, ...]:
     """Return a line on objects that move but cannot be of the kind `taken`, if there are two."""
-    left = moving[(moving[:, 3] > moving[:, 0]) & ~_fits(moving, taken)]
-    if len(left) < 2:
+    unlike = moving[(moving[:, 3] > moving[:, 0]) & ~_fits(moving, taken)]
+    if len(unlike) < 2:
         return ()
-    better = kinds[int(np.argmax(_shares(left, kinds)))]
+    better = kinds[int(np.argmax(_shares(unlike, kinds)))]
     follows = f"--organism {better.name} follows them, if they swim and do not drift"
     return (
-        f"warning: {len(left)} objects that move have not the size and speed of {taken.name}, but "
-        f"are {_extent(left)}, and not followed: "
-        + (follows if _fits(left, better).any() else "no known organism is like that"),
+        f"warning: {len(unlike)} objects that move have not the size and speed of {taken.name}, "
+        f"but are {_extent(unlike)}, and not followed: "
+        + (follows if _fits(unlike, better).any() else "no known organism is like that"),
     )

@@ -30,14 +30,18 @@ def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
     have names of their own, and others after each time when they could not be distinguished.
     """
     areas = [list(map(math.prod, _sizes(rows))) for rows in where.tracks.values()]
-    off = [np.log(np.array(each) / np.median(each)) for each in areas if each]
+    off = [
+        np.log(np.array(areas_of_track) / np.median(areas_of_track))
+        for areas_of_track in areas
+        if areas_of_track
+    ]
     spread = float(np.median(np.abs(np.concatenate(off)))) / 0.6745 if off else 0.0
     larger = max(LARGE, math.exp(SPREAD * spread))
     names = where.new_names()
     return {
         track
-        for first, track, other in where.partings
-        if _fill(where, first, track, other, larger, APART * body_um, names)
+        for first, track, other_track in where.partings
+        if _fill(where, first, track, other_track, larger, APART * body_um, names)
     }
 
 
@@ -45,7 +49,7 @@ def _fill(
     where: Whereabouts,
     first: int,
     track: int,
-    other: int,
+    other_track: int,
     larger: float,
     apart_um: float,
     names: Iterator[int],
@@ -56,7 +60,7 @@ def _fill(
     """
     times = where.times
     news = where.tracks[track]
-    olds = where.tracks[other]
+    olds = where.tracks[other_track]
     i = row_from(news, first)
     j = row_from(olds, first)
     if [row.at for row in olds[max(j - 1, 0) : j + 1]] != [first - 1, first]:
@@ -65,15 +69,18 @@ def _fill(
     after = [_sizes(rows[k : row_from(rows, end)]) for rows, k in ((news, i), (olds, j))]
     if not all(after):
         return False
-    sizes = [np.median(each, axis=0) for each in after]
-    usual = [math.prod(each) for each in _sizes(where.picture(first).values())] or [0.0]
-    least = larger * max(*map(math.prod, sizes), float(np.median(usual)))
-    begun = next(k for k in range(j - 1, -1, -1) if k == 0 or olds[k - 1].at != olds[k].at - 1)
-    own = [(k, math.prod(size) > least) for k in range(begun, j) for size in _sizes([olds[k]])]
-    runs = (own[k : k + SEEN] for k in range(len(own) - SEEN + 1))
+    sizes = [np.median(sizes_after, axis=0) for sizes_after in after]
+    areas = [math.prod(size) for size in sizes]
+    usual = [math.prod(size) for size in _sizes(where.picture(first).values())] or [0.0]
+    least = larger * max(*areas, float(np.median(usual)))
+    run_start = next(k for k in range(j - 1, -1, -1) if k == 0 or olds[k - 1].at != olds[k].at - 1)
+    blob_rows = [
+        (k, math.prod(size) > least) for k in range(run_start, j) for size in _sizes([olds[k]])
+    ]
+    runs = (blob_rows[k : k + SEEN] for k in range(len(blob_rows) - SEEN + 1))
     since = next((run[0][0] for run in runs if all(large for _, large in run)), j)
-    if since < j and times[olds[since].at] - times[olds[begun].at] <= CUT_S:
-        since = begun
+    if since < j and times[olds[since].at] - times[olds[run_start].at] <= CUT_S:
+        since = run_start
     since_s = times[olds[since].at]
     if times[first] - since_s < LASTS_S:
         return False
@@ -92,17 +99,20 @@ def _fill(
         y = cell.y
         axis = cell.axis
         if cell.blob_um is not None and _sizes([row]):
-            (x, y, axis), half = cell.blob_um[:3], _half(cell.blob_um, np.mean(sizes, axis=0))
-        half, clear = half if half @ apart >= 0 else -half, np.hypot(*half) > apart_um
+            x, y, axis = cell.blob_um[:3]
+            half = _half(cell.blob_um, np.mean(sizes, axis=0))
+        if half @ apart < 0:
+            half = -half
+        clear = np.hypot(*half) > apart_um
         begins = clear and hidden and min(until_s - now_s, now_s - since_s) > LASTS_S
         if begins:
             named = (next(names), next(names))
             until_s = now_s
         hidden = not clear or (hidden and not begins)
-        both = replace(cell, axis=axis, merged=True, measured=None)
-        one = replace(both, x=x + half[0], y=y + half[1], track=track)
-        added.append(TrackRow(row.at, one, named[0], LIKELIER))
-        row.cell = replace(both, x=x - half[0], y=y - half[1])
+        joint = replace(cell, axis=axis, merged=True, measured=None)
+        added_cell = replace(joint, x=x + half[0], y=y + half[1], track=track)
+        added.append(TrackRow(row.at, added_cell, named[0], LIKELIER))
+        row.cell = replace(joint, x=x - half[0], y=y - half[1])
         row.name = named[1]
         row.likely = LIKELIER
         apart = half if half.any() else apart
@@ -112,7 +122,8 @@ def _fill(
 
 def _half(blob: Floats, size: Floats) -> Floats:
     """Return half of the distance (2,) [um] of two cells of a `size` (2,) [um] in their blob."""
-    axis, (along, across) = blob[2], np.sqrt(np.maximum(blob[3:] ** 2 - size**2, 0.0)) / 4
+    axis = blob[2]
+    along, across = np.sqrt(np.maximum(blob[3:] ** 2 - size**2, 0.0)) / 4
     if across > along:
         return across * np.array((-math.sin(axis), math.cos(axis)))
     return along * np.array((math.cos(axis), math.sin(axis)))

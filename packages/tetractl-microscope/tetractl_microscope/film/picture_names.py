@@ -37,11 +37,11 @@ class PictureNames:
 def picture_names(names: Sequence[str]) -> PictureNames:
     """Return the pictures among the files of these names, which are in the order of numbers."""
     remarks: list[str] = []
-    kept = [name for name in names if not name.startswith(".")]
-    kept = _alike(kept, _format, "of another format than the others", remarks)
-    kept = _alike(kept, _pattern, "not named like the others", remarks)
-    places = _places(kept, remarks)
-    return PictureNames(kept, places, remarks)
+    chosen = [name for name in names if not name.startswith(".")]
+    chosen = _alike(chosen, _format, "of another format than the others", remarks)
+    chosen = _alike(chosen, _pattern, "not named like the others", remarks)
+    places = _places(chosen, remarks)
+    return PictureNames(chosen, places, remarks)
 
 
 def require_one_film(folder: Path, names: Sequence[str]) -> None:
@@ -139,8 +139,8 @@ def _series(names: Sequence[str], remarks: list[str]) -> list[int] | None:
 def _changing(names: Sequence[str]) -> list[list[int]]:
     """Return the numbers at each place of the names where they are not all the same; none if the
     names do not have equally many."""
-    found = [DIGITS.findall(name.rpartition(".")[0]) for name in names]
-    if len({len(digits) for digits in found}) != 1:
+    numbers = [DIGITS.findall(name.rpartition(".")[0]) for name in names]
+    if len({len(digits) for digits in numbers}) != 1:
         return []
-    columns = [[int(digits) for digits in column] for column in zip(*found, strict=True)]
+    columns = [[int(digits) for digits in column] for column in zip(*numbers, strict=True)]
     return [column for column in columns if len(set(column)) > 1]

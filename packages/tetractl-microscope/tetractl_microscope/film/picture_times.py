@@ -117,10 +117,10 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
     if len(set(times)) < 2:
         said = "state no time but the first" if len(times) < 2 else "all state the same time"
         return None, [f"its pictures {said}, which is not used"] if len(stated) > 1 else []
-    kept = _longest_rise(times)
+    rising = _longest_rise(times)
     missing = len(stated) - len(times)
     repeated = sum(time == before for before, time in pairwise(times))
-    backwards = len(times) - len(kept) - repeated
+    backwards = len(times) - len(rising) - repeated
     if backwards > BACKWARDS_MOST * len(times):
         return None, [
             f"warning: {backwards} of {len(times)} times of its pictures are not in order, so that "
@@ -135,8 +135,8 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
         if count:
             state = "picture states" if count == 1 else "pictures state"
             lines.append(f"warning: {count} {state} {what}; times between the others are taken")
-    found = _interpolated([numbers[k] for k in kept], [times[k] for k in kept], len(stated))
-    return [time - found[0] for time in found], lines
+    seconds = _interpolated([numbers[k] for k in rising], [times[k] for k in rising], len(stated))
+    return [time - seconds[0] for time in seconds], lines
 
 
 def _is_time(time: float | None) -> bool:
@@ -146,23 +146,23 @@ def _is_time(time: float | None) -> bool:
 def _longest_rise(times: Sequence[float]) -> list[int]:
     """Return the indices of the longest part of a list that rises strictly; the first of equals."""
     ends: list[float] = []  # the least end of a rise of each length
-    at: list[int] = []  # the index of that end
+    index_of_end: list[int] = []  # the index of that end
     before: list[int] = []
     for k, time in enumerate(times):
         length = bisect_left(ends, time)
-        before.append(at[length - 1] if length else -1)
+        before.append(index_of_end[length - 1] if length else -1)
         if length == len(ends):
             ends.append(time)
-            at.append(k)
+            index_of_end.append(k)
         elif time < ends[length]:
             ends[length] = time
-            at[length] = k
-    found = []
-    k = at[-1]
+            index_of_end[length] = k
+    rise = []
+    k = index_of_end[-1]
     while k >= 0:
-        found.append(k)
+        rise.append(k)
         k = before[k]
-    return found[::-1]
+    return rise[::-1]
 
 
 def _interpolated(numbers: Sequence[int], times: Sequence[float], count: int) -> list[float]:
@@ -170,9 +170,9 @@ def _interpolated(numbers: Sequence[int], times: Sequence[float], count: int) ->
     median interval.
     """
     step = float(np.median(np.diff(times) / np.diff(numbers)))
-    found = np.interp(np.arange(count), numbers, times)
+    seconds = np.interp(np.arange(count), numbers, times)
     head = numbers[0]
     tail = numbers[-1]
-    found[:head] = times[0] - step * np.arange(head, 0, -1)
-    found[tail + 1 :] = times[-1] + step * np.arange(1, count - tail)
-    return found.tolist()
+    seconds[:head] = times[0] - step * np.arange(head, 0, -1)
+    seconds[tail + 1 :] = times[-1] + step * np.arange(1, count - tail)
+    return seconds.tolist()

@@ -65,7 +65,8 @@ class FilmPictures:
                 pixels = os.pread(self._file.fileno(), math.prod(self._shape), place)
                 yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
         if self._next > len(self._kept):  # those beyond KEPT_MAX are decoded again
-            self._next, self.damaged = len(self._kept), self._kept.count(-1)
+            self._next = len(self._kept)
+            self.damaged = self._kept.count(-1)
             self._stream = itertools.islice(_decoded(self.path), self._next + 1, None)
         for number, (picture, clock_s) in enumerate(self._stream, self._next):
             self._next = number + 1
@@ -103,13 +104,13 @@ class FilmPictures:
 
     def time_line(self) -> str | None:
         """Return a line on the times of the pictures that were read, if they are uneven."""
-        own = self.own_timing
-        uneven = None if own is None else own.uneven_line()
-        if own is None or uneven is None:
+        timing = self.own_timing
+        uneven = None if timing is None else timing.uneven_line()
+        if timing is None or uneven is None:
             return None
-        if own is self.timing:
-            return f"times are those of {own.source}: {uneven}"
-        return f"warning: --rate replaces the times of {own.source}: {uneven}"
+        if timing is self.timing:
+            return f"times are those of {timing.source}: {uneven}"
+        return f"warning: --rate replaces the times of {timing.source}: {uneven}"
 
 
 def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = None) -> FilmPictures:
@@ -121,29 +122,29 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
         said = "is not a regular file" if path.exists() else "no such file or folder"
         raise UsageError(f"{path}: {said}")
     stream = _decoded(path)
-    own = next(stream)
-    if own["count"] == 1:
+    stated_by_film = next(stream)
+    if stated_by_film["count"] == 1:
         raise UsageError(f"{path}: {ONE_PICTURE}", ONE_PICTURE_HINT)
-    remarks = own["remarks"]
-    stated = own["times"]
+    remarks = stated_by_film["remarks"]
+    stated = stated_by_film["times"]
     source = "the film"
     if (path / TIMES_FILE).exists():
-        stated = _times(path / TIMES_FILE, own["count"])
+        stated = _times(path / TIMES_FILE, stated_by_film["count"])
         source = TIMES_FILE
-    own_hz = own["rate_hz"] if stated is None else mean_rate_hz(stated)
+    own_hz = stated_by_film["rate_hz"] if stated is None else mean_rate_hz(stated)
     rate = _preferred("--rate", rate_hz, own_hz, RATES_HZ, remarks)
-    scale = _preferred("--scale", um_px, own["um_px"], SCALES_UM, remarks)
+    scale = _preferred("--scale", um_px, stated_by_film["um_px"], SCALES_UM, remarks)
     if rate is None:
         hint = "give --rate HZ" + f", or {TIMES_FILE} in the folder" * path.is_dir()
         raise UsageError("; ".join([f"{path}: states no rate", *remarks]), hint)
     own_timing = None
     if stated is not None:
         own_timing = stated_times(stated, rate if rate_hz is None else own_hz, source)
-    elif own["has_clock"] and own_hz is not None and _possible(own_hz, RATES_HZ):
+    elif stated_by_film["has_clock"] and own_hz is not None and _possible(own_hz, RATES_HZ):
         own_timing = PictureTimes(own_hz if rate_hz else rate, [], source)
     timing = PictureTimes(rate) if rate_hz or own_timing is None else own_timing
-    if stated is None and own["places"] is not None:
-        by_number_s = [place / rate for place in own["places"]]
+    if stated is None and stated_by_film["places"] is not None:
+        by_number_s = [place / rate for place in stated_by_film["places"]]
         timing = own_timing = PictureTimes(rate, by_number_s, "the numbers in their names")
     return FilmPictures(path, timing, own_timing, scale, remarks, stream)
 

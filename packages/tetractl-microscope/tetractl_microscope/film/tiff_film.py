@@ -36,7 +36,7 @@ def tiff_film(path: Path) -> FilmSource:
     several: Any = tif.series
     if not several:
         raise UsageError(f"{path}: is a TIFF file without pictures", "is it cut short?")
-    which = int(np.argmax([len(one) for one in several]))  # a thumbnail may come first
+    which = int(np.argmax([len(pages) for pages in several]))  # a thumbnail may come first
     series = several[which]
     inside = len(series.keyframe.shape)
     stated = int((tif.imagej_metadata or {}).get("images", 1))
@@ -68,8 +68,8 @@ def folder_film(folder: Path) -> FilmSource:
     """Open a folder of pictures in the order of the numbers in their names; a TIFF file gives all
     its pages, the first one also scale and rate, or all files that its tags name.
     """
-    found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    chosen = picture_names(natural_sorted(path.name for path in found if path.is_file()))
+    files = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+    chosen = picture_names(natural_sorted(path.name for path in files if path.is_file()))
     if not chosen.names:
         hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
         raise UsageError(f"{folder}: contains no pictures", hint)
@@ -147,8 +147,8 @@ def _pixels(page: Any) -> Raw:
 
 def _opencv_reads(page: Any) -> bool:
     """Return whether OpenCV reads a page as it is: of a palette, it gives colours."""
-    known = page.keyframe.compression in OF_OPENCV
-    return known and page.keyframe.photometric != PHOTOMETRIC.PALETTE
+    is_supported = page.keyframe.compression in OF_OPENCV
+    return is_supported and page.keyframe.photometric != PHOTOMETRIC.PALETTE
 
 
 def _white_first(page: Any) -> bool:
@@ -184,12 +184,14 @@ def _add_tags(tif: TiffFile, which: int, source: FilmSource) -> None:
     xml = images[which] if which < len(images) else None
     ome = {} if xml is None else xml.attrib
     pages = list(_page_metadata(series)) if tif.is_micromanager else []
-    per_unit, of = series.keyframe.tags["XResolution"].value if "unit" in imagej else (0, 1)
+    per_unit, resolution_unit = (
+        series.keyframe.tags["XResolution"].value if "unit" in imagej else (0, 1)
+    )
     source.um_px = (
         micrometres(ome.get("PhysicalSizeX"), ome.get("PhysicalSizeXUnit", "um"))
         or micrometres((pages or [{}])[0].get("PixelSizeUm"), "um")
         or micrometres(summary.get("PixelSize_um"), "um")
-        or micrometres(of / per_unit if per_unit else None, imagej.get("unit"))
+        or micrometres(resolution_unit / per_unit if per_unit else None, imagej.get("unit"))
     )
     interval_s = (
         source.seconds(ome.get("TimeIncrement"), ome.get("TimeIncrementUnit", "s"))
@@ -199,13 +201,13 @@ def _add_tags(tif: TiffFile, which: int, source: FilmSource) -> None:
     source.rate_hz = 1 / (interval_s or math.inf)
     times: dict[int, float | None] = {}
     for page in pages:
-        at = source.seconds(page.get("ElapsedTime-ms"), "ms")
-        times.setdefault(int(page.get("FrameIndex", len(times))), at)
+        seconds = source.seconds(page.get("ElapsedTime-ms"), "ms")
+        times.setdefault(int(page.get("FrameIndex", len(times))), seconds)
     along = "T" if ome.get("SizeT") != "1" else max("ZC", key=lambda a: int(ome.get(f"Size{a}", 0)))
     for plane in () if xml is None else xml.iterfind("{*}Plane"):
         if all(plane.get(f"The{axis}", "0") == "0" for axis in "TZC" if axis != along):
-            at = source.seconds(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"))
-            times[int(plane.get(f"The{along}", 0))] = at
+            seconds = source.seconds(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"))
+            times[int(plane.get(f"The{along}", 0))] = seconds
     if times:
         source.add_times([times.get(i) for i in range(source.count or 0)])
 

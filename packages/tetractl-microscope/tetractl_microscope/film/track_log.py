@@ -49,10 +49,10 @@ class TrackLog:
     @property
     def tracks(self) -> Iterator[tuple[int, Floats, Floats]]:
         """Yield number, times (K,) and poses (K, 3) of each cell that has two or more."""
-        for each in self.record["cells"]:
-            (rows,) = np.nonzero(self.cell == each["cell"])
+        for cell in self.record["cells"]:
+            (rows,) = np.nonzero(self.cell == cell["cell"])
             if len(rows) > 1:
-                yield each["cell"], self.time[rows], self.poses[rows]
+                yield cell["cell"], self.time[rows], self.poses[rows]
 
 
 def value_of(entry: Any) -> float | None:
@@ -91,10 +91,10 @@ def _checked(record: Any) -> dict[str, Any]:
     for key in FILM:
         if not 0 < float(record[key]) < math.inf:
             raise ValueError(key)
-    for each in record["cells"]:
-        if not isinstance(each["cell"], int):
+    for cell in record["cells"]:
+        if not isinstance(cell["cell"], int):
             raise ValueError("cell")
-        for key, entry in each.items():
+        for key, entry in cell.items():
             ends = entry["ci95"] if isinstance(entry, dict) else ()
             for number in (value_of(entry), *ends):
                 if number is not None and not isinstance(number, bool | int | float):
@@ -105,11 +105,11 @@ def _checked(record: Any) -> dict[str, Any]:
 def _rows(contents: RawLog) -> Iterator[tuple[float, ...]]:
     """Yield time [s], cell, x, y [um] and heading [rad] of each pose."""
     for message in contents.messages(TRANSFORMS):
-        for one in message.transforms:
-            time = one.timestamp.seconds + one.timestamp.nanos / SECOND
-            number = float(one.child_frame_id.removeprefix(CELL))
-            heading = 2 * math.atan2(one.rotation.z, one.rotation.w)
-            yield time, number, one.translation.x / UM, one.translation.y / UM, heading
+        for transform in message.transforms:
+            time = transform.timestamp.seconds + transform.timestamp.nanos / SECOND
+            number = float(transform.child_frame_id.removeprefix(CELL))
+            heading = 2 * math.atan2(transform.rotation.z, transform.rotation.w)
+            yield time, number, transform.translation.x / UM, transform.translation.y / UM, heading
 
 
 def _picture(contents: RawLog, shape: tuple[int, int]) -> Grey:

@@ -54,16 +54,16 @@ class Unfollowed:
     def add(self, number: int, seconds: float, limit: float, blobs: Sequence[Blob]) -> None:
         """Add the blobs of a picture taken at a time [s], in which less than a `limit` is noise."""
         self._times[number] = seconds
-        whole = [blob for blob in blobs if not blob.at_edge]
-        if len(self._times) % EVERY or not whole:
+        inside = [blob for blob in blobs if not blob.at_edge]
+        if len(self._times) % EVERY or not inside:
             return
-        rows = np.array([(b.x, b.y, b.wide, b.long, b.strength) for b in whole])
+        rows = np.array([(b.x, b.y, b.wide, b.long, b.strength) for b in inside])
         self._blobs[number] = _Examined(
             middles=rows[:, :2],
             radii=CORE * rows[:, 2],
             lengths=rows[:, 3],
             differences=np.maximum(DIFFERS * np.abs(rows[:, 4]), limit),  # more than noise
-            levels=np.full((3, len(whole)), np.nan),
+            levels=np.full((3, len(inside)), np.nan),
         )
 
     def share(
@@ -78,21 +78,23 @@ class Unfollowed:
         if not speeds or not self._blobs:
             return None
         self._measure(film, AWAY * body_um / max(float(np.median(speeds)), 1e-9))
-        shown = defaultdict[int, list[tuple[float, float]]](list)
+        places_in = defaultdict[int, list[tuple[float, float]]](list)
         for path in paths:
             for number, cell in zip(path.frames.tolist(), path.seen, strict=True):
-                shown[number].append((cell.x, cell.y))
+                places_in[number].append((cell.x, cell.y))
         moving = 0
         missed = 0
         for number, blobs in self._blobs.items():
             before, now, after = blobs.levels
-            came = now - before
-            left = now - after
+            appeared = now - before
+            faded = now - after
             # where a speck drifts, the grey level goes on from before to after
-            moves = (np.minimum(np.abs(came), np.abs(left)) > blobs.differences) & (came * left > 0)
+            moves = (np.minimum(np.abs(appeared), np.abs(faded)) > blobs.differences) & (
+                appeared * faded > 0
+            )
             near = np.zeros(len(moves), bool)
-            if shown[number]:
-                places = pixels_of(np.array(shown[number]), um_px, self._height)
+            if places_in[number]:
+                places = pixels_of(np.array(places_in[number]), um_px, self._height)
                 away = np.linalg.norm(blobs.middles[:, None] - places[None], axis=-1).min(axis=1)
                 near = away < np.maximum(blobs.lengths, body_um / um_px) / 2
             moving += int(moves.sum())
@@ -103,17 +105,17 @@ class Unfollowed:
         """Measure the blobs' places in their pictures, and in those `apart_s` [s] away."""
         numbers = np.array(list(self._times))
         times = np.array(list(self._times.values()))
-        asked = defaultdict[int, list[tuple[int, _Examined]]](list)
+        wanted = defaultdict[int, list[tuple[int, _Examined]]](list)
         for number, blobs in self._blobs.items():
             now_s = self._times[number]
-            asked[number].append((NOW, blobs))
+            wanted[number].append((NOW, blobs))
             for when, due_s in ((BEFORE, now_s - apart_s), (AFTER, now_s + apart_s)):
                 nearest = int(np.abs(times - due_s).argmin())
                 if times[0] <= due_s <= times[-1] and numbers[nearest] != number:
-                    asked[int(numbers[nearest])].append((when, blobs))
+                    wanted[int(numbers[nearest])].append((when, blobs))
         for number, picture in film:
             self._height = picture.shape[0]
-            for when, blobs in asked.get(number, ()):
+            for when, blobs in wanted.get(number, ()):
                 places = zip(blobs.middles, blobs.radii, blobs.lengths, strict=True)
                 blobs.levels[when] = [_level(picture, *place) for place in places]
 

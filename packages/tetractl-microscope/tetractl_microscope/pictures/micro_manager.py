@@ -68,8 +68,8 @@ def require_adapters(config: Path, folder: Path) -> None:
         if line.startswith("#") or not fields:
             continue
         if fields[0] == "Device" and len(fields) > 2:
-            known = re.fullmatch(r"[\w-]+", fields[2])
-            if not known or not (folder / LIBRARY.format(fields[2])).is_file():
+            is_name = re.fullmatch(r"[\w-]+", fields[2])
+            if not is_name or not (folder / LIBRARY.format(fields[2])).is_file():
                 text = f"{folder} contains no device adapter {fields[2]!r}"
                 raise AbortError(f"{config}:{number}: {text}")
         elif fields[0] == "Label" or fields[-2:-1] == ["Label"]:

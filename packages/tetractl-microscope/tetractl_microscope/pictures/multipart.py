@@ -36,11 +36,11 @@ class Multipart:
 
     def _find(self) -> bool:
         """Drop the bytes up to the next boundary; return whether a boundary was found."""
-        at = self._held.find(self._mark)
-        if at < 0:
+        found_at = self._held.find(self._mark)
+        if found_at < 0:
             del self._held[: max(0, len(self._held) - len(self._mark) + 1)]
             return False
-        self._cut(at + len(self._mark), inside=True)
+        self._cut(found_at + len(self._mark), inside=True)
         return True
 
     def _part(self) -> bool:
@@ -79,8 +79,8 @@ class Multipart:
         self._cut(0, inside=False)
         return True
 
-    def _cut(self, at: int, inside: bool) -> None:
-        del self._held[:at]
+    def _cut(self, end: int, inside: bool) -> None:
+        del self._held[:end]
         self._inside = inside
         self._scanned = 0
 

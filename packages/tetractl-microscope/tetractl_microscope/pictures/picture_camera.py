@@ -204,16 +204,16 @@ class PictureCamera(ABC, Generic[S]):
                 return
             if self._repeats(grey):
                 return
-            seen = self._see(grey, exposed)
+            looked = self._see(grey, exposed)
         except cv2.error:  # OpenCV cannot process this picture
             self._unread += 1
             return
         self._size = grey.shape
-        if seen is None:
+        if looked is None:
             return
-        frame = CameraFrame(number, exposed, picture.received_ns, seen.poses, seen.strangers)
+        frame = CameraFrame(number, exposed, picture.received_ns, looked.poses, looked.strangers)
         self._fresh.append(frame)
-        self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, seen))
+        self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, looked))
         with self._changed:
             self._changed.notify_all()
         self._wake()

@@ -54,17 +54,24 @@ class PictureSource(Model):
             yield Finding(f"not opened, so its pictures are not checked ({error.message})")
             return
         try:
-            found = [feed.read() for _ in range(5)]
+            readings = [feed.read() for _ in range(5)]
         finally:
             feed.interrupt()
             feed.close()
-        times = [one.received_ns for one in found]
+        times = [reading.received_ns for reading in readings]
         rise = times == sorted(set(times)) and times[-1] <= clock.now()
         yield true("read: times rise, on the clock given", rise, str(times))
-        jpeg = [isinstance(one.content, bytes) or one.content.dtype == np.uint8 for one in found]
+        jpeg = [
+            isinstance(reading.content, bytes) or reading.content.dtype == np.uint8
+            for reading in readings
+        ]
         yield true("read: JPEG bytes, or pixels of 8 bits", jpeg)
-        shapes = [np.shape(one.content) for one in found if not isinstance(one.content, bytes)]
-        right = [len(one) == 2 or (len(one) == 3 and one[2] == 3) for one in shapes]
+        shapes = [
+            np.shape(reading.content)
+            for reading in readings
+            if not isinstance(reading.content, bytes)
+        ]
+        right = [len(shape) == 2 or (len(shape) == 3 and shape[2] == 3) for shape in shapes]
         yield true("read: pixels (height, width) or (height, width, 3)", right)
 
 

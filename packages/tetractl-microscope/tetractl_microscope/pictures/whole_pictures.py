@@ -33,11 +33,11 @@ class PictureLog:
         self, picture: Grey, exposed_ns: int, background: Grey | None
     ) -> tuple[tuple[str, bytes], ...]:
         """Return topic and bytes of the messages of a picture, if any is due."""
-        made: list[tuple[str, bytes]] = []
+        messages: list[tuple[str, bytes]] = []
         if exposed_ns - self._whole_ns >= WHOLE_NS:
             self._whole_ns = exposed_ns
-            made.append((PICTURE, jpeg_image(picture).SerializeToString()))
+            messages.append((PICTURE, jpeg_image(picture).SerializeToString()))
         if background is not None and exposed_ns - self._background_ns >= BACKGROUND_NS:
             self._background_ns = exposed_ns
-            made.append((BACKGROUND, jpeg_image(background).SerializeToString()))
-        return tuple(made)
+            messages.append((BACKGROUND, jpeg_image(background).SerializeToString()))
+        return tuple(messages)

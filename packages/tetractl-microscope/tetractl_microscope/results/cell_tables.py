@@ -69,12 +69,12 @@ def cell_tables(record: Record) -> list[Table]:
     """Return the tables to print: a row per cell, and the mean over the cells of each quantity."""
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
-    for one in QUANTITIES:
-        texts = [_text(cell.get(one.key), one.decimals) for cell in cells]
-        if one.key == "sure":
+    for quantity in QUANTITIES:
+        texts = [_text(cell.get(quantity.key), quantity.decimals) for cell in cells]
+        if quantity.key == "sure":
             texts = ["may be another" if cell.get("sure") is False else "sure" for cell in cells]
-        if one.heading and not {NONE, "sure"}.issuperset(texts):
-            columns.append(Column(one.heading, texts, one.unit))
+        if quantity.heading and not {NONE, "sure"}.issuperset(texts):
+            columns.append(Column(quantity.heading, texts, quantity.unit))
     note = "\n".join(record["notes"])
     means = _means(cells, record.get("scale_guessed", False))
     return [Table("Cells, with 95 % intervals", tuple(columns), note), *means]
@@ -93,10 +93,10 @@ def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[
     """Return the cells of which a quantity is known, and its values; of a and bias, only the cells
     that respond to the field.
     """
-    some = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
-    found = [(cell, value_of(cell.get(key))) for cell in some]
-    known = [(cell, value) for cell, value in found if value is not None]
-    return [cell for cell, _ in known], [value for _, value in known]
+    responding = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
+    with_values = [(cell, value_of(cell.get(key))) for cell in responding]
+    known_pairs = [(cell, value) for cell, value in with_values if value is not None]
+    return [cell for cell, _ in known_pairs], [value for _, value in known_pairs]
 
 
 def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
@@ -125,18 +125,21 @@ def _means(cells: list[Record], guessed_scale: bool) -> list[Table]:
     intervals if the scale is a guess.
     """
     rows = []
-    for one in QUANTITIES if len(cells) > 1 else ():
-        some, known = known_values(cells, one.key)
-        if one.averaged and one.heading and known:
-            found = cell_mean(some, known)
-            show = fixed(one.decimals)
-            who = " of those that respond" * (one.key in RESPONSES)
-            name = (f"{one.heading} [{one.unit}]" if one.unit else one.heading) + who
-            spread = show(found.std)
-            ends = found.ci95
-            if guessed_scale and one.unit.startswith("um"):
+    for quantity in QUANTITIES if len(cells) > 1 else ():
+        known_cells, values = known_values(cells, quantity.key)
+        if quantity.averaged and quantity.heading and values:
+            mean = cell_mean(known_cells, values)
+            show = fixed(quantity.decimals)
+            name = quantity.heading
+            if quantity.unit:
+                name += f" [{quantity.unit}]"
+            if quantity.key in RESPONSES:
+                name += " of those that respond"
+            spread = show(mean.std)
+            ends = mean.ci95
+            if guessed_scale and quantity.unit.startswith("um"):
                 ends = Interval.none("the scale is a guess")
-            rows.append((name, str(found.n), show(found.mean), ends.text(show), spread))
+            rows.append((name, str(mean.n), show(mean.mean), ends.text(show), spread))
     header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
     columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
     table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
@@ -147,10 +150,10 @@ def cell_data(record: Record) -> Table:
     """Return the data table of the cells: a row per cell, intervals as columns of their ends."""
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
-    for one in QUANTITIES:
-        entries = [cell.get(one.key) for cell in cells]
-        columns.append(Column(one.key, list(map(value_of, entries))))
-        for k, end in enumerate(("low", "high") if one.interval else ()):
+    for quantity in QUANTITIES:
+        entries = [cell.get(quantity.key) for cell in cells]
+        columns.append(Column(quantity.key, list(map(value_of, entries))))
+        for k, end in enumerate(("low", "high") if quantity.interval else ()):
             ends = [entry["ci95"][k] if isinstance(entry, Mapping) else None for entry in entries]
-            columns.append(Column(Quantity(f"{one.name}_{end}", one.unit).key, ends))
+            columns.append(Column(Quantity(f"{quantity.name}_{end}", quantity.unit).key, ends))
     return Table("Cells", tuple(columns))

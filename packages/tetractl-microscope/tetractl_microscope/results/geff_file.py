@@ -75,10 +75,10 @@ def _edges(cell: np.ndarray, frame: np.ndarray, divisions: Iterable[tuple[int, i
     """Return the edges (E, 2) between nodes that are given by their cells and pictures."""
     order = np.lexsort((frame, cell))
     same = np.diff(cell[order]) == 0
-    found = [np.column_stack([order[:-1], order[1:]])[same]]
+    edges = [np.column_stack([order[:-1], order[1:]])[same]]
     for mother, daughter in divisions:
         (born,) = np.nonzero(cell == daughter)
         (before,) = np.nonzero((cell == mother) & (frame < frame[born[:1]].sum()))
         if len(before):  # else one of them is not among the tracks
-            found.append(np.array([[before[-1], born[0]]]))
-    return np.concatenate(found).astype(np.uint64)
+            edges.append(np.array([[before[-1], born[0]]]))
+    return np.concatenate(edges).astype(np.uint64)

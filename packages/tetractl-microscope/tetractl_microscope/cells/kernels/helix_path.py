@@ -44,7 +44,7 @@ def loosen(p, start, odd, distance):
 
 
 @compiled(**ENTRY)
-def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
+def likelihoods(mean, start, models, measured, deviation, pieces, first, totals):
     """Write ln of the likelihood (V,) of K pictures' measurements (K, 3) for V variants, each with
     a mean (V, n) at the first picture, where `start` (n, n) is the covariance, and a model (V, 12).
     `mean` is that after the last picture at the end.
@@ -57,13 +57,14 @@ def likelihoods(mean, start, models, measured, deviation, pieces, first, found):
         m = mean[v]
         p = start.copy()
         odd = 0
-        found[v] = 0.0
+        totals[v] = 0.0
         for k in range(len(measured)):
             arrive(m, p, none, models[v], pieces, first, k)
             if np.isfinite(measured[k, 0]):
-                given = measured[k], deviation[k], h, gain, weighed
-                likelihood, distance, _ = correct(m, p, models[v], *given)
-                found[v] += likelihood
+                likelihood, distance, _ = correct(
+                    m, p, models[v], measured[k], deviation[k], h, gain, weighed
+                )
+                totals[v] += likelihood
                 odd = loosen(p, start, odd, distance)
 
 
@@ -90,14 +91,15 @@ def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
         for i in range(STATES):
             totals[k, i, i] = 1.0
         arrive(m, p, totals[k], model, pieces, first, k)
-        seen = np.isfinite(measured[k, 0])
+        is_measured = np.isfinite(measured[k, 0])
         distance = 0.0
-        if seen:
-            given = measured[k], deviation[k], h[k], gain[k], weighed[k]
-            _, distance, turned[k] = correct(m, p, model, *given)
+        if is_measured:
+            _, distance, turned[k] = correct(
+                m, p, model, measured[k], deviation[k], h[k], gain[k], weighed[k]
+            )
         means[k] = m
         covariances[k] = p
-        if seen:
+        if is_measured:
             odd = loosen(p, start, odd, distance)
     pull = np.zeros(STATES)
     before = np.empty(STATES)
@@ -108,11 +110,11 @@ def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
         if turned[k]:
             reverse(pull)
         for i in range(2, -1, -1):
-            known = weighed[k, i]
+            weight = weighed[k, i]
             for j in range(STATES):
-                known += gain[k, i, j] * pull[j]
+                weight += gain[k, i, j] * pull[j]
             for j in range(STATES):
-                pull[j] -= h[k, i, j] * known
+                pull[j] -= h[k, i, j] * weight
         before[:] = 0.0
         for j in range(STATES):
             for i in range(STATES):

@@ -281,8 +281,9 @@ def update(mean, covariance, rows, model, measured, deviation, likelihood, dista
     gain = np.empty((3, STATES))
     weighed = np.empty(3)
     for i, row in enumerate(rows):
-        given = measured[i], deviation[i], h, gain, weighed
-        likelihood[i], distance[i], _ = correct(mean[row], covariance[row], model, *given)
+        likelihood[i], distance[i], _ = correct(
+            mean[row], covariance[row], model, measured[i], deviation[i], h, gain, weighed
+        )
 
 
 @compiled(**ENTRY)

@@ -97,35 +97,35 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--plans", type=int, default=5)
     parser.add_argument("--benchmark", action="store_true")
-    asked = parser.parse_args()
-    instances = benchmark() if asked.benchmark else INSTANCES
+    options = parser.parse_args()
+    instances = benchmark() if options.benchmark else INSTANCES
     head = ("instance", "unit", "without feedback", "predicted", "mean of trials", "95 % interval")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     predicted = []
     measured = []
-    for one in instances:
-        progress(one.name)
-        spec = one.experiment()
+    for instance in instances:
+        progress(instance.name)
+        spec = instance.experiment()
         seed = spec.trials.seed
-        found = steering(planner(spec), spec.setup, Noise.of(spec.plant), seed, asked.plans)
-        if found is None:
-            print(f"| {one.name} | no plan found | | | | |", flush=True)
+        trials = steering(planner(spec), spec.setup, Noise.of(spec.plant), seed, options.plans)
+        if trials is None:
+            print(f"| {instance.name} | no plan found | | | | |", flush=True)
             continue
-        errors = np.array([result.total_error for result in run(spec, asked.trials)])
+        errors = np.array([result.total_error for result in run(spec, options.trials)])
         (described,) = distributions(errors[None])
         way = spec.setup.speed.mean() * spec.setup.period_s
-        predicted.append(found.error / way)
+        predicted.append(trials.error / way)
         measured.append(float(errors.mean()) / way)
         between = f"{described.ci95.low:.1f} to {described.ci95.high:.1f}"
-        free = f"{np.median(found.open_loop):.1f}"
-        means = (f"{found.error:.1f}", f"{errors.mean():.1f}")
-        cells = (one.name, spec.setup.unit, free, *means, between)
+        free = f"{np.median(trials.open_loop):.1f}"
+        means = (f"{trials.error:.1f}", f"{errors.mean():.1f}")
+        cells = (instance.name, spec.setup.unit, free, *means, between)
         print(f"| {' | '.join(cells)} |", flush=True)
     rank = float(spearmanr(predicted, measured).statistic)
     print(
         "\nrank correlation of predicted error and mean of trials, over "
-        f"{len(measured)} instances: {rank:.2f}; per instance {asked.trials} trials and "
-        f"{asked.plans} plans; simulation with assumed noise"
+        f"{len(measured)} instances: {rank:.2f}; per instance {options.trials} trials and "
+        f"{options.plans} plans; simulation with assumed noise"
     )
 
 

@@ -92,26 +92,26 @@ def scattered(
     y: tuple[float, float] = INSIDE,
 ) -> Floats:
     """Draw points (count, 2) within ranges of x and y that are BETWEEN_MM from each other."""
-    found: list[Floats] = []
-    while len(found) < count:
+    points: list[Floats] = []
+    while len(points) < count:
         point = rng.uniform(*zip(x, y, strict=True))
-        if all(np.hypot(*(point - other)) >= BETWEEN_MM for other in found):
-            found.append(point)
-    return np.array(found)
+        if all(np.hypot(*(point - placed)) >= BETWEEN_MM for placed in points):
+            points.append(point)
+    return np.array(points)
 
 
 def _obstacles(rng: np.random.Generator, points: Floats) -> tuple[dict[str, Any], ...]:
     """Draw one to three rectangles that are CLEAR_MM from all points."""
-    found: list[dict[str, Any]] = []
+    obstacles: list[dict[str, Any]] = []
     for _ in range(1000 * (several := int(rng.integers(1, 4)))):
         size = rng.uniform(150, 350, 2)
         corner = rng.uniform(0, ARENA_MM - size)
         off = np.maximum(np.maximum(corner - points, points - corner - size), 0.0)
-        if np.hypot(*off.T).min() >= CLEAR_MM and len(found) < several:
+        if np.hypot(*off.T).min() >= CLEAR_MM and len(obstacles) < several:
             (left, bottom), (width, height) = corner.tolist(), size.tolist()
             sizes = {"left": left, "bottom": bottom, "width": width, "height": height}
-            found.append({"type": "rectangle", **sizes})
-    return tuple(found)
+            obstacles.append({"type": "rectangle", **sizes})
+    return tuple(obstacles)
 
 
 class Timed(Mpc):
@@ -127,10 +127,10 @@ class Timed(Mpc):
     ) -> Plan | Outcome | End:
         moved = self.progress.moving
         begin = time.thread_time()
-        found = super().plan(observation, last_command, earlier)
+        plan = super().plan(observation, last_command, earlier)
         if moved:
             self.seconds.append(time.thread_time() - begin)
-        return found
+        return plan
 
 
 def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool) -> None:
@@ -150,9 +150,9 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
         def build(
             spec: Experiment, key: int, plant: Plant, seconds: list[float] = seconds
         ) -> Timed:
-            made = counted(Timed, spec.controller, spec.setup, key)
-            made.seconds = seconds
-            return made
+            controller = counted(Timed, spec.controller, spec.setup, key)
+            controller.seconds = seconds
+            return controller
 
         before = len(seconds)
         (result,) = run(spec, 1, build)
@@ -167,23 +167,23 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
         )
         if predict:
             noise = Noise.of(spec.plant)
-            found = steering(planner(spec), spec.setup, noise, spec.trials.seed, 3)
-            if found is None:
+            trials = steering(planner(spec), spec.setup, noise, spec.trials.seed, 3)
+            if trials is None:
                 none += 1
             else:
-                predicted.append(found.error)
+                predicted.append(trials.error)
                 measured.append(result.total_error)
     print("\n| robots | solved | 95 % interval of the share | plan, mean / p99 / max [ms] |")
     print("|---|---|---|---|")
-    every = [one for some in solved.values() for one in some]
-    for name, some in (*solved.items(), ("all", every)):
-        share = percent(proportion_interval(sum(some), len(some))).strip(" ()")
+    all_ms = [solve_ms for solves in solved.values() for solve_ms in solves]
+    for name, solves_ms in (*solved.items(), ("all", all_ms)):
+        share = percent(proportion_interval(sum(solves_ms), len(solves_ms))).strip(" ()")
         sizes = SIZES if name == "all" else [name]
         mine = np.concatenate([np.empty(0), *(spent[int(size)] for size in sizes)])
         ms = 1e3 * np.array([mine.mean(), np.quantile(mine, 0.99), mine.max()] if len(mine) else [])
-        times = " / ".join(f"{one:.1f}" for one in ms)
-        print(f"| {name} | {sum(some)} of {len(some)} | {share} | {times} |")
-    print(f"\n{unsafe} of {len(every)} entered an obstacle or left the arena.")
+        times = " / ".join(f"{quantile_ms:.1f}" for quantile_ms in ms)
+        print(f"| {name} | {sum(solves_ms)} of {len(solves_ms)} | {share} | {times} |")
+    print(f"\n{unsafe} of {len(all_ms)} entered an obstacle or left the arena.")
     if predict:
         rank = float(spearmanr(predicted, measured).statistic)
         print(f"Predicted: rank correlation {rank:.2f} over {len(measured)}; no plan for {none}.")
@@ -234,7 +234,7 @@ def first_plans(trials: int) -> None:
                 searcher = Searcher(optimizer, problem, seed)
                 searcher.spread(least_length(problem), 400, good)
                 seconds.append(time.thread_time() - begin)
-                best = min(searcher.found, key=lambda one: (not good(one), one.length))
+                best = min(searcher.found, key=lambda way: (not good(way), way.length))
                 solved += best.cost <= 1
                 signals.append(best.length)
             p50, p95 = np.quantile(seconds, [0.5, 0.95])

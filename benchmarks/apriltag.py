@@ -45,8 +45,8 @@ ROBOTS = tuple(
     RobotTag(name=name, tag=tag, size_mm=80, height_mm=90) for tag, name in enumerate(NAMES)
 )
 FLOOR = tuple(
-    FloorTag(tag=100 + i, at=at, size_mm=120)
-    for i, at in enumerate([(400, 250), (2200, 250), (2200, 2250), (400, 2250)])
+    FloorTag(tag=100 + i, at=position, size_mm=120)
+    for i, position in enumerate([(400, 250), (2200, 250), (2200, 2250), (400, 2250)])
 )
 SIZES = ((640, 480), (1280, 720))
 BENT = (-0.2, 0.08, 0.002, -0.002, 0.0)
@@ -55,13 +55,13 @@ QUALITY = 90
 
 def section(source: dict[str, object] | None = None, **changes: object) -> AprilTagSection:
     source = source or {"type": "file", "path": "none"}
-    made = {"type": "apriltag", "source": source, "robots": ROBOTS, "floor": FLOOR}
-    return AprilTagSection.model_validate({**made, **changes})
+    camera = {"type": "apriltag", "source": source, "robots": ROBOTS, "floor": FLOOR}
+    return AprilTagSection.model_validate({**camera, **changes})
 
 
 def renderer(size: tuple[int, int], tilt: float = 0.35, **optics: object) -> Renderer:
-    made = Optics.facing(FLOOR, MM, *size, tilt=tilt)
-    return Renderer(ROBOTS, FLOOR, MM, replace(made, **optics), seed=1)
+    facing = Optics.facing(FLOOR, MM, *size, tilt=tilt)
+    return Renderer(ROBOTS, FLOOR, MM, replace(facing, **optics), seed=1)
 
 
 def scattered(rng: np.random.Generator) -> Poses:
@@ -107,9 +107,9 @@ def errors(
             y = poses.y + 200 * t * np.sin(way)
             return Poses(x, y, poses.heading + turn * t)
 
-        seen = tracker.see(sent(drawn.picture(at, 0)))
-        small = min(small, seen.side_px or math.inf)
-        for i, pose in enumerate(seen.poses):
+        tracked = tracker.see(sent(drawn.picture(at, 0)))
+        small = min(small, tracked.side_px or math.inf)
+        for i, pose in enumerate(tracked.poses):
             if pose is not None:
                 off.append(math.hypot(pose.x - poses.x[i], pose.y - poses.y[i]))
                 turned.append(abs(math.remainder(pose.heading - poses.heading[i], math.tau)))
@@ -191,23 +191,23 @@ def corners(scale: float) -> None:
             )
             detector = cv2.aruco.ArucoDetector(family, parameters)
             off = []
-            took = []
+            times_ms = []
             for truth, picture in shots:
                 began = time.perf_counter()
-                found, numbers, _ = detector.detectMarkers(picture)
-                places = np.array(found, float).reshape(-1, 4, 2)
+                rough, numbers, _ = detector.detectMarkers(picture)
+                places = np.array(rough, float).reshape(-1, 4, 2)
                 if name == "sides":
                     places, _ = refined(picture, places, MODULES)
-                took.append(time.perf_counter() - began)
+                times_ms.append(time.perf_counter() - began)
                 for tag, place in zip(np.ravel(numbers), places, strict=True):
                     if tag < len(ROBOTS):
                         card = drawn.card(ROBOTS[tag], truth, tag)
                         square = card.mean(axis=0) + (card - card.mean(axis=0)) * MODULES / CARD
                         gaps = [np.roll(place, k, axis=0) - square for k in range(4)]
                         off.append(min(gaps, key=lambda gap: np.square(gap).sum()))
-            own = "sides" if name == "sides" else f"OpenCV, {name}"
+            way = "sides" if name == "sides" else f"OpenCV, {name}"
             rms = math.sqrt(np.mean(np.square(off)))
-            row(told(size), own, f"{rms:.3f}", f"{1e3 * np.median(took):.1f}")
+            row(told(size), way, f"{rms:.3f}", f"{1e3 * np.median(times_ms):.1f}")
 
 
 def tilt(scale: float) -> None:
@@ -224,9 +224,9 @@ def tilt(scale: float) -> None:
         for angle in (0.0, 0.05, 0.1, 0.2, 0.35, 0.5):
             drawn = renderer(size, tilt=angle)
             blind = Tracker(section(), NAMES, MM)
-            known = Tracker(section(lens={"focal_px": drawn.optics.focal_px}), NAMES, MM)
+            tracker = Tracker(section(lens={"focal_px": drawn.optics.focal_px}), NAMES, MM)
             mm, _, _, _ = errors(blind, drawn, round(100 * scale))
-            right, _, _, _ = errors(known, drawn, round(100 * scale))
+            right, _, _, _ = errors(tracker, drawn, round(100 * scale))
             plane = blind.floor.plane
             doubt = f"{plane.doubt_mm:.2f}" if plane is not None else "-"
             row(
@@ -275,8 +275,8 @@ def speed(scale: float) -> None:
             times: dict[str, list[float]] = {"render": [], "decode": [], "search": []}
             cpu = 0.0
             for _ in range(round(200 * scale)):
-                at = partial(stand, scattered(rng))
-                picture = clocked(times["render"], partial(drawn.picture, at, 0))
+                poses_at = partial(stand, scattered(rng))
+                picture = clocked(times["render"], partial(drawn.picture, poses_at, 0))
                 _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
                 grey = clocked(times["decode"], partial(decoded, Picture(data.tobytes(), 0)))
                 began = time.process_time()
@@ -301,9 +301,9 @@ def stand(poses: Poses, t_ns: int) -> Poses:
 
 def clocked(times: list[float], act: Callable[[], Any]) -> Any:
     began = time.perf_counter()
-    made = act()
+    result = act()
     times.append(time.perf_counter() - began)
-    return made
+    return result
 
 
 def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
@@ -352,9 +352,9 @@ def latency(scale: float) -> None:
                 facts = camera.check().facts
             ours.send("end")
             process.join()
-            seen = np.array(watch.seen)
-            frames = (len(seen) - 1) * SECOND / (seen[-1, 0] - seen[0, 0])
-            age = (seen[:, 0] - seen[:, 1]) / 1e6
+            delays = np.array(watch.seen)
+            frames = (len(delays) - 1) * SECOND / (delays[-1, 0] - delays[0, 0])
+            age = (delays[:, 0] - delays[:, 1]) / 1e6
             row(
                 told(size),
                 f"{rate_hz:.0f}",

@@ -45,15 +45,17 @@ def main() -> None:
     print("|---|--:|--:|--:|--:|--:|")
     print(row("bench without noise, slip and lost frames", sims))
     print(row("emulated lab", labs))
-    one, two = (np.array([r.total_error for r in results]) for results in (sims, labs))
-    ks = stats.ks_2samp(one, two)
+    sim_errors, lab_errors = (
+        np.array([r.total_error for r in results]) for results in (sims, labs)
+    )
+    ks = stats.ks_2samp(sim_errors, lab_errors)
 
     def difference(a: np.ndarray, b: np.ndarray) -> float:
         return float(np.log(a).mean() - np.log(b).mean())
 
-    permuted = stats.permutation_test((one, two), difference, rng=1)
+    permuted = stats.permutation_test((sim_errors, lab_errors), difference, rng=1)
     print(f"\nKolmogorov-Smirnov: D = {ks.statistic:.2f}, p = {ks.pvalue:.2f}. ", end="")
-    ratio = float(np.exp(difference(one, two)))
+    ratio = float(np.exp(difference(sim_errors, lab_errors)))
     print(f"Geometric mean of the bench over the lab's: {ratio:.2f}, permutation ", end="")
     print(f"p = {permuted.pvalue:.2f}.")
 

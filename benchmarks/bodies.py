@@ -84,21 +84,21 @@ def run(spec: Experiment, trial: int) -> Row:
     key, seed = trial_seeds(spec.trials.seed, trial)
     clock = VirtualClock()
     nowhere = PlantInfo("", True, 0.0, {})
-    kept = Kept()
+    samples_of_trial = Kept()
     result = Trial(
         start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
         plant=spec.plant.build(spec.setup, clock, seed, LabSupervision()),
         controller=build_controller(spec, key),
         first_plan=spec.controller.first_plan,
         clock=clock,
-        observers=[kept],
+        observers=[samples_of_trial],
         interrupt=Interrupt(),
     ).run()
     verdict = result.verdict
     radius = spec.controller.collision.radius
     least = min(verdict.edge), min(verdict.clearance), min(verdict.apart)
     touched = min(least[0], least[1], least[2] - radius) < radius
-    traced = list(trace(spec, trial, kept)) if touched else []
+    traced = list(trace(spec, trial, samples_of_trial)) if touched else []
     return Row(
         trial,
         result.total_error,
@@ -114,39 +114,44 @@ def _outcome(result: Result) -> str:
     return result.outcome.value + (f": {result.reason}" if result.reason else "")
 
 
-def trace(spec: Experiment, trial: int, kept: Kept) -> Iterator[tuple[bool, str]]:
+def trace(spec: Experiment, trial: int, samples_of_trial: Kept) -> Iterator[tuple[bool, str]]:
     """Yield, for each control step in which a body touches something more than before, whether the
     controller expected that, and a line of a table."""
     setup = spec.setup
     names = spec.setup.names
     radius = spec.controller.collision.radius
     delay = round(spec.plant.dead_time * SECOND)
-    at = np.array([sample.observation.sampled_ns for sample in kept.samples])
-    path = np.array([sample.truth.array() for sample in kept.samples])
+    sampled_ns = np.array([sample.observation.sampled_ns for sample in samples_of_trial.samples])
+    path = np.array([sample.truth.array() for sample in samples_of_trial.samples])
     region = Obstacles.of(setup.obstacles, 0.0, setup.arena)
     pairs = np.triu_indices(len(names), 1)
 
     def room(x: Floats, y: Floats) -> Floats:
         """Distances between bodies (..., N + pairs): to obstacles and edges, and between two."""
-        one, other = pairs
-        gaps = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
+        first_of_pair, second_of_pair = pairs
+        gaps = np.hypot(
+            x[..., first_of_pair] - x[..., second_of_pair],
+            y[..., first_of_pair] - y[..., second_of_pair],
+        )
         return np.concatenate([region.distance(x, y) - radius, gaps - 2 * radius], axis=-1)
 
     who = [*names, *(f"{names[i]}-{names[j]}" for i, j in zip(*pairs, strict=True))]
-    for step, after in zip(kept.steps, [*kept.steps[1:], None], strict=True):
+    for step, after in zip(
+        samples_of_trial.steps, [*samples_of_trial.steps[1:], None], strict=True
+    ):
         begin = step.command.sent_ns + delay
-        end = at[-1] if after is None else after.command.sent_ns + delay
-        inside = np.flatnonzero((at >= begin) & (at <= end))
+        end = sampled_ns[-1] if after is None else after.command.sent_ns + delay
+        inside = np.flatnonzero((sampled_ns >= begin) & (sampled_ns <= end))
         if not len(inside):
             continue
         true = room(path[inside, :, 0], path[inside, :, 1])
         plan = step.plan
-        known = step.plan.estimate
+        estimate = step.plan.estimate
         x, y, heading = plan.path[0].T
         drives = not plan.pauses
         period = spec.controller.period * MOMENTS[:, None] * drives
-        u = (plan.signals[0] if drives else 0.0) + (known.heading_bias if known else 0.0)
-        a, speed = (known.a, known.speed) if known else (setup.a, setup.speed)
+        u = (plan.signals[0] if drives else 0.0) + (estimate.heading_bias if estimate else 0.0)
+        a, speed = (estimate.a, estimate.speed) if estimate else (setup.a, setup.speed)
         ahead = exact(x, y, heading, u, a, speed, period)
         planned = room(ahead[0], ahead[1])
         for i, name in enumerate(who):
@@ -157,8 +162,10 @@ def trace(spec: Experiment, trial: int, kept: Kept) -> Iterator[tuple[bool, str]
                 continue
             knew = bool(expected < min(0.0, planned[0, i]) - SURE_MM)
             off = np.hypot(*(path[inside[0], :, :2] - plan.path[0][:, :2]).T)
-            some = [i] if i < len(names) else [pairs[0][i - len(names)], pairs[1][i - len(names)]]
-            lost = [names[j] for j in some if not step.command.delivered[j]]
+            involved = (
+                [i] if i < len(names) else [pairs[0][i - len(names)], pairs[1][i - len(names)]]
+            )
+            lost = [names[j] for j in involved if not step.command.delivered[j]]
             cells = (
                 trial,
                 step.k,
@@ -166,7 +173,7 @@ def trace(spec: Experiment, trial: int, kept: Kept) -> Iterator[tuple[bool, str]
                 "rest" if plan.pauses else "drive",
                 *(f"{value:.1f}" for value in (now, planned[0, i], expected, least)),
                 ", ".join(lost) or "-",
-                f"{off[some].max():.1f}",
+                f"{off[involved].max():.1f}",
                 "**expected**" if knew else "disturbance",
             )
             yield knew, f"| {' | '.join(map(str, cells))} |"
@@ -207,16 +214,19 @@ def report(rate: int, rows: list[Row], radius: float, earlier: dict[int, float])
     print(f"median {np.median(errors):.2f}, worst {errors.max():.1f}; ", end="")
     print(f"a trial takes {np.mean([row.seconds for row in rows]):.1f} s.", end=" ")
     names = sorted({row.outcome for row in rows})
-    told = [f"{name} {sum(row.outcome == name for row in rows)}" for name in names]
-    print(f"Outcomes: {', '.join(told)}.")
-    if both := [row for row in rows if row.trial in earlier]:
-        before = np.array([earlier[row.trial] for row in both])
-        more = np.array([row.error for row in both]) - before
-        found = paired_t(more)
-        low = found.ci95.low
-        high = found.ci95.high
-        print(f"\nMinus the other version, {len(both)} pairs, {(more == 0).sum()} of them equal: ")
-        print(f"{found.value:.2f} mm [{low:.2f}, {high:.2f}]; there ", end="")
+    outcomes = [f"{name} {sum(row.outcome == name for row in rows)}" for name in names]
+    print(f"Outcomes: {', '.join(outcomes)}.")
+    if paired_rows := [row for row in rows if row.trial in earlier]:
+        before = np.array([earlier[row.trial] for row in paired_rows])
+        more = np.array([row.error for row in paired_rows]) - before
+        difference = paired_t(more)
+        low = difference.ci95.low
+        high = difference.ci95.high
+        print(
+            f"\nMinus the other version, {len(paired_rows)} pairs, "
+            f"{(more == 0).sum()} of them equal: "
+        )
+        print(f"{difference.value:.2f} mm [{low:.2f}, {high:.2f}]; there ", end="")
         print(f"{(before > LARGE_MM).sum()} were above {LARGE_MM:g} mm.")
     if lines := [line for row in rows for line in row.traced]:
         print(f"\n| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
@@ -232,20 +242,20 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, help="CSV of the trials; needs --rate")
     parser.add_argument("--against", type=Path, help="such a CSV of another version")
-    asked = parser.parse_args()
-    print(f"Simulated, seed {asked.seed}, {', '.join(f'`{one}`' for one in HURT)}. {load()}.")
+    options = parser.parse_args()
+    print(f"Simulated, seed {options.seed}, {', '.join(f'`{name}`' for name in HURT)}. {load()}.")
     earlier = {}
-    if asked.against:
-        with asked.against.open() as file:
+    if options.against:
+        with options.against.open() as file:
             earlier = {int(row["trial"]): float(row["error"]) for row in csv.DictReader(file)}
-    for rate in [asked.rate] if asked.rate else RATES:
-        spec = load_experiment(OURS, *HURT, *RATES[rate], f"trials.seed={asked.seed}")
-        numbers = range(asked.first, asked.first + asked.trials)
-        with get_context("spawn").Pool(asked.jobs) as pool:
+    for rate in [options.rate] if options.rate else RATES:
+        spec = load_experiment(OURS, *HURT, *RATES[rate], f"trials.seed={options.seed}")
+        numbers = range(options.first, options.first + options.trials)
+        with get_context("spawn").Pool(options.jobs) as pool:
             rows = list(pool.imap(partial(run, spec), numbers))
         report(rate, rows, spec.controller.collision.radius, earlier)
-        if asked.out:
-            with asked.out.open("w", newline="") as file:
+        if options.out:
+            with options.out.open("w", newline="") as file:
                 fields = ("trial", "error", "seconds", "outcome", "edge", "obstacle", "apart")
                 writer = csv.writer(file)
                 writer.writerow(fields)

@@ -72,14 +72,14 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     ]
     names = Names(bank, 52.3, splits=False)
     direction = 0.0
-    left = 0.0
+    remaining_s = 0.0
     frame = 0
     merged = False
     for k in range(round((10.0 + limit) / STEP_S)):
         t = k * STEP_S
-        if left <= 0:
+        if remaining_s <= 0:
             direction = random.uniform(-math.pi, math.pi)
-            left = random.uniform(0.3, 1.2)
+            remaining_s = random.uniform(0.3, 1.2)
         if not merged and t >= 10.0:  # at one place with one heading
             cells.x[:] = 0.0
             cells.y[:] = 0.0
@@ -95,20 +95,20 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
         field = (math.cos(direction), math.sin(direction))
         cells.swim(field, STEP_S, random)
         bank.predict([(STEP_S, *field)])
-        left -= STEP_S
+        remaining_s -= STEP_S
         frame += 1
         if frame % 8:
             continue
-        seen = bodies(cells)
-        blobs = np.column_stack([seen.x, seen.y, seen.axis])
+        shown_bodies = bodies(cells)
+        blobs = np.column_stack([shown_bodies.x, shown_bodies.y, shown_bodies.axis])
         blobs += random.normal(0, 1, (2, 3)) * (0.4, 0.4, 0.02)
         for track, blob in zip(tracks, blobs, strict=True):
-            asked = track.question
-            each = [track.row] if asked is None else asked.rows[track.number]
-            many = np.tile(blob, (len(each), 1)), np.tile(deviation[0], (len(each), 1))
-            likelihood, _ = bank.update(np.array(each, int), *many)
-            if asked is not None:
-                asked.add(track, likelihood, None, t)
+            open_question = track.question
+            rows_asked = [track.row] if open_question is None else open_question.rows[track.number]
+            many = np.tile(blob, (len(rows_asked), 1)), np.tile(deviation[0], (len(rows_asked), 1))
+            likelihood, _ = bank.update(np.array(rows_asked, int), *many)
+            if open_question is not None:
+                open_question.add(track, likelihood, None, t)
     question = tracks[0].question
     assert question is not None
     order, shares = question.best()

@@ -8,6 +8,7 @@ published figures; smaller ones were used in development.
 """
 
 import argparse
+import itertools
 import math
 import sys
 import tempfile
@@ -78,7 +79,7 @@ def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
 
 def trials(count: int) -> None:
     """A trial counts as swapped where a robot is another cell at its end than at its beginning."""
-    seen = []
+    pictured = []
     simulated = []
     swapped = 0
     failed = []
@@ -98,22 +99,23 @@ def trials(count: int) -> None:
             continue
         loaded = load_spec(DISH, (f"trials.seed={seed}",))
         same = replace(loaded, experiment=of_robots(loaded.experiment, witness.setup))
-        seen.append(result.total_error)
+        pictured.append(result.total_error)
         simulated.append(run_observed([], same, 0, [], interrupt).total_error)
         print(
-            f"seed {seed}: {seen[-1]:.0f} um through pictures, {simulated[-1]:.0f} simulated; "
+            f"seed {seed}: {pictured[-1]:.0f} um through pictures, {simulated[-1]:.0f} simulated; "
             f"{swapped} swapped so far",
             flush=True,
         )
     print(
-        f"{count} emulated trials of 3 cells: {len(seen)} ended, {swapped} with swapped identities"
+        f"{count} emulated trials of 3 cells: {len(pictured)} ended, "
+        f"{swapped} with swapped identities"
     )
     for reason in failed:
         print(f"did not end: {reason}")
-    ratio = np.mean(seen) / np.mean(simulated)
+    ratio = np.mean(pictured) / np.mean(simulated)
     print(
-        f"mean total error {np.mean(seen):.1f} um through pictures, {np.mean(simulated):.1f} "
-        f"simulated with the same cells: {ratio:.2f} times; medians {np.median(seen):.1f} and "
+        f"mean total error {np.mean(pictured):.1f} um through pictures, {np.mean(simulated):.1f} "
+        f"simulated with the same cells: {ratio:.2f} times; medians {np.median(pictured):.1f} and "
         f"{np.median(simulated):.1f}"
     )
 
@@ -134,22 +136,22 @@ def survey(count: int) -> None:
             rig = build_rig(experiment.plant, experiment.setup, dish.clock)
             with rig:
                 cells = turn_field(rig, choice_of(experiment), seed, LabSupervision())
-            known = true_cells(cells, dish)
+            true_of = true_cells(cells, dish)
         choices = [
             ranked(experiment, cells, noise, PLANS),
-            ranked(reseeded(experiment, seed + 10_000), list(known.values()), noise, PLANS),
+            ranked(reseeded(experiment, seed + 10_000), list(true_of.values()), noise, PLANS),
         ]
         test = reseeded(experiment, seed + 20_000)
         errors = {}
-        for one in (one for some in choices for one in some):
-            true = tuple(known[cell.number] for cell in one.cells)
+        for choice in itertools.chain(*choices):
+            true = tuple(true_of[cell.number] for cell in choice.cells)
             if numbers(true) not in errors:
                 errors[numbers(true)] = RankedChoice(test, true, noise).along(TESTED).error
         best = min(errors.values(), default=math.inf)
         if not math.isfinite(best) or not all(choices):
             print(f"seed {seed}: no choice of {len(cells)} cells can be steered", flush=True)
             continue
-        ours, floor = (errors[numbers(some[0].cells)] for some in choices)
+        ours, floor = (errors[numbers(choice[0].cells)] for choice in choices)
         ratios.append(ours / best)
         floors.append(floor / best)
         print(
@@ -157,11 +159,12 @@ def survey(count: int) -> None:
             f"and other random numbers {floors[-1]:.2f}",
             flush=True,
         )
-    for name, found in (("chosen", ratios), ("with perfect knowledge", floors)):
-        good = sum(ratio <= 1.2 for ratio in found)
+    for name, ratios_of in (("chosen", ratios), ("with perfect knowledge", floors)):
+        good = sum(ratio <= 1.2 for ratio in ratios_of)
         print(
-            f"{len(found)} of {count} emulated dishes, predicted error of the cells {name} over "
-            f"the best: median {np.median(found):.2f}, worst {max(found):.2f}, at most 1.2: {good}"
+            f"{len(ratios_of)} of {count} emulated dishes, predicted error of the cells {name} "
+            f"over the best: median {np.median(ratios_of):.2f}, worst {max(ratios_of):.2f}, "
+            f"at most 1.2: {good}"
         )
 
 
@@ -171,18 +174,18 @@ def reseeded(experiment: Experiment, seed: int) -> Experiment:
     return experiment.model_copy(update={"trials": trials})
 
 
-def true_cells(found: Sequence[RobotCandidate], dish: VirtualLab) -> dict[int, RobotCandidate]:
+def true_cells(tracked: Sequence[RobotCandidate], dish: VirtualLab) -> dict[int, RobotCandidate]:
     """The cells found, by number, with the a and speed that each truly has.
 
     Where two have met, places alone do not say which is which: then the speed does.
     """
     cells = dish.cells
-    x, y, speed = np.array([(cell.pose.x, cell.pose.y, cell.speed) for cell in found]).T
+    x, y, speed = np.array([(cell.pose.x, cell.pose.y, cell.speed) for cell in tracked]).T
     gaps = np.hypot(x[:, None] - cells.x, y[:, None] - cells.y)
     gaps += 100 * np.abs(np.log(np.maximum(speed, 1.0)[:, None] / cells.speed))
     return {
-        found[i].number: replace(
-            found[i], a=float(cells.a[j]) or found[i].a, speed=float(cells.speed[j])
+        tracked[i].number: replace(
+            tracked[i], a=float(cells.a[j]) or tracked[i].a, speed=float(cells.speed[j])
         )
         for i, j in zip(*linear_sum_assignment(gaps), strict=True)
     }

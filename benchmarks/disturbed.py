@@ -143,8 +143,10 @@ class Heard:
     """A bank of filters for each robot, which is given only the commands that the robot heard."""
 
     def __init__(self, problem: Problem, dead_time_s: float) -> None:
-        each = (problem.only(one) for one in np.eye(len(problem.a), dtype=np.bool_))
-        self.banks = [FilterBank(nothing(one, dead_time_s)) for one in each]
+        problems = (problem.only(only) for only in np.eye(len(problem.a), dtype=np.bool_))
+        self.banks = [
+            FilterBank(nothing(problem_of_robot, dead_time_s)) for problem_of_robot in problems
+        ]
 
     def add_command(self, command: Command) -> None:
         for bank, heard in zip(self.banks, command.delivered, strict=True):
@@ -169,8 +171,8 @@ class Heard:
 class Knowing(Mpc):
     """The controller that knows which of its commands arrived."""
 
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self.heard = Heard(self.estimator.problem, self.section.dead_time)
         self.estimator.filter = self.heard  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -233,11 +235,13 @@ HEAD = (
 
 
 def unsafe(
-    results: list[Result], *of: Callable[[Verdict, float], list[bool]], radius: float = 0.0
+    results: list[Result], *flags_of: Callable[[Verdict, float], list[bool]], radius: float = 0.0
 ) -> str:
     """In how many trials a robot of some radius did each of some things."""
-    found = (sum(any(one(result.verdict, radius)) for result in results) for one in of)
-    return f"{' / '.join(map(str, found))} of {len(results)}"
+    counts = (
+        sum(any(flag_of(result.verdict, radius)) for result in results) for flag_of in flags_of
+    )
+    return f"{' / '.join(map(str, counts))} of {len(results)}"
 
 
 def row(name: str, results: list[Result]) -> str:
@@ -263,12 +267,12 @@ def row(name: str, results: list[Result]) -> str:
 def table(rows: list[Row], world: "World", trials: int) -> dict[str, list[Result]]:
     """Run every row, print the table, and return the results by name."""
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
-    found = {}
+    results_of = {}
     for name, settings in rows:
         progress(name)
-        found[name] = run(world.spec(OURS, settings), trials)
-        print(row(name, found[name]), flush=True)
-    return found
+        results_of[name] = run(world.spec(OURS, settings), trials)
+        print(row(name, results_of[name]), flush=True)
+    return results_of
 
 
 def references(world: "World", trials: int, published: bool) -> None:
@@ -282,15 +286,15 @@ def references(world: "World", trials: int, published: bool) -> None:
         print(row("undisturbed", run(load_experiment(OURS, *world.rate), trials)), flush=True)
 
 
-def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
+def draw(results_of: dict[str, list[Result]], title: str, path: Path) -> None:
     """Draw the mean total error of each row over its mean time, with 95 % intervals."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     axes = figure.subplots()
-    for name, results in found.items():
-        both = np.array([(one.duration_s, one.total_error) for one in results])
-        time_s, error = distributions(both.T)
+    for name, results in results_of.items():
+        points = np.array([(result.duration_s, result.total_error) for result in results])
+        time_s, error = distributions(points.T)
         x = time_s.mean
         y = error.mean
         wide = [[x - time_s.ci95.low], [time_s.ci95.high - x]]
@@ -315,7 +319,7 @@ class World:
 
     def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
         rate = () if slow else self.rate
-        settings = [self._filled(one) for one in settings]
+        settings = [self._filled(setting) for setting in settings]
         if self.bench is None:
             return load_experiment(file, *self.plain, *rate, *settings)
         if file == OURS:
@@ -324,8 +328,8 @@ class World:
         return load_experiment(file, *self.plain).model_copy(update={"plant": plant})
 
     def _filled(self, setting: str) -> str:
-        head, told, more = setting.partition("{}")
-        return f"{head}{self.dead_time_s + float(more or 0):.6g}" if told else setting
+        head, placeholder, more = setting.partition("{}")
+        return f"{head}{self.dead_time_s + float(more or 0):.6g}" if placeholder else setting
 
 
 def main() -> None:
@@ -341,22 +345,22 @@ def main() -> None:
     parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
     parser.add_argument("--figure", type=Path, help="of the rows: error over time")
     chosen = parser.parse_args()
-    rows = [one for one in PARTS[chosen.part] if chosen.only in (None, one[0])]
+    rows = [row for row in PARTS[chosen.part] if chosen.only in (None, row[0])]
     if not rows:
         parser.error(f"--only: no row {chosen.only!r} of the part {chosen.part}")
     plain = () if chosen.bench else HURT if chosen.part == "hurting" else WORLD
     if chosen.seed is not None:
         plain = (*plain, f"trials.seed={chosen.seed}")
     world = World(chosen.bench, chosen.rate, chosen.dead_time, plain)
-    where = ", ".join(([chosen.bench] if chosen.bench else []) + [f"`{one}`" for one in plain])
+    where = ", ".join(([chosen.bench] if chosen.bench else []) + [f"`{name}`" for name in plain])
     print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
-    found = table(rows, world, chosen.trials)
+    results_of = table(rows, world, chosen.trials)
     if chosen.part != "hurting" and not chosen.only:
         references(world, chosen.trials, published=chosen.part == "ablation")
     if chosen.figure:
         where = chosen.bench or "the world of benchmarks/disturbed.py"
         title = f"simulated, {where}, {chosen.rate} Hz, {chosen.trials} trials a point"
-        draw(found, title, chosen.figure)
+        draw(results_of, title, chosen.figure)
 
 
 if __name__ == "__main__":

@@ -57,14 +57,14 @@ def scored(
     cv2.setNumThreads(1)
     folder = rendered(cache, renderer, level, seed)
     truth = FilmTruth.load(folder / "truth.npz").thinned(SETTINGS[setting].every)
-    shown = tracked(tracker, folder, truth, setting)
-    score = score_film(folder.name, truth, shown)
+    tracks = tracked(tracker, folder, truth, setting)
+    score = score_film(folder.name, truth, tracks)
     if keep:
         out = folder / keep
         out.mkdir(exist_ok=True)
-        rows = {name: getattr(shown, name) for name in Shown.__slots__ if name != "numbers"}
+        rows = {name: getattr(tracks, name) for name in Shown.__slots__ if name != "numbers"}
         np.savez_compressed(out / f"{tracker}-{setting}.npz", **rows)
-        said = {"score": asdict(score), "numbers": shown.numbers}
+        said = {"score": asdict(score), "numbers": tracks.numbers}
         (out / f"{tracker}-{setting}.json").write_text(json.dumps(said, indent=1))
     return score
 
@@ -116,12 +116,16 @@ def show(films: Scores, level: str, tracker: str) -> None:
     """Print the rows of a level, with a column for each setting, for each renderer and over all."""
     if len(films) > 1:
         settings = next(iter(films.values()))
-        both = {name: [film for some in films.values() for film in some[name]] for name in settings}
-        films = films | {"both renderers": both}
+        by_name = {
+            name: [film for scored in films.values() for film in scored[name]] for name in settings
+        }
+        films = films | {"both renderers": by_name}
     for renderer, by_setting in films.items():
-        columns = [dict(table(some, tracker == "tetractl")) for some in by_setting.values() if some]
+        columns = [
+            dict(table(scored, tracker == "tetractl")) for scored in by_setting.values() if scored
+        ]
         print(f"\n## {renderer}, {level}, {tracker}\n")
-        print(f"| | {' | '.join(name for name, some in by_setting.items() if some)} |")
+        print(f"| | {' | '.join(name for name, scored in by_setting.items() if scored)} |")
         print(f"|---|{'---|' * len(columns)}")
         for what in columns[0]:
             print(f"| {what} | {' | '.join(column[what] for column in columns)} |")
@@ -148,13 +152,13 @@ def kept_scores(
     chosen: argparse.Namespace, renderer: str, level: str, tracker: str, setting: str
 ) -> list[FilmScore]:
     """Return the scores that an earlier run kept of films in one setting."""
-    found = []
+    scores = []
     for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
         folder = chosen.cache / f"{renderer}-{level}-{seed}"
         path = folder / chosen.keep / f"{tracker}-{setting}.json"
         if chosen.keep and path.exists():
-            found.append(FilmScore(**json.loads(path.read_text())["score"]))
-    return found
+            scores.append(FilmScore(**json.loads(path.read_text())["score"]))
+    return scores
 
 
 def peers(chosen: argparse.Namespace) -> None:
@@ -179,12 +183,12 @@ def times(chosen: argparse.Namespace) -> None:
     cv2.setNumThreads(1)
     for renderer in chosen.renderer:
         for level in chosen.level:
-            found: dict[str, list[float]] = {}
+            values_of: dict[str, list[float]] = {}
             for folder in each(chosen, partial(rendered, chosen.cache, renderer, level)):
                 for name, values in parts(folder, 2.3).items():
-                    found.setdefault(name, []).extend(values)
+                    values_of.setdefault(name, []).extend(values)
             print(f"\n## {renderer}, {level}: ms of processor time a picture\n")
-            for name, values in found.items():
+            for name, values in values_of.items():
                 p50, p99 = np.quantile(values, (0.5, 0.99))
                 print(f"| {name} | median {p50:.1f}, p99 {p99:.1f}, n {len(values)} |", flush=True)
 

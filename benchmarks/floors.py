@@ -65,16 +65,21 @@ class Seeing(Knowing):
         for i, bank in enumerate(self.heard.banks):
             bank.model.parameters[:] = np.column_stack([rates["a"][i], rates["speed"][i]])
         now = self.plant.clock.now()
-        every = np.ones_like(observation.valid)
-        true = {"poses": self.plant.poses, "valid": every, "sampled_ns": now, "received_ns": now}
+        all_valid = np.ones_like(observation.valid)
+        true = {
+            "poses": self.plant.poses,
+            "valid": all_valid,
+            "sampled_ns": now,
+            "received_ns": now,
+        }
         return super().plan(replace(observation, **true), last_command, earlier)
 
 
 def seeing(dead_time_s: float, spec: Experiment, key: int, plant: Plant) -> Controller:
     """The same controller, which knows the dead time and what `Seeing` does."""
     assert isinstance(plant, SimPlant)
-    known = {"estimate": False, "dead_time": dead_time_s}
-    section = spec.controller.model_copy(update=known)
+    settings = {"estimate": False, "dead_time": dead_time_s}
+    section = spec.controller.model_copy(update=settings)
     controller = counted(Seeing, section, spec.setup, key)
     controller.plant = plant
     return controller
@@ -82,16 +87,16 @@ def seeing(dead_time_s: float, spec: Experiment, key: int, plant: Plant) -> Cont
 
 def curve(spec: Experiment, trials: int, build: Build) -> list[list[Result]]:
     """Run the trials with each accepted error."""
-    found = []
+    results_of = []
     for accepted in ACCEPTED_MM:
         control = spec.controller.model_copy(update={"accept_error": float(accepted)})
-        found.append(run(spec.model_copy(update={"controller": control}), trials, build))
-    return found
+        results_of.append(run(spec.model_copy(update={"controller": control}), trials, build))
+    return results_of
 
 
 def points(results: Sequence[Sequence[Result]]) -> np.ndarray:
     """Return mean time [s] and mean total error [mm] of each group of trials, (2, groups)."""
-    means = [[(one.duration_s, one.total_error) for one in group] for group in results]
+    means = [[(result.duration_s, result.total_error) for result in group] for group in results]
     return np.mean(means, axis=1).T
 
 
@@ -104,15 +109,19 @@ def at(time_s: float, floor: np.ndarray) -> str:
 
 def rows(name: str, world: World, settings: Sequence[str], trials: int) -> None:
     """Print a world's lines of the table in Markdown, one for each accepted error."""
-    known = partial(seeing, world.dead_time_s)
+    controller_of = partial(seeing, world.dead_time_s)
     spec = world.spec(OURS, settings)
-    ours, floor = (curve(spec, trials, build) for build in (as_specified, known))
+    ours, floor = (curve(spec, trials, build) for build in (as_specified, controller_of))
     reached = points(floor)
-    for accepted, mine, seen, time_s in zip(ACCEPTED_MM, ours, floor, points(ours)[0], strict=True):
+    for accepted, mine, floor_mm, time_s in zip(
+        ACCEPTED_MM, ours, floor, points(ours)[0], strict=True
+    ):
         cells = [name, f"{accepted}"]
-        for group in (mine, seen):
-            both = np.array([(one.total_error, one.duration_s) for one in group])
-            (error, time) = distributions(both.T)
+        for group in (mine, floor_mm):
+            errors_and_times = np.array(
+                [(result.total_error, result.duration_s) for result in group]
+            )
+            (error, time) = distributions(errors_and_times.T)
             low = error.ci95.low
             high = error.ci95.high
             cells += [f"{error.mean:.1f} [{low:.1f}, {high:.1f}]", f"{time.mean:.1f}"]

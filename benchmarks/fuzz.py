@@ -43,12 +43,12 @@ def known() -> dict[str, Any]:
     """The parsers of the core and of the packages that are installed."""
     from support import targets, wire_targets
 
-    found = {**targets.TARGETS, **wire_targets.TARGETS}
+    found_targets = {**targets.TARGETS, **wire_targets.TARGETS}
     if find_spec("cv2"):
         from support import picture_targets
 
-        found |= picture_targets.TARGETS
-    return found
+        found_targets |= picture_targets.TARGETS
+    return found_targets
 
 
 class Fuzz:
@@ -89,8 +89,8 @@ class Fuzz:
     def finish(self) -> None:
         """Tell the parent and end at once, since libFuzzer would not let go."""
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        found = {"runs": self.runs, "crashes": self.crashes, "slowest": self.slowest}
-        print(json.dumps(found | {"memory": memory}), flush=True)
+        record = {"runs": self.runs, "crashes": self.crashes, "slowest": self.slowest}
+        print(json.dumps(record | {"memory": memory}), flush=True)
         os._exit(0)
 
 
@@ -127,20 +127,27 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, default=Path("crashes"))
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    keep = given.keep.absolute()
-    if given.child:
-        child(given.target[0], given.seconds, given.seed, keep)
-    if unknown := set(given.target or ()) - set(known()):
+    options = parser.parse_args()
+    keep = options.keep.absolute()
+    if options.child:
+        child(options.target[0], options.seconds, options.seed, keep)
+    if unknown := set(options.target or ()) - set(known()):
         parser.error(f"no such target: {unknown.pop()}; there are {', '.join(known())}")
     how = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
     keep.mkdir(parents=True, exist_ok=True)
-    print(f"With {how}, {given.seconds:g} s a target:\n", flush=True)
+    print(f"With {how}, {options.seconds:g} s a target:\n", flush=True)
     print("| target | runs | crashes | slowest input | memory |\n|---|---|---|---|---|", flush=True)
     failed = False
-    for name in given.target or known():
+    for name in options.target or known():
         with tempfile.TemporaryDirectory() as scratch:
-            words = ["--target", name, "--seconds", str(given.seconds), "--seed", str(given.seed)]
+            words = [
+                "--target",
+                name,
+                "--seconds",
+                str(options.seconds),
+                "--seed",
+                str(options.seed),
+            ]
             done = subprocess.run(
                 [sys.executable, __file__, "--child", "--keep", str(keep), *words],
                 env=os.environ | {"TMPDIR": scratch},
@@ -151,14 +158,14 @@ def main() -> int:
             print(f"| {name} | died with {done.returncode} | | | |\n\n{done.stderr}", flush=True)
             failed = True
             continue
-        found = json.loads(done.stdout.splitlines()[-1])
-        seconds, size = found["slowest"]
+        record = json.loads(done.stdout.splitlines()[-1])
+        seconds, size = record["slowest"]
         slowest = f"{seconds * 1e3:.0f} ms, {size} bytes"
-        memory = f"{found['memory'] / 1e3:.0f} MB"
-        print(f"| {name} | {found['runs']} | {len(found['crashes'])} | {slowest} | {memory} |")
-        for place, message in found["crashes"].items():
+        memory = f"{record['memory'] / 1e3:.0f} MB"
+        print(f"| {name} | {record['runs']} | {len(record['crashes'])} | {slowest} | {memory} |")
+        for place, message in record["crashes"].items():
             print(f"\n{place}: {message}\n\n{done.stderr}")
-        failed |= bool(found["crashes"])
+        failed |= bool(record["crashes"])
         sys.stdout.flush()
     if keep.exists() and not any(keep.iterdir()):  # another run may have removed it
         keep.rmdir()

@@ -28,7 +28,7 @@ from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / one) for one in ("tests", "packages/tetractl-emulator/tests")]
+sys.path[:0] = [str(ROOT / folder) for folder in ("tests", "packages/tetractl-emulator/tests")]
 
 from support.bench_agreement import lab_spec  # noqa: E402
 from support.ghosts import (  # noqa: E402
@@ -137,9 +137,9 @@ def slow(kind: str) -> None:
                 refused = sum(reason.startswith(REFUSED) for reason in reasons)
                 cells.append(f"{refused} of {len(plays)}")
                 continue
-            for seen in (drove, rest):
-                offs = [play.off_mm for play, yes in zip(plays, seen, strict=True) if yes]
-                said = sum(yes and "all robots" in r for yes, r in zip(seen, reasons, strict=True))
+            for track in (drove, rest):
+                offs = [play.off_mm for play, yes in zip(plays, track, strict=True) if yes]
+                said = sum(yes and "all robots" in r for yes, r in zip(track, reasons, strict=True))
                 camera = f", {said} camera" * (kind in CAMERA and len(offs) > 0)
                 cells += [f"{len(offs)} of {len(plays)}{camera}", f"{max(offs, default=0):.0f}"]
         print(f"| {kind} | {rate:g} {UNITS.get(kind, 'm/s')} | {' | '.join(cells)} |", flush=True)
@@ -152,18 +152,19 @@ def slips() -> None:
     for rate in SLIPS:
         plays = [Ghost("slip", rate, (k % 3,), at_s=0.0, limit_s=60.0) for k in range(PLAYS)]
         results = [trial_of(play.haunt, k, RATE_HZ) for k, play in enumerate(plays)]
-        whole = list[float]()
+        times_s = list[float]()
         stopped = list[float]()
         for play, result in zip(plays, results, strict=True):
             if result.outcome.complete:
-                whole.append(play.off_mm)
+                times_s.append(play.off_mm)
             elif any(text in result.reason for text in (*NOTICED, "still moves")):
                 stopped.append(play.off_mm)
             print(result.summary, f"{play.off_mm:.0f} mm off", file=sys.stderr, flush=True)
-        other = PLAYS - len(whole) - len(stopped)
+        not_stopped = PLAYS - len(times_s) - len(stopped)
         print(
             f"| {rate:g} | {len(stopped)} of {PLAYS} | {max(stopped, default=0):.0f} "
-            f"| {other} of {PLAYS} | {len(whole)} of {PLAYS} | {max(whole, default=0):.0f} |",
+            f"| {not_stopped} of {PLAYS} | {len(times_s)} of {PLAYS} "
+            f"| {max(times_s, default=0):.0f} |",
             flush=True,
         )
 
@@ -266,26 +267,26 @@ def batches(first: int, last: int) -> None:
 
     stopped = Counter()
     alone = Counter()
-    found = Counter()
+    verdicts = Counter()
     n = last - first
     for batch in range(first, last):
         honest = [run(batch, trial) for trial in range(BATCH)]
         k = batch % BATCH
-        found[0.0] += len(turned_otherwise(honest))
+        verdicts[0.0] += len(turned_otherwise(honest))
         for rate in TURNS:
             false = run(batch, k, rate)
             marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
             noticed = any(text in false.result.reason for text in (*NOTICED, "still moves"))
             stopped[rate] += noticed
-            found[rate] += (mark := false.log in marks)
+            verdicts[rate] += (mark := false.log in marks)
             alone[rate] += mark and not noticed
-            found[0.0] += len(marks) - mark
+            verdicts[0.0] += len(marks) - mark
     print("| turn [rad/s] | stopped for it | marked | of those not stopped for it |")
     print("|--:|--:|--:|--:|")
     for rate in TURNS:
-        counts = (stopped[rate], n), (found[rate], n), (alone[rate], n - stopped[rate])
-        print(f"| {rate:g} | {' | '.join(f'{these} of {of}' for these, of in counts)} |")
-    print(f"{found[0.0]} marks of trials in which nothing is wrong, {n * BATCH} trials")
+        counts = (stopped[rate], n), (verdicts[rate], n), (alone[rate], n - stopped[rate])
+        print(f"| {rate:g} | {' | '.join(f'{these} of {total}' for these, total in counts)} |")
+    print(f"{verdicts[0.0]} marks of trials in which nothing is wrong, {n * BATCH} trials")
 
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -67,10 +67,10 @@ def _log(number: int, sets: list[str], rate: float | None):
         return api.run_trial(spec, folder=folder), spec
 
 
-def _hits(found, truths):
+def _hits(identified, truths):
     """Return whether each interval holds the truth, by the name of the quantity."""
     hits = defaultdict(list)
-    for i, robot in enumerate(found.robots):
+    for i, robot in enumerate(identified.robots):
         for name, truth in truths.items():
             interval = getattr(robot, name)
             hits[name].append(bool(interval.low <= truth[i] <= interval.high))
@@ -82,10 +82,10 @@ def coverage(number: int, rate: float | None = None):
     dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
     sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
     log, spec = _log(number, [*sets, f"plant.dead_time={dead_time}"], rate)
-    found = identify([track_of(log)], spec.experiment.setup.a)
+    identified = identify([track_of(log)], spec.experiment.setup.a)
     facts = log.start.plant.facts
     hits = _hits(
-        found,
+        identified,
         {
             "a": json.loads(facts["true_a"]),
             "speed": json.loads(facts["true_speed"]),
@@ -98,7 +98,7 @@ def coverage(number: int, rate: float | None = None):
     # a plant's dead time counts from the exposure of the frame that a command answers
     ages = [step.command.sent_ns - step.observation.sampled_ns for step in log.steps]
     from_sending = dead_time - float(np.mean(ages)) / SECOND
-    hits["dead_time"].append(found.dead_time.low <= from_sending <= found.dead_time.high)
+    hits["dead_time"].append(identified.dead_time.low <= from_sending <= identified.dead_time.high)
     return hits
 
 
@@ -115,9 +115,9 @@ def bench_coverage(number: int):
         axis=0
     )  # of true speed to that sent, of both wheels
     a = plant.a * gains * experiment.setup.wheel_radius / drive.radius
-    found = identify([track_of(log)], experiment.setup.a, experiment.controller.dead_time)
-    hits = _hits(found, {"a": a})
-    hits["dead_time"].append(found.dead_time.low <= RADIO_S <= found.dead_time.high)
+    identified = identify([track_of(log)], experiment.setup.a, experiment.controller.dead_time)
+    hits = _hits(identified, {"a": a})
+    hits["dead_time"].append(identified.dead_time.low <= RADIO_S <= identified.dead_time.high)
     return hits
 
 
@@ -134,14 +134,14 @@ def main() -> None:
     numbers = range(options.first, options.first + options.logs)
     total: dict[str, list[bool]] = defaultdict(list)
     with ProcessPoolExecutor(options.jobs) as pool:
-        found = (
+        hits_of = (
             pool.map(bench_coverage, numbers)
             if options.bench
             else pool.map(coverage, numbers, repeat(options.trials))
         )
-        for done, hits in enumerate(found):
-            for name, each in hits.items():
-                total[name] += each
+        for done, hits in enumerate(hits_of):
+            for name, hits_of_value in hits.items():
+                total[name] += hits_of_value
             if done % 50 == 49:
                 print(f"{done + 1} logs", file=sys.stderr, flush=True)
                 _print(total)

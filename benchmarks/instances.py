@@ -50,12 +50,12 @@ def controllers(name: str) -> dict[str, SETTING]:
     """Return the arms of an instance; the first is the one in its spec."""
     spec = instance(name)
     limit = 5 * spec.controller.time_limit
-    found: dict[str, SETTING] = {OURS: {}, "published": published(name)}
-    found["ensemble"] = {"controller": {"type": "ensemble", "time_limit": limit}}
+    settings_of: dict[str, SETTING] = {OURS: {}, "published": published(name)}
+    settings_of["ensemble"] = {"controller": {"type": "ensemble", "time_limit": limit}}
     if len(spec.robots) == 1:
         margin = spec.controller.collision.margin  # pyright: ignore[reportAttributeAccessIssue]
-        found["rrt"] = {"controller": {"type": "rrt", "time_limit": limit, "margin": margin}}
-    return found
+        settings_of["rrt"] = {"controller": {"type": "rrt", "time_limit": limit, "margin": margin}}
+    return settings_of
 
 
 def published(name: str) -> SETTING:
@@ -138,7 +138,7 @@ def arms(folder: Path) -> list[Arm]:
     step_ms: dict[str, list[float]] = {}
     for row in _read(folder / "times.csv"):
         step_ms.setdefault(row["arm"], []).append(float(row["solve_mean_ms"]))
-    return [_arm(name, found, step_ms[name]) for name, found in rows.items()]
+    return [_arm(name, rows_of_arm, step_ms[name]) for name, rows_of_arm in rows.items()]
 
 
 def _read(path: Path) -> list[dict[str, str]]:
@@ -148,7 +148,7 @@ def _read(path: Path) -> list[dict[str, str]]:
 
 def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
     column = next(key for key in rows[0] if key.startswith("total_error_"))
-    every = "".join(row["content_digest"] for row in rows)
+    digests = "".join(row["content_digest"] for row in rows)
     return Arm(
         name,
         column.rpartition("_")[2],
@@ -157,7 +157,7 @@ def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
         sum(row["outside_arena"] == "true" for row in rows),
         float(np.mean([float(row["duration_s"]) for row in rows])),
         float(np.mean([float(row["steps"]) for row in rows]) * np.mean(step_ms)) / 1e3,
-        hashlib.sha256(every.encode()).hexdigest()[:12],
+        hashlib.sha256(digests.encode()).hexdigest()[:12],
     )
 
 
@@ -178,13 +178,13 @@ HEAD = (
 )
 
 
-def table(found: Sequence[Arm], least_s: float) -> list[str]:
+def table(arms: Sequence[Arm], least_s: float) -> list[str]:
     """Return the lines of an instance's table; no trial can take less than `least_s`."""
-    ours = next(arm for arm in found if arm.name == OURS)
-    against = [_differences(arm, ours) for arm in found]
+    ours = next(arm for arm in arms if arm.name == OURS)
+    against = [_differences(arm, ours) for arm in arms]
     p_values = holm([signed_rank(d) if len(d) else math.nan for d in against])
     lines = [f"| {' | '.join(HEAD)} |", f"|{'---|' * len(HEAD)}"]
-    for arm, differences, p in zip(found, against, p_values, strict=True):
+    for arm, differences, p in zip(arms, against, p_values, strict=True):
         errors = np.array(list(arm.errors.values()))
         n = len(errors)
         cells = [
@@ -207,22 +207,23 @@ def table(found: Sequence[Arm], least_s: float) -> list[str]:
 
 
 def _differences(arm: Arm, ours: Arm) -> Floats:
-    both = arm.errors.keys() & ours.errors.keys() if arm is not ours else set()
-    return np.array([arm.errors[trial] - ours.errors[trial] for trial in sorted(both)])
+    shared_names = arm.errors.keys() & ours.errors.keys() if arm is not ours else set()
+    return np.array([arm.errors[trial] - ours.errors[trial] for trial in sorted(shared_names)])
 
 
 def _mean(errors: Floats) -> str:
-    (one,) = distributions(errors[None])
-    if not one.ci95.known:
-        return f"{one.mean:.3g} [{'all alike' if one.std < 1e-9 * one.mean else 'n too small'}]"
-    return f"{one.mean:.3g} [{one.ci95.low:.3g}, {one.ci95.high:.3g}]"
+    (distribution,) = distributions(errors[None])
+    if not distribution.ci95.known:
+        all_alike = distribution.std < 1e-9 * distribution.mean
+        return f"{distribution.mean:.3g} [{'all alike' if all_alike else 'n too small'}]"
+    return f"{distribution.mean:.3g} [{distribution.ci95.low:.3g}, {distribution.ci95.high:.3g}]"
 
 
 def _more(differences: Floats) -> str:
     if not len(differences):
         return ""
-    found = paired_t(differences)
-    return f"{found.value:.3g} [{found.ci95.low:.3g}, {found.ci95.high:.3g}]"
+    difference = paired_t(differences)
+    return f"{difference.value:.3g} [{difference.ci95.low:.3g}, {difference.ci95.high:.3g}]"
 
 
 def _share(count: int, n: int) -> str:
@@ -232,19 +233,24 @@ def _share(count: int, n: int) -> str:
 
 def found_in(folder: Path, name: str) -> list[Arm]:
     """Return all arms of an instance, IPOPT's from a study of its own."""
-    both = folder / name, folder / f"{name}-ipopt"
-    return [arm for one in both if (one / "trials.csv").exists() for arm in arms(one)]
+    folders = folder / name, folder / f"{name}-ipopt"
+    return [
+        arm
+        for folder_of_arms in folders
+        if (folder_of_arms / "trials.csv").exists()
+        for arm in arms(folder_of_arms)
+    ]
 
 
 def report(folder: Path, names: Sequence[str], figure: Path | None) -> None:
     """Print the page of results, and draw the errors as distribution functions."""
-    drawn = {name: found for name in names if (found := found_in(folder, name))}
-    for name, found in drawn.items():
+    drawn = {name: drawn_arms_arms for name in names if (drawn_arms_arms := found_in(folder, name))}
+    for name, drawn_arms_arms in drawn.items():
         spec = instance(name)
         least_s = bound_s(spec)
         bound = f"No trial can take less than {least_s:.2f} s."
         about = f"{spec.description} {bound}"
-        print("\n".join([f"### `{name}`", "", about, "", *table(found, least_s), ""]))
+        print("\n".join([f"### `{name}`", "", about, "", *table(drawn_arms_arms, least_s), ""]))
     if figure:
         draw(drawn, figure)
 
@@ -261,7 +267,7 @@ def draw(drawn: Mapping[str, Sequence[Arm]], path: Path) -> None:
         rows = math.ceil(len(drawn) / 3)
         figure = style.figure(style.PAGE_IN, 1.7 * rows + 0.5)
         panels = figure.subplots(rows, 3, squeeze=False)
-        names = dict.fromkeys(arm.name for found in drawn.values() for arm in found)
+        names = dict.fromkeys(arm.name for drawn_arms in drawn.values() for arm in drawn_arms)
         colors = dict(zip(names, PALETTE, strict=False))
         for axes, (name, found) in zip(panels.flat, drawn.items(), strict=False):
             for arm in found:
@@ -284,29 +290,31 @@ def draw(drawn: Mapping[str, Sequence[Arm]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    every = sorted(path.stem for path in (EXPERIMENTS / "benchmark").glob("*.yaml"))
+    all_names = sorted(path.stem for path in (EXPERIMENTS / "benchmark").glob("*.yaml"))
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", default=",".join(every), help="instances, such as paper,cells")
+    parser.add_argument(
+        "--only", default=",".join(all_names), help="instances, such as paper,cells"
+    )
     parser.add_argument("--out", type=Path, default=Path("logs/benchmark"))
     parser.add_argument("--ipopt", action="store_true", help="run IPOPT, and it alone")
     parser.add_argument("--ours", action="store_true", help=f"run `{OURS}` alone")
     parser.add_argument("--report", action="store_true", help="print what there is; run nothing")
     parser.add_argument("--figure", type=Path, help="with --report: of the errors (.svg or .png)")
-    asked = parser.parse_args()
-    names = asked.only.split(",")
-    if unknown := [name for name in names if name not in every]:
-        parser.error(f"--only: no instance {unknown[0]}; there are {', '.join(every)}")
-    if not asked.report:
-        asked.out.mkdir(parents=True, exist_ok=True)
+    options = parser.parse_args()
+    names = options.only.split(",")
+    if unknown := [name for name in names if name not in all_names]:
+        parser.error(f"--only: no instance {unknown[0]}; there are {', '.join(all_names)}")
+    if not options.report:
+        options.out.mkdir(parents=True, exist_ok=True)
         for name in names:
             progress(name)
-            if asked.ipopt:
-                run(name, asked.out / f"{name}-ipopt", ipopt(name), asked.trials, asked.jobs)
+            if options.ipopt:
+                run(name, options.out / f"{name}-ipopt", ipopt(name), options.trials, options.jobs)
             else:
-                arms_run = {OURS: {}} if asked.ours else controllers(name)
-                run(name, asked.out / name, arms_run, asked.trials, asked.jobs)
-    report(asked.out, names, asked.figure)
+                arms_run = {OURS: {}} if options.ours else controllers(name)
+                run(name, options.out / name, arms_run, options.trials, options.jobs)
+    report(options.out, names, options.figure)
 
 
 if __name__ == "__main__":

@@ -95,27 +95,32 @@ def main() -> None:
 def _one_mean(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: coverage of a mean, and shares of negative lower ends."""
     rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
-    ours = [found.ci95 for found in distributions(rows)]
+    ours = [distribution.ci95 for distribution in distributions(rows)]
     half = stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
     middle = rows.mean(axis=1)
     student = [Interval(m - h, m + h) for m, h in zip(middle, half, strict=True)]
-    shares = [_share(found, errors.mean) for found in (ours, student, _bca(rows[:BCA_SETS]))]
-    negative = [np.mean([found.low < 0 for found in each]) for each in (ours, student)]
+    shares = [
+        _share(intervals_of, errors.mean) for intervals_of in (ours, student, _bca(rows[:BCA_SETS]))
+    ]
+    negative = [
+        np.mean([interval_of.low < 0 for interval_of in intervals_of])
+        for intervals_of in (ours, student)
+    ]
     cells = [*map(_percent, shares), ", ".join(map(_percent, negative))]
     return " | ".join(cells)
 
 
 def _bca(rows: Floats) -> list[Interval]:
     """Return BCa bootstrap intervals, each with a seed of its own."""
-    found = []
+    bca_intervals = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         for seed, row in enumerate(rows):
             ends = stats.bootstrap(
                 [row], np.mean, n_resamples=RESAMPLES, method="BCa", rng=np.random.default_rng(seed)
             ).confidence_interval
-            found.append(Interval(float(ends.low), float(ends.high)))
-    return found
+            bca_intervals.append(Interval(float(ends.low), float(ends.high)))
+    return bca_intervals
 
 
 def _two_means(errors: Errors, n: int, sets: int) -> str:
@@ -130,11 +135,11 @@ def _two_means(errors: Errors, n: int, sets: int) -> str:
     for interval in (_welch, from_both_intervals):
         for factor in (1, 4):
             pairs = zip(distributions(ours), distributions(factor * theirs), strict=True)
-            found = [interval(one, other) for one, other in pairs]
-            cells.append(_percent(_share(found, errors.mean * (1 - factor))))
+            intervals_found = [interval(one, other) for one, other in pairs]
+            cells.append(_percent(_share(intervals_found, errors.mean * (1 - factor))))
     differences = (ours + common) / 2 - 4 * (theirs + common) / 2
-    found = [paired_t(each).ci95 for each in differences]
-    cells.append(_percent(_share(found, -3 * errors.mean)))
+    intervals_found = [paired_t(difference).ci95 for difference in differences]
+    cells.append(_percent(_share(intervals_found, -3 * errors.mean)))
     return " | ".join(cells)
 
 
@@ -149,7 +154,7 @@ def _arms(errors: Errors, n: int, sets: int) -> str:
     ours, theirs = (errors.draw(rng, (sets, n)) for _ in range(2))
     wide = 4 * (theirs - errors.mean) + errors.mean
     alarms = [
-        np.mean([signed_rank(each) < ALARM for each in ours - theirs]),
+        np.mean([signed_rank(our) < ALARM for our in ours - theirs]),
         np.mean([rank_sum(*two) < ALARM for two in zip(ours, theirs, strict=True)]),
         np.mean([rank_sum(*two) < ALARM for two in zip(ours, wide, strict=True)]),
     ]
@@ -165,12 +170,14 @@ def _band_holds(shares: Floats) -> float:
     return float(np.mean(off <= band(n)))
 
 
-def _welch(one, other) -> Interval:
-    return welch(one.n, one.mean, one.std, other.n, other.mean, other.std).ci95
+def _welch(first, second) -> Interval:
+    return welch(first.n, first.mean, first.std, second.n, second.mean, second.std).ci95
 
 
 def _share(intervals: Iterable[Interval], true: float) -> float:
-    return float(np.mean([found.low <= true <= found.high for found in intervals]))
+    return float(
+        np.mean([interval_of.low <= true <= interval_of.high for interval_of in intervals])
+    )
 
 
 def _percent(share: float) -> str:

@@ -30,7 +30,7 @@ def moved(x, y, period):
     heading = 0.0 * u
     at_x = 0.0 * u
     at_y = 0.0 * u
-    found = []
+    moves = []
     fine = 4
     dt = period / PARTS / fine
     for _ in range(PARTS):
@@ -43,8 +43,8 @@ def moved(x, y, period):
         gap_y = y - at_y
         c = np.cos(heading)
         s = np.sin(heading)
-        found.append((c * gap_x + s * gap_y, c * gap_y - s * gap_x))
-    return found
+        moves.append((c * gap_x + s * gap_y, c * gap_y - s * gap_x))
+    return moves
 
 
 class Policy:
@@ -60,20 +60,22 @@ class Policy:
         phi = np.arange(self.columns) * math.tau / self.columns
         x = r[:, None] * np.cos(phi)
         y = r[:, None] * np.sin(phi)
-        found = moved(x, y, period)
-        within = [(np.hypot(*one) <= radius + 1e-9).astype(np.float32) for one in found]
+        places = moved(x, y, period)
+        within = [(np.hypot(*place) <= radius + 1e-9).astype(np.float32) for place in places]
         reward = (1 - KEPT) * np.mean(within, axis=0)
-        index, weight = self.corners(*found[-1])
+        index, weight = self.corners(*places[-1])
         wave = np.exp(-((sigma * np.arange(self.columns // 2 + 1)) ** 2) / 2)
         self.value = np.zeros(self.rows * self.columns)
         for _ in range(60):
             blurred = self.blur(self.value, wave)
             best = (reward + KEPT * self.at(blurred, index, weight)).argmax(axis=0)[None]
-            own = np.take_along_axis(reward, best, 0)[0]
-            i, w = (np.take_along_axis(each, best[None], 1)[:, 0] for each in (index, weight))
+            own_reward = np.take_along_axis(reward, best, 0)[0]
+            i, w = (np.take_along_axis(table, best[None], 1)[:, 0] for table in (index, weight))
             before = self.value
             for _ in range(60):
-                self.value = (own + KEPT * self.at(self.blur(self.value, wave), i, w)).ravel()
+                self.value = (
+                    own_reward + KEPT * self.at(self.blur(self.value, wave), i, w)
+                ).ravel()
             if np.abs(self.value - before).max() < 1e-4:
                 break
         self.value = self.blur(self.value, wave)
@@ -91,11 +93,11 @@ class Policy:
         column = j.astype(np.int32)
         i = (i - row).astype(np.float32)
         j = (j - column).astype(np.float32)
-        left = column % self.columns
+        first_column = column % self.columns
         right = (column + 1) % self.columns
         low = row * self.columns
         high = (row + 1) * self.columns
-        index = np.stack([low + left, low + right, high + left, high + right])
+        index = np.stack([low + first_column, low + right, high + first_column, high + right])
         return index, np.stack([(1 - i) * (1 - j), (1 - i) * j, i * (1 - j), i * j])
 
     def at(self, value, index, weight):
@@ -106,19 +108,19 @@ class Policy:
         """Return the distances (steps PARTS, trials) from the target while it is held."""
         x = np.zeros(trials)
         y = np.full(trials, self.radius)
-        seen = []
+        places = []
         for k in range(steps + 40):
-            found = np.array(moved(x, y, self.period))
-            index, weight = self.corners(*found[-1])
-            within = (np.hypot(found[:, 0], found[:, 1]) <= self.radius).mean(axis=0)
+            places_after = np.array(moved(x, y, self.period))
+            index, weight = self.corners(*places_after[-1])
+            within = (np.hypot(places_after[:, 0], places_after[:, 1]) <= self.radius).mean(axis=0)
             value = (1 - KEPT) * within + KEPT * self.at(self.value, index, weight)
-            path = found[:, :, value.argmax(axis=0), np.arange(trials)]
+            path = places_after[:, :, value.argmax(axis=0), np.arange(trials)]
             turn = sigma * rng.standard_normal(trials)
             x, y = path[-1]
             x, y = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
             if k >= 40:
-                seen.append(np.hypot(path[:, 0], path[:, 1]))
-        return np.concatenate(seen)
+                places.append(np.hypot(path[:, 0], path[:, 1]))
+        return np.concatenate(places)
 
 
 def main(a, speed, noise, period_s, trials, seed):
@@ -153,5 +155,5 @@ if __name__ == "__main__":
     parser.add_argument("--period", type=float, default=0.1)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    main(given.a, given.speed, given.noise, given.period, given.trials, given.seed)
+    options = parser.parse_args()
+    main(options.a, options.speed, options.noise, options.period, options.trials, options.seed)

@@ -164,9 +164,9 @@ def cost(folder: Path, scale: float) -> None:
         def on_step(self, step):
             self._time(5, super().on_step, step)
 
-        def _time(self, messages: int, call: Callable, given: object) -> None:
+        def _time(self, messages: int, call: Callable, argument: object) -> None:
             before = time.perf_counter_ns()
-            call(given)
+            call(argument)
             if messages:
                 self.ns.append((time.perf_counter_ns() - before) / messages)
 
@@ -199,21 +199,21 @@ def cost(folder: Path, scale: float) -> None:
 def tampering(folder: Path, scale: float) -> None:
     """Print how many changes of each field are noticed, by channel."""
     count = max(1, round(6 * scale))
-    for name, made in (("simulation", sim_log), ("emulated lab", lab_log)):
+    for name, log_of in (("simulation", sim_log), ("emulated lab", lab_log)):
         place = folder / name
         place.mkdir()
-        seen, tried = score(made(place), count)
+        recovered, tried = score(log_of(place), count)
         print(f"\n| {name} | noticed | missed, by field |\n|---|---|---|")
         for channel in dict.fromkeys(channel for channel, _ in tried):
             kinds = [kind for kind in tried if kind[0] == channel]
             missed = [
-                f"{kind[1]} {tried[kind] - seen[kind]} of {tried[kind]}"
+                f"{kind[1]} {tried[kind] - recovered[kind]} of {tried[kind]}"
                 for kind in kinds
-                if seen[kind] < tried[kind]
+                if recovered[kind] < tried[kind]
             ]
-            total = (sum(seen[k] for k in kinds), sum(tried[k] for k in kinds))
+            total = (sum(recovered[k] for k in kinds), sum(tried[k] for k in kinds))
             print(f"| {channel} | {total[0]} of {total[1]} | {', '.join(missed)} |")
-        print(f"| all | {seen.total()} of {tried.total()} | |", flush=True)
+        print(f"| all | {recovered.total()} of {tried.total()} | |", flush=True)
 
 
 def verify_time(folder: Path, scale: float) -> None:
@@ -228,9 +228,9 @@ def verify_time(folder: Path, scale: float) -> None:
         run_trial(spec, place, 0, (), Interrupt())
         ran = time.perf_counter() - before
         times = [verify(log_path(place, 0)) for _ in range(3)]
-        found = min(times, key=lambda one: one.seconds)
-        cells = (name, found.steps, f"{ran:.2f}", f"{found.seconds:.2f}", found.method)
-        print("|", " | ".join(map(str, cells)), "|" if found.ok else "FAILED |")
+        fastest = min(times, key=lambda timed: timed.seconds)
+        cells = (name, fastest.steps, f"{ran:.2f}", f"{fastest.seconds:.2f}", fastest.method)
+        print("|", " | ".join(map(str, cells)), "|" if fastest.ok else "FAILED |")
 
 
 def faults(folder: Path, scale: float) -> None:
@@ -240,10 +240,10 @@ def faults(folder: Path, scale: float) -> None:
         place = folder / name.replace(" ", "-").replace("/", "")
         place.mkdir()
         try:
-            found = test(place)
+            answer = test(place)
         except Exception as error:
-            found = f"BROKEN: {type(error).__name__}: {error}"
-        print(f"| {name} | {promise} | {found} |")
+            answer = f"BROKEN: {type(error).__name__}: {error}"
+        print(f"| {name} | {promise} | {answer} |")
 
 
 def ends(trial: RealTime, path: Path, why: str) -> str:
@@ -338,7 +338,7 @@ def broken(folder: Path) -> str:
 
 def slow(folder: Path) -> str:
     library = shim(folder)
-    found = []
+    rows = []
     for name, env in (("plain", {}), ("slow", {"LD_PRELOAD": library, "SHIM_SLOW_MS": "700"})):
         path = folder / f"{name}.mcap"
         trial = RealTime(path, **env)
@@ -348,8 +348,8 @@ def slow(folder: Path) -> str:
         assert log.damage is None
         sent = np.array([step.command.sent_ns for step in log.steps]) / 1e6
         p50, worst = np.percentile(np.abs(np.diff(sent) - 200), [50, 100])
-        found.append(f"{p50:.0f} ms off its time in the median, {worst:.0f} at most")
-    return f"0.7 s a write or sync: a step {found[1]}; with the disk as it is {found[0]}"
+        rows.append(f"{p50:.0f} ms off its time in the median, {worst:.0f} at most")
+    return f"0.7 s a write or sync: a step {rows[1]}; with the disk as it is {rows[0]}"
 
 
 def asked(number: signal.Signals) -> Callable[[Path], str]:
@@ -367,8 +367,8 @@ def asked(number: signal.Signals) -> Callable[[Path], str]:
 
 
 def killed(folder: Path) -> str:
-    found = random_kill(folder / "trial.mcap", random.Random(1))
-    return f"lost {found.lost_s:.2f} s of {found.ran_s:.2f} s"
+    outcome = random_kill(folder / "trial.mcap", random.Random(1))
+    return f"lost {outcome.lost_s:.2f} s of {outcome.ran_s:.2f} s"
 
 
 END = "robots stopped, trial aborted, message, readable log"
@@ -472,11 +472,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART")
     parser.add_argument("--scale", type=float, default=1.0)
-    given = parser.parse_args()
-    for name in given.parts or PARTS:
+    options = parser.parse_args()
+    for name in options.parts or PARTS:
         print(f"\n## {name}\n", flush=True)
         with tempfile.TemporaryDirectory() as folder:
-            PARTS[name](Path(folder), given.scale)
+            PARTS[name](Path(folder), options.scale)
 
 
 if __name__ == "__main__":

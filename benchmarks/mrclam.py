@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.replay.identification.fit import SampleInterval
@@ -25,7 +26,7 @@ from tetractl.results.estimate import t_quantile
 
 def track(folder: Path, robot: int) -> Track:
     """Return one robot's run; lengths in metres."""
-    seen, sent = (
+    measured, sent = (
         np.loadtxt(folder / f"Robot{robot}_{kind}.dat", ndmin=2)
         for kind in ("Groundtruth", "Odometry")
     )
@@ -37,9 +38,9 @@ def track(folder: Path, robot: int) -> Track:
         origin="MRCLAM",
         unit="m",
         names=(name,),
-        time=seen[:, 0] - start,
-        poses=seen[:, None, 1:],
-        valid=np.ones((len(seen), 1), dtype=np.bool_),
+        time=measured[:, 0] - start,
+        poses=measured[:, None, 1:],
+        valid=np.ones((len(measured), 1), dtype=np.bool_),
         sent=sent[:, 0] - start,
         u=np.full(len(sent), np.nan),
         until=float(sent[-1, 0] - start),
@@ -47,37 +48,50 @@ def track(folder: Path, robot: int) -> Track:
     )
 
 
+def _mean(values: Floats) -> SampleInterval:
+    """Return the mean of the runs' values with its 95 % interval."""
+    half = t_quantile(len(values) - 1) * values.std(ddof=1) / len(values) ** 0.5
+    return SampleInterval(values.mean(), values.mean() - half, values.mean() + half)
+
+
 def main(folders: list[Path]) -> None:
     """Print a row per quantity: of the runs, mean with its interval, deviation and extremes."""
-    runs = [(one, k) for one in folders for k in range(1, 6) if list(one.glob(f"Robot{k}_*"))]
+    runs = [
+        (folder, k) for folder in folders for k in range(1, 6) if list(folder.glob(f"Robot{k}_*"))
+    ]
     if len(runs) < 2:
         raise UsageError("two runs are needed: folders with files such as Robot1_Odometry.dat")
-    found = [respond([track(*run)])[0] for run in runs]
-    every = [[run.quantities[name] for run in found] for name in UNITS]
-    values = [np.array([one.value for one in of]) for of in every]
-    half = [t_quantile(len(of) - 1) * of.std(ddof=1) / len(of) ** 0.5 for of in values]
-    both = zip(values, half, strict=True)
-    mean = [SampleInterval(of.mean(), of.mean() - h, of.mean() + h) for of, h in both]
+    responses = [respond([track(*run)])[0] for run in runs]
+    quantities = [[run.quantities[name] for run in responses] for name in UNITS]
+    values = [np.array([interval.value for interval in intervals]) for intervals in quantities]
+    mean = [_mean(column) for column in values]
     columns = (
         Column(
             "quantity", [f"{n.replace('_', ' ')} {u.format(unit='m')}" for n, u in UNITS.items()]
         ),
         Column("mean of runs", [*map(cell, mean)]),
-        Column("deviation", [f"{of.std(ddof=1):.4f}" for of in values]),
-        Column("least", [f"{of.min():.4f}" for of in values]),
-        Column("greatest", [f"{of.max():.4f}" for of in values]),
+        Column("deviation", [f"{column.std(ddof=1):.4f}" for column in values]),
+        Column("least", [f"{column.min():.4f}" for column in values]),
+        Column("greatest", [f"{column.max():.4f}" for column in values]),
         Column(
             "half width in a run",
-            [f"{np.median([o.high - o.low for o in of]) / 2:.4f}" for of in every],
+            [
+                f"{np.median([o.high - o.low for o in intervals]) / 2:.4f}"
+                for intervals in quantities
+            ],
         ),
     )
-    misfits = [sum(kind in one.misfits for one in found) for kind in ("turning", "speed")]
+    misfits = [
+        sum(kind in response.misfits for response in responses) for kind in ("turning", "speed")
+    ]
+    steps = sum(response.intervals for response in responses)
+    left_out = sum(response.left_out for response in responses)
     note = (
-        f"{sum(one.intervals for one in found)} steps, {sum(one.left_out for one in found)} left "
-        f"out; residuals are correlated in {misfits[0]} runs (turning) and {misfits[1]} (speed)"
+        f"{steps} steps, {left_out} left out; residuals are correlated in "
+        f"{misfits[0]} runs (turning) and {misfits[1]} (speed)"
     )
     print_tables(
-        [Table(f"MRCLAM, {len(found)} runs of real robots; 95 % intervals", columns, note)]
+        [Table(f"MRCLAM, {len(responses)} runs of real robots; 95 % intervals", columns, note)]
     )
 
 

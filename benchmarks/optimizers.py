@@ -38,10 +38,10 @@ def _figures(optimizer: OptimizerSection, problem: Problem, seeds: int) -> str:
     times = []
     for key in range(seeds):
         begin = time.perf_counter()
-        found = optimizer.search(problem, LENGTH, None, key, Limits())
+        plan = optimizer.search(problem, LENGTH, None, key, Limits())
         times.append((time.perf_counter() - begin) * 1e3)
-        costs.append(found.cost)
-        evaluations.append(found.evaluations)
+        costs.append(plan.cost)
+        evaluations.append(plan.evaluations)
     median = np.median(costs)
     worst = np.max(costs)
     return f"{median:.3g} | {worst:.3g} | {np.median(evaluations):.0f} | {np.median(times):.1f}"

@@ -59,9 +59,9 @@ def ends(setup, motion, seed):
     count = len(setup.a)
     held_s = 1 / math.exp(sum(map(math.log, setup.a)) / count)
     parts = 1 if motion == "exact" else math.ceil(4 * max(setup.a) * held_s)
-    every = np.zeros((3, TRIALS, count))
-    every[2] = setup.starts.heading
-    starts = Poses(*every.reshape(3, -1))
+    all_ends = np.zeros((3, TRIALS, count))
+    all_ends[2] = setup.starts.heading
+    starts = Poses(*all_ends.reshape(3, -1))
     speed = np.tile(setup.speed > 0, TRIALS) * 1.0
     drive = DirectDrive(MOTIONS.load(motion), np.tile(setup.a, TRIALS), speed, starts)
     reached = np.ones(speed.size, dtype=bool)
@@ -75,26 +75,28 @@ def ends(setup, motion, seed):
 
 def judged(setup, motion, seed):
     """Return what differences of the plant's ends show."""
-    found = ends(setup, motion, seed)
-    off = found - found.mean(axis=0)
+    end_poses = ends(setup, motion, seed)
+    off = end_poses - end_poses.mean(axis=0)
 
     def values(robots):
-        rows = some = off[:, robots].reshape(TRIALS, -1)
+        rows = parts_of_robots = off[:, robots].reshape(TRIALS, -1)
         for _ in range(6):
-            _, value, axes = np.linalg.svd(some, full_matrices=False)
+            _, value, axes = np.linalg.svd(parts_of_robots, full_matrices=False)
             parts = rows @ axes.T
             usual = (np.quantile(parts, 0.75, axis=0) - np.quantile(parts, 0.25, axis=0)) / 1.349
-            some = np.clip(parts, -4 * usual, 4 * usual) @ axes
+            parts_of_robots = np.clip(parts, -4 * usual, 4 * usual) @ axes
         return value / math.sqrt(TRIALS)
 
-    whole = values(range(len(setup.a)))
+    whole_reach = values(range(len(setup.a)))
     least = {
-        pair: values(pair)[-1] / whole[0]
+        pair: values(pair)[-1] / whole_reach[0]
         for pair in combinations(np.flatnonzero(setup.speed).tolist(), 2)
     }
-    alike = {pair for pair, one in least.items() if one < LEAST / BAND}
+    alike = {pair for pair, reach in least.items() if reach < LEAST / BAND}
     return Seen(
-        whole / whole[0], alike, {p for p, one in least.items() if one < LEAST * BAND} - alike
+        whole_reach / whole_reach[0],
+        alike,
+        {p for p, reach in least.items() if reach < LEAST * BAND} - alike,
     )
 
 
@@ -105,17 +107,17 @@ def drawn(rng, near):
     speed = rng.uniform(50, 400, count)
     heading = rng.uniform(-math.pi, math.pi, count)
     kind = rng.integers(4)
-    some = rng.permutation(count)[: int(rng.integers(2, count + 1))] if count > 1 else []
+    members = rng.permutation(count)[: int(rng.integers(2, count + 1))] if count > 1 else []
     if near:
-        i, j = some[:2]
+        i, j = members[:2]
         by = math.exp(rng.uniform(math.log(1e-4), math.log(2e-2)))
         turn = by * rng.choice([-1, 1])
         a[j], heading[j] = (a[i] * (1 + by), heading[i]) if kind < 2 else (a[i], heading[i] + turn)
     elif kind < 2:
-        a[some] = a[some[:1]]
-        heading[some] = heading[some[:1]]
+        a[members] = a[members[:1]]
+        heading[members] = heading[members[:1]]
     elif kind == 2 and count > 1:
-        speed[some[:1]] = 0.0
+        speed[members[:1]] = 0.0
     return setup_of(a, speed, heading), str(rng.choice(KINDS))
 
 
@@ -130,23 +132,23 @@ def setup_of(a, speed, heading):
     )  # fmt: skip
 
 
-def right(setup, motion, verdict, seen, seed):
+def right(setup, motion, verdict, judged_at, seed):
     """Return whether a verdict agrees with the plant, and its advice with what it does."""
-    same = verdict.rank == seen.rank
+    same = verdict.rank == judged_at.rank
     said = {
         pair
         for group in verdict.alike
         for pair in combinations(sorted(setup.names.index(name) for name in group), 2)
     }
-    named = seen.alike <= said <= seen.alike | seen.unsure
+    named = judged_at.alike <= said <= judged_at.alike | judged_at.unsure
     still = {setup.names[i] for i in np.flatnonzero(setup.speed == 0)} == set(verdict.still)
-    good = (same or (seen.near and verdict.barely > 0)) and named and still
+    good = (same or (judged_at.near and verdict.barely > 0)) and named and still
     a = setup.a.copy()
-    for name, _, other in verdict.parted:
-        a[setup.names.index(name)] = other
+    for name, _, parted_name in verdict.parted:
+        a[setup.names.index(name)] = parted_name
     if verdict.parted:
         good &= not said & judged(replace(setup, a=a), motion, seed).alike
-    return good, same, seen.near, verdict.barely > 0
+    return good, same, judged_at.near, verdict.barely > 0
 
 
 def main(sets, seed):
@@ -157,15 +159,15 @@ def main(sets, seed):
     while len(rows) < sets:
         near = len(rows) % 2 == 1
         setup, motion = drawn(rng, near)
-        seen = judged(setup, motion, seed + len(rows))
-        if seen.near != near:
+        judged_at = judged(setup, motion, seed + len(rows))
+        if judged_at.near != near:
             continue
         began = process_time()
         verdict = reach_of(setup, "exact")
         seconds = max(seconds, process_time() - began)
-        rows.append(right(setup, motion, verdict, seen, seed + len(rows)))
+        rows.append(right(setup, motion, verdict, judged_at, seed + len(rows)))
         if not rows[-1][0]:
-            print("wrong:", motion, setup.a, setup.speed, verdict, verdict.spread, seen)
+            print("wrong:", motion, setup.a, setup.speed, verdict, verdict.spread, judged_at)
     good, same, near, said = np.array(rows).T
     counts = sets, good.sum(), same.sum(), near.sum(), (near & said).sum(), f"{seconds:.2f} s"
     print("| sets | right | same rank | near the border | said barely | longest, processor time |")
@@ -177,5 +179,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    main(given.sets, given.seed)
+    options = parser.parse_args()
+    main(options.sets, options.seed)

@@ -72,9 +72,9 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
             run_batch(tasks, store, executor, clocked)
             here_s = time.process_time() - before_s
         first = 2 * jobs
-        found = list(store.batches[loaded.arms[0].name].results.values())
-        first_ms = [1e-6 * max(trial.result.solve_ns) for trial in found]
-        solved_s = sum(1e-9 * sum(trial.result.solve_ns) for trial in found)
+        results = list(store.batches[loaded.arms[0].name].results.values())
+        first_ms = [1e-6 * max(trial.result.solve_ns) for trial in results]
+        solved_s = sum(1e-9 * sum(trial.result.solve_ns) for trial in results)
     took_s = clocked.ends_s[-1] - clocked.ends_s[first - 1]
     rate = 60 * (trials - first) / took_s
     outside = 1 - solved_s / here_s if jobs == 1 else math.nan
@@ -87,13 +87,15 @@ def main() -> None:
     parser.add_argument("--spec", type=Path, default=ROOT / "experiments" / "three_m3pi.yaml")
     parser.add_argument("--trials", type=int, default=100, help="trials of each case in a round")
     parser.add_argument("--rounds", type=int, default=3)
-    asked = parser.parse_args()
-    found: dict[str, list[Measured]] = {name: [] for name in CASES}
-    for _ in range(asked.rounds):
+    options = parser.parse_args()
+    measured: dict[str, list[Measured]] = {name: [] for name in CASES}
+    for _ in range(options.rounds):
         for name, (jobs, logs) in CASES.items():
-            found[name].append(measure(asked.spec.resolve(), asked.trials, jobs, logs))
-    print(f"{asked.spec.name}, {asked.rounds} rounds of {asked.trials} trials, median (range)")
-    for name, values in found.items():
+            measured[name].append(measure(options.spec.resolve(), options.trials, jobs, logs))
+    print(
+        f"{options.spec.name}, {options.rounds} rounds of {options.trials} trials, median (range)"
+    )
+    for name, values in measured.items():
         rates, here_ms, first_ms, outside = map(list, zip(*values, strict=True))
         print(
             f"{name:23} {_span(rates, 0)} trials a minute, CPU here {_span(here_ms, 1)} ms a trial,"
@@ -101,9 +103,9 @@ def main() -> None:
             f" first plan {_span(first_ms, 1)} ms on average"
         )
     for logs in ("whole logs", "brief logs"):
-        one = found[f"1 process, {logs}"]
-        two = found[f"2 processes, {logs}"]
-        gains = [b.rate / a.rate for a, b in zip(one, two, strict=True)]
+        single = measured[f"1 process, {logs}"]
+        two = measured[f"2 processes, {logs}"]
+        gains = [b.rate / a.rate for a, b in zip(single, two, strict=True)]
         print(f"2 processes against 1, {logs}: {_span(gains, 2)}x")
 
 

@@ -69,11 +69,11 @@ class Timed:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         begin = time.thread_time()
-        found = self.controller.plan(observation, last_command, earlier)
+        plan = self.controller.plan(observation, last_command, earlier)
         if self.moving:
             self.ms.append(1e3 * (time.thread_time() - begin))
-        self.moving = isinstance(found, Plan) and not found.pauses
-        return found
+        self.moving = isinstance(plan, Plan) and not plan.pauses
+        return plan
 
 
 class Noted(Kept):
@@ -87,15 +87,15 @@ class Noted(Kept):
         self.texts.append(note.text)
 
 
-def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
+def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -> Row:
     """Run one trial of a world in virtual time."""
-    world, trial = asked
+    world, trial = controller_asked
     name, slow, _ = world.partition("-5hz")
     spec = WORLDS[name].spec(5 if slow else 20, seed, trial, settings)
     key, seeds = trial_seeds(spec.trials.seed, trial)
     clock = VirtualClock()
     nowhere = PlantInfo("", True, 0.0, {})
-    kept = Noted()
+    noted = Noted()
     plant = spec.plant.build(spec.setup, clock, seeds, LabSupervision())
     controller = Timed(build_controller(spec, key))
     result = Trial(
@@ -104,7 +104,7 @@ def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
         controller=controller,
         first_plan=spec.controller.first_plan,
         clock=clock,
-        observers=[kept],
+        observers=[noted],
         interrupt=Interrupt(),
     ).run()
     assert isinstance(plant, SimPlant)
@@ -125,11 +125,11 @@ def run(seed: int, settings: Sequence[str], asked: tuple[str, int]) -> Row:
         "edge_mm": gaps[0] - radius,
         "obstacle_mm": gaps[1] - radius,
         "apart_mm": gaps[2] - radius,
-        "pauses": sum(step.plan.pauses for step in kept.steps),
-        "misfit": int(any(MISFIT in text for text in kept.texts)),
+        "pauses": sum(step.plan.pauses for step in noted.steps),
+        "misfit": int(any(MISFIT in text for text in noted.texts)),
         "late_steps": sum(ms > 1e3 * period_s for ms in controller.ms),
         "step_max_ms": max(controller.ms, default=0.0),
-        **held(kept.steps[-1].plan.estimate if kept.steps else None, truth),
+        **held(noted.steps[-1].plan.estimate if noted.steps else None, truth),
     }
 
 
@@ -137,20 +137,24 @@ def true(plant: SimPlant) -> Truth:
     """Return what holds at the end of a trial; errors of wheels count as those of a and speed."""
     a, speed = plant.rates
     drives = speed != 0
-    turns, goes = calibration(plant)
-    radios = [one for one in plant.settings.disturbances if isinstance(one, RadioSection)]
-    delay = sum(one.delay + one.jitter / 2 + one.spread / 2 for one in radios)
-    known = {
+    turns, translates = calibration(plant)
+    radios = [
+        disturbance
+        for disturbance in plant.settings.disturbances
+        if isinstance(disturbance, RadioSection)
+    ]
+    delay = sum(radio.delay + radio.jitter / 2 + radio.spread / 2 for radio in radios)
+    truth_of_plant = {
         "a": turns * np.where(drives, a, plant.a),
-        "speed": goes * np.where(drives, np.abs(speed), plant.speed),
+        "speed": translates * np.where(drives, np.abs(speed), plant.speed),
         "side": np.zeros(len(a)),
         "dead_time": np.array([plant.settings.dead_time + delay]),
         "lives": np.ones(len(a), dtype=np.bool_),
     }
-    for one in plant.disturbances:
-        if isinstance(one, Unmodelled):
-            known = one.truth(known)
-    return known
+    for disturbance in plant.disturbances:
+        if isinstance(disturbance, Unmodelled):
+            truth_of_plant = disturbance.truth(truth_of_plant)
+    return truth_of_plant
 
 
 def calibration(plant: SimPlant) -> tuple[Floats, Floats]:
@@ -166,14 +170,17 @@ def calibration(plant: SimPlant) -> tuple[Floats, Floats]:
     return mean * plant.setup.wheel_radius / drive.radius, mean
 
 
-def held(known: Estimate | None, truth: Truth) -> Row:
+def held(estimate: Estimate | None, truth: Truth) -> Row:
     """Return, for each quantity, how many 95 % intervals there are and how many hold the truth, and
     the sum of the squared errors over the squared standard deviations."""
     row: Row = {}
-    there = {one.name for one in fields(Estimate)} if known else set[str]()
+    names = {field.name for field in fields(Estimate)} if estimate else set[str]()
     for name in QUANTITIES:
-        value, std = (np.array(getattr(known, one, None), float) for one in (name, f"{name}_std"))
-        if name not in there or np.isnan(value).any():
+        value, std = (
+            np.array(getattr(estimate, name_of_part, None), float)
+            for name_of_part in (name, f"{name}_std")
+        )
+        if name not in names or np.isnan(value).any():
             row |= {f"{name}_of": 0, f"{name}_held": 0, f"{name}_squares": 0.0}
             continue
         lives = truth["lives"] if value.ndim else np.True_
@@ -211,59 +218,64 @@ HEAD = (
 
 def line(name: str, rows: list[Row]) -> str:
     """Return a world's line of the table."""
-    of = {key: np.array([row[key] for row in rows]) for key in rows[0] if key != TOLD}
-    (error,) = distributions(of["error"][None])
-    gaps = [of[f"{what}_mm"] for what in ("edge", "obstacle", "apart")]
-    quiet = of["misfit"] == 0
+    columns = {key: np.array([row[key] for row in rows]) for key in rows[0] if key != TOLD}
+    (error,) = distributions(columns["error"][None])
+    gaps = [columns[f"{what}_mm"] for what in ("edge", "obstacle", "apart")]
+    quiet = columns["misfit"] == 0
     missed = np.zeros(len(rows), dtype=np.bool_)
     shares = []
     for what in QUANTITIES:
-        inside = of[f"{what}_held"]
-        every = of[f"{what}_of"]
-        missed |= inside < every
-        rms = np.sqrt(of[f"{what}_squares"][quiet].sum() / max(every[quiet].sum(), 1))
-        shares.append(f"{inside[quiet].sum():.0f} of {every[quiet].sum():.0f}; {rms:.2f}")
-    said = of["misfit"] > 0
+        inside = columns[f"{what}_held"]
+        reference = columns[f"{what}_of"]
+        missed |= inside < reference
+        rms = np.sqrt(columns[f"{what}_squares"][quiet].sum() / max(reference[quiet].sum(), 1))
+        shares.append(f"{inside[quiet].sum():.0f} of {reference[quiet].sum():.0f}; {rms:.2f}")
+    said = columns["misfit"] > 0
     cells = (
         f"`{name}`",
         f"{len(rows)}",
         f"{error.mean:.1f} [{error.ci95.low:.1f}, {error.ci95.high:.1f}]",
-        f"{np.median(of['error']):.1f} / {of['error'].max():.1f}; {of['greatest'].max():.1f}",
-        f"{(of['error'] > FAR_MM).sum()} / {(of['complete'] == 0).sum()}",
-        f"{of['seconds'].mean():.1f} / {of['seconds'].max():.1f}",
+        f"{np.median(columns['error']):.1f} / {columns['error'].max():.1f}; "
+        f"{columns['greatest'].max():.1f}",
+        f"{(columns['error'] > FAR_MM).sum()} / {(columns['complete'] == 0).sum()}",
+        f"{columns['seconds'].mean():.1f} / {columns['seconds'].max():.1f}",
         " / ".join(f"{(gap < 0).sum()}" for gap in gaps) + f" ({max(0.0, -np.min(gaps)):.1f})",
         f"{said.sum()}",
         *shares,
         f"{missed.sum()}: {(missed & said).sum()}",
-        f"{of['late_steps'].sum():.0f} / {of['step_max_ms'].max():.0f}",
+        f"{columns['late_steps'].sum():.0f} / {columns['step_max_ms'].max():.0f}",
     )
     return f"| {' | '.join(cells)} |"
 
 
-def compare(found: dict[str, list[Row]], folder: Path) -> None:
+def compare(rows_of: dict[str, list[Row]], folder: Path) -> None:
     """Print differences from another version's trials, with Holm's intervals: at 1 - 0.05 / k for
     the difference of least p of k, at 1 - 0.05 / (k - 1) for the next, and so on."""
     pairs: dict[tuple[str, str], np.ndarray] = {}
-    for name, rows in found.items():
-        other = {(row["seed"], row["trial"]): row for row in read(folder / f"{name}.csv")}
-        both = [(row, other.get((row["seed"], row["trial"]))) for row in rows]
+    for name, rows in rows_of.items():
+        others = {(row["seed"], row["trial"]): row for row in read(folder / f"{name}.csv")}
+        paired = [(row, others.get((row["seed"], row["trial"]))) for row in rows]
         for what in ("error", "seconds"):
-            pairs[name, what] = np.array([(a[what], b[what]) for a, b in both if b]).reshape(-1, 2)
+            pairs[name, what] = np.array([(a[what], b[what]) for a, b in paired if b]).reshape(
+                -1, 2
+            )
     tested = {key: paired_t(two[:, 0] - two[:, 1]) for key, two in pairs.items() if len(two) > 1}
-    order = sorted((one.p_value, key) for key, one in tested.items() if one.p_value == one.p_value)
+    order = sorted(
+        (test.p_value, key) for key, test in tested.items() if test.p_value == test.p_value
+    )
     levels = {key: 0.05 / (len(order) - i) for i, (_, key) in enumerate(order)}
     print("\n| world | | pairs, equal | before | now | now - before, Holm's 95 % interval | |")
     print("|---|---|---|---|---|---|---|")
-    for key, one in tested.items():
+    for key, test in tested.items():
         more, (now, before) = np.subtract(*pairs[key].T), pairs[key].mean(axis=0)
         half = 0.0
         verdict = "equal"
         if key in levels:
             reach = stats.t.ppf(1 - levels[key] / 2, len(more) - 1)
             half = reach * more.std(ddof=1) / np.sqrt(len(more))
-            verdict = "**worse**" if one.value > half else "better" if one.value < -half else ""
-        cells = f"{before:.1f} | {now:.1f} | {one.value:.2f} [{one.value - half:.2f}, "
-        cells += f"{one.value + half:.2f}], {100 * one.value / before:+.0f} % | {verdict}"
+            verdict = "**worse**" if test.value > half else "better" if test.value < -half else ""
+        cells = f"{before:.1f} | {now:.1f} | {test.value:.2f} [{test.value - half:.2f}, "
+        cells += f"{test.value + half:.2f}], {100 * test.value / before:+.0f} % | {verdict}"
         print(f"| `{key[0]}` | {key[1]} | {len(more)}, {(more == 0).sum()} | {cells} |")
 
 
@@ -278,32 +290,34 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="a setting of every spec")
     parser.add_argument("--out", type=Path, help="folder of a CSV for each world")
     parser.add_argument("--against", type=Path, help="such a folder of another version")
-    asked = parser.parse_args()
-    print(f"Simulated, seed {asked.seed}. {load()}.\n")
+    options = parser.parse_args()
+    print(f"Simulated, seed {options.seed}. {load()}.\n")
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
-    numbers = range(asked.first, asked.first + asked.trials)
-    found = dict[str, list[Row]]()
-    with get_context("spawn").Pool(asked.jobs) as pool:
-        for name in asked.world:
+    numbers = range(options.first, options.first + options.trials)
+    rows_of = dict[str, list[Row]]()
+    with get_context("spawn").Pool(options.jobs) as pool:
+        for name in options.world:
             progress(name)
             tasks = [(name, trial) for trial in numbers]
-            rows = list(pool.imap(partial(run, asked.seed, asked.set), tasks, chunksize=1))
-            if asked.out:
-                made = {(row["seed"], row["trial"]) for row in rows}
-                kept = [row for row in read(asked.out / f"{name}.csv") if row["seed"] == asked.seed]
-                rows += [row for row in kept if (row["seed"], row["trial"]) not in made]
+            rows = list(pool.imap(partial(run, options.seed, options.set), tasks, chunksize=1))
+            if options.out:
+                done = {(row["seed"], row["trial"]) for row in rows}
+                earlier = [
+                    row for row in read(options.out / f"{name}.csv") if row["seed"] == options.seed
+                ]
+                rows += [row for row in earlier if (row["seed"], row["trial"]) not in done]
             if not rows:
                 continue
-            found[name] = sorted(rows, key=lambda row: row["trial"])
-            print(line(name, found[name]), flush=True)
-            if asked.out:
-                asked.out.mkdir(parents=True, exist_ok=True)
-                with (asked.out / f"{name}.csv").open("w", newline="") as file:
+            rows_of[name] = sorted(rows, key=lambda row: row["trial"])
+            print(line(name, rows_of[name]), flush=True)
+            if options.out:
+                options.out.mkdir(parents=True, exist_ok=True)
+                with (options.out / f"{name}.csv").open("w", newline="") as file:
                     writer = csv.DictWriter(file, list(rows[0]))
                     writer.writeheader()
-                    writer.writerows(found[name])
-    if asked.against:
-        compare(found, asked.against)
+                    writer.writerows(rows_of[name])
+    if options.against:
+        compare(rows_of, options.against)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ class PulsingSwimmers(Swimmers):
         return PulsingSwimmers(**{n: np.append(own, theirs[n]) for n, own in vars(self).items()})
 
     def kept(self, which) -> "PulsingSwimmers":
-        return PulsingSwimmers(**{name: each[which] for name, each in vars(self).items()})
+        return PulsingSwimmers(**{name: array[which] for name, array in vars(self).items()})
 
 
 @dataclass(slots=True)
@@ -89,9 +89,9 @@ class WidePainter(DishPainter):
             self._scratch = np.zeros((self.look.height, self.look.width), np.float32)
         size = replace(cells, length=cells.length + 2 * more, width=cells.width + 2 * more)
         DishPainter._draw_cell(self, self._scratch, size, moments, i)
-        found = self._scratch[where].copy()
+        picture = self._scratch[where].copy()
         self._scratch[where] = 0
-        return found
+        return picture
 
 
 @dataclass(slots=True)
@@ -108,22 +108,22 @@ class WideFilm(SyntheticFilm):
 
     @classmethod
     def drawn(cls, seed: int, level: str) -> "WideFilm":
-        at = ("easy", "normal", "hard").index(level)
-        random = np.random.default_rng([seed, 1, at])
+        level_index = ("easy", "normal", "hard").index(level)
+        random = np.random.default_rng([seed, 1, level_index])
         hard = level == "hard"
         easy = level == "easy"
         seconds = 10.0 if easy else round(random.uniform(10, 12) * 30) / 30
         cells = PulsingSwimmers(
             **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
             base=np.zeros(0),
-            pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[at], 24),
+            pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[level_index], 24),
             pulse_hz=np.exp(random.uniform(math.log(0.15), math.log(3.0), 24)),
             age=random.uniform(0, 10, 24),
         )
         cells.base = cells.speed.copy()
         angle = random.uniform(-math.pi, math.pi)
         kinds = (0.0, 0.0), (random.uniform(0.2, 0.5), 0.0), (0.2, random.uniform(0.8, 1.3))
-        halo, hollow = kinds[random.integers((1, 2, 3)[at])]
+        halo, hollow = kinds[random.integers((1, 2, 3)[level_index])]
         look = _look(random, level)
         if hollow and look.bright:  # outlines are what a bright field shows
             brighter = BRIGHT_FIELD / look.light
@@ -137,7 +137,7 @@ class WideFilm(SyntheticFilm):
             level=level,
             halo=halo,
             hollow=hollow,
-            wander_um=(0.0, 20.0, 70.0)[at],
+            wander_um=(0.0, 20.0, 70.0)[level_index],
             knock_um=(18 * math.cos(angle), 18 * math.sin(angle)) if hard else (0.0, 0.0),
             knock_s=seconds * random.uniform(0.35, 0.65) if hard else math.inf,
             late_s=0.0 if easy else random.uniform(0, 0.02 if hard else 0.01),
@@ -165,7 +165,7 @@ class WideFilm(SyntheticFilm):
     def truth(self) -> FilmTruth:
         """Return what was drawn, in the coordinates of the pictures."""
         random = np.random.default_rng([self.seed, 8])
-        here = np.array([self._alive(t) for t in self.times])
+        is_alive = np.array([self._alive(t) for t in self.times])
         knocked = (self.times > self.knock_s)[:, None, None] * np.array(self.knock_um)
         place = self.body[..., :2] + knocked
         states = [self._at(t) for t in self.times]
@@ -179,10 +179,10 @@ class WideFilm(SyntheticFilm):
         late = random.uniform(0.5 * self.late_s, self.late_s, len(self.turns))
 
         def only(values):
-            return np.where(here, values, np.nan)
+            return np.where(is_alive, values, np.nan)
 
         look = {n: getattr(self.look, n) for n in self.look.__slots__ if n != "specks"}
-        own = {n: getattr(self, n) for n in ("level", "seed", *WideFilm.__slots__)}
+        arguments = {n: getattr(self, n) for n in ("level", "seed", *WideFilm.__slots__)}
         return FilmTruth(
             times=self.times,
             x=only(place[..., 0]),
@@ -190,7 +190,7 @@ class WideFilm(SyntheticFilm):
             axis=only(self.body[..., 2]),
             heading=only(self.heading),
             speed=only(speed),
-            resting=resting & here,
+            resting=resting & is_alive,
             a=a,
             bias=self.cells.bias,
             parent=parent,
@@ -198,7 +198,7 @@ class WideFilm(SyntheticFilm):
             recorded=self.turns[:, 0] + late,
             um_px=UM_PX,
             side_px=SIDE_PX,
-            about={"renderer": "first", **own, "picture": look},
+            about={"renderer": "first", **arguments, "picture": look},
         )
 
 
@@ -209,24 +209,24 @@ def first_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], 
 
 
 def _look(random: np.random.Generator, level: str) -> PictureLook:
-    at = ("easy", "normal", "hard").index(level)
+    level_index = ("easy", "normal", "hard").index(level)
     span = SIDE_PX * UM_PX
     bright = bool(random.random() < 0.5)
     light = random.uniform(60, 110) if bright else random.uniform(120, 190)
     contrast = (random.uniform(40, 80), random.uniform(30, 70), random.uniform(0.17, 0.2) * light)
     noise = (random.uniform(2, 4), random.uniform(3, 6), random.uniform(7, 8))
-    contrast = contrast[at]
-    noise = noise[at]
+    contrast = contrast[level_index]
+    noise = noise[level_index]
     if level == "hard" and random.random() < 0.5:
         contrast = 0.17 * light
         noise = 8.0
-    specks = [_speck(random, span, at) for _ in range((4, 30, 36)[at])]
-    specks += [_lookalike(random, span, at) for _ in range((0, 3, 16)[at])]
-    if at:
+    specks = [_speck(random, span, level_index) for _ in range((4, 30, 36)[level_index])]
+    specks += [_lookalike(random, span, level_index) for _ in range((0, 3, 16)[level_index])]
+    if level_index:
         x, y = random.uniform(0, span, 2).tolist()
         size = float(random.uniform(100, 250))
         wall = RenderedSpeck(x, y, size, 1.0, 0.0, 0.1, rim=True)
-        specks += [wall] * (1, 3)[at - 1]  # a bubble's wall has a contrast of its own
+        specks += [wall] * (1, 3)[level_index - 1]  # a bubble's wall has a contrast of its own
     return PictureLook(
         width=SIDE_PX,
         height=SIDE_PX,
@@ -235,17 +235,17 @@ def _look(random: np.random.Generator, level: str) -> PictureLook:
         bright=bright,
         light=light,
         contrast=contrast,
-        vignetting=float(random.uniform(0.0, 0.1) if not at else random.uniform(0.1, 0.3)),
-        light_drift=float(random.uniform(-0.01, 0.01)) if at else 0.0,
-        flicker=float(random.uniform(0.005, 0.02)) * at,
+        vignetting=float(random.uniform(0.0, 0.1) if not level_index else random.uniform(0.1, 0.3)),
+        light_drift=float(random.uniform(-0.01, 0.01)) if level_index else 0.0,
+        flicker=float(random.uniform(0.005, 0.02)) * level_index,
         noise=noise,
-        quality=(95, int(random.integers(75, 91)), 60)[at],
+        quality=(95, int(random.integers(75, 91)), 60)[level_index],
         specks=tuple(specks),
     )
 
 
-def _speck(random: np.random.Generator, span: float, at: int) -> RenderedSpeck:
-    drifts = at and random.random() < 0.3
+def _speck(random: np.random.Generator, span: float, level: int) -> RenderedSpeck:
+    drifts = level and random.random() < 0.3
     drift = random.uniform(-10, 10, 2) if drifts else np.zeros(2)
     return RenderedSpeck(
         *random.uniform(0, span, 2).tolist(),
@@ -257,9 +257,9 @@ def _speck(random: np.random.Generator, span: float, at: int) -> RenderedSpeck:
     )
 
 
-def _lookalike(random: np.random.Generator, span: float, at: int) -> RenderedSpeck:
+def _lookalike(random: np.random.Generator, span: float, level: int) -> RenderedSpeck:
     """Return debris of the size and shape of a cell, which may drift."""
-    speed = random.uniform(0, (0, 15, 40)[at]) if random.random() < 0.6 else 0.0
+    speed = random.uniform(0, (0, 15, 40)[level]) if random.random() < 0.6 else 0.0
     way = random.uniform(-math.pi, math.pi)
     width = random.uniform(20, 32)
     return RenderedSpeck(

@@ -84,13 +84,18 @@ class Optics:
         half = math.ceil((shape.length / 2 + REACH_UM) / self.um_px)
         column = x / self.um_px
         row = self.side_px - y / self.um_px
-        left = math.floor(column) - half
+        first_column = math.floor(column) - half
         top = math.floor(row) - half
         side = 2 * half + 1
-        if left >= self.side_px or top >= self.side_px or left + side <= 0 or top + side <= 0:
+        if (
+            first_column >= self.side_px
+            or top >= self.side_px
+            or first_column + side <= 0
+            or top + side <= 0
+        ):
             return
         fine = FINE / self.um_px  # subpixels a um
-        middle = np.array([(column - left) * FINE - 0.5, (row - top) * FINE - 0.5])
+        middle = np.array([(column - first_column) * FINE - 0.5, (row - top) * FINE - 0.5])
         cos = math.cos(turn)
         sin = math.sin(turn)
         basis = np.array([[cos, -sin], [-sin, -cos]])  # rows run down
@@ -120,10 +125,13 @@ class Optics:
         if radius > 0.35:
             patch = cv2.filter2D(patch, -1, disk(round(4 * radius)), borderType=cv2.BORDER_CONSTANT)
         rows = slice(max(top, 0), min(top + side, self.side_px))
-        columns = slice(max(left, 0), min(left + side, self.side_px))
+        columns = slice(max(first_column, 0), min(first_column + side, self.side_px))
         field[rows, columns] *= (
             1
-            + patch[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+            + patch[
+                rows.start - top : rows.stop - top,
+                columns.start - first_column : columns.stop - first_column,
+            ]
         )
 
     @staticmethod
@@ -132,8 +140,8 @@ class Optics:
         inner = np.ones(size, np.float32)
         for along, across, deep, radius, strength in shape.vacuoles:
             aside = across * math.cos(roll) - deep * math.sin(roll)
-            at = basis @ np.array([along * flat, aside]) * fine + middle
-            place = tuple(int(v) for v in np.round(at * 16))
+            spot = basis @ np.array([along * flat, aside]) * fine + middle
+            place = tuple(int(v) for v in np.round(spot * 16))
             cv2.circle(inner, place, round(radius * fine * 16), 1 + strength, -1, cv2.LINE_8, 4)
         return cv2.blur(inner, (3, 3))
 
@@ -152,8 +160,8 @@ def disk(quarters: int) -> np.ndarray:
     """Return the kernel of a disk with a radius of so many quarters of a pixel; its sum is 1."""
     radius = quarters / 4
     half = math.ceil(radius)
-    at = np.arange(-half, half + 1)
-    kernel = np.clip(radius + 0.5 - np.hypot(at[:, None], at[None]), 0, 1)
+    offsets = np.arange(-half, half + 1)
+    kernel = np.clip(radius + 0.5 - np.hypot(offsets[:, None], offsets[None]), 0, 1)
     return (kernel / kernel.sum()).astype(np.float32)
 
 

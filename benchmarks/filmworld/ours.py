@@ -35,7 +35,9 @@ def track(folder: Path, um_px: float, setting: Setting) -> Shown:
     for cell in cells:
         said = {"speed": cell.speed, "a": cell.a}
         numbers[int(cell.cell)] = {
-            name: (float(one.low), float(one.high)) for name, one in said.items() if one is not None
+            name: (float(interval.low), float(interval.high))
+            for name, interval in said.items()
+            if interval is not None
         }
     frame = table[:, 0].astype(int)
     name = table[:, 1].astype(int)
@@ -55,7 +57,7 @@ def parts(folder: Path, um_px: float) -> dict[str, list[float]]:
     marks.append(cpu_s())
     fit_cells(followed, field)
     marks.append(cpu_s())
-    decode, both, fit = (1e3 * np.diff(marks) / len(pictures)).tolist()
+    decode, find_and_link, fit = (1e3 * np.diff(marks) / len(pictures)).tolist()
     tracker = CellTracker(um_px, known=True)
     tracker.finder.learn(pictures[:: max(1, len(pictures) // 20)])
     live = []
@@ -63,7 +65,12 @@ def parts(folder: Path, um_px: float) -> dict[str, list[float]]:
         began = time.thread_time()
         tracker.see(picture, number / followed.rate_hz, field.pieces)
         live.append(1e3 * (time.thread_time() - began))
-    return {"decode": [decode], "decode and follow": [both], "summarise": [fit], "live": live}
+    return {
+        "decode": [decode],
+        "decode and follow": [find_and_link],
+        "summarise": [fit],
+        "live": live,
+    }
 
 
 def cpu_s() -> float:

@@ -37,8 +37,8 @@ def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
     while (read := reader.read())[0]:
         pictures.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
     light = np.array([np.median(picture[::8, ::8]) for picture in pictures])
-    every = max(1, len(pictures) // BACKGROUND)
-    scaled = [pictures[k] * np.float32(light[0] / light[k]) for k in range(0, len(pictures), every)]
+    step = max(1, len(pictures) // BACKGROUND)
+    scaled = [pictures[k] * np.float32(light[0] / light[k]) for k in range(0, len(pictures), step)]
     background = cv2.GaussianBlur(np.median(scaled, axis=0).astype(np.float32), (0, 0), BLUR_PX)
     low, high = (area / um_px**2 for area in AREA_UM2)
     rows = []
@@ -55,7 +55,7 @@ def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
     return pd.DataFrame(rows, columns=["frame", "x", "y"]), cpu_s() - began
 
 
-def trackpy_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
+def trackpy_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
     import trackpy
 
     trackpy.quiet()
@@ -63,10 +63,12 @@ def trackpy_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         predict = trackpy.predict.NearestVelocityPredict()
-        return predict.link_df(found, way, memory=MISSED, adaptive_stop=way / 4, adaptive_step=0.9)
+        return predict.link_df(
+            features, way, memory=MISSED, adaptive_stop=way / 4, adaptive_step=0.9
+        )
 
 
-def laptrack_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
+def laptrack_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
     from laptrack import LapTrack
 
     way = (RANGE_UM / um_px) ** 2
@@ -78,23 +80,23 @@ def laptrack_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
         merging_cutoff=False,
     )
     tracks, _, _ = linker.predict_dataframe(
-        found, coordinate_cols=["x", "y"], frame_col="frame", only_coordinate_cols=False
+        features, coordinate_cols=["x", "y"], frame_col="frame", only_coordinate_cols=False
     )
     tracks = tracks.reset_index(drop=True).rename(columns={"track_id": "particle"})
     return tracks if "frame" in tracks else tracks.rename(columns={"frame_y": "frame"})
 
 
 def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, um_px: float):
-    found, spent = detections(folder / "film.avi", um_px)
+    features, spent = detections(folder / "film.avi", um_px)
     began = cpu_s()
-    tracks = link(found.copy(), um_px) if len(found) else found.assign(particle=[])
+    tracks = link(features.copy(), um_px) if len(features) else features.assign(particle=[])
     spent += cpu_s() - began
-    kept = []
+    long_tracks = []
     for _, track in tracks.groupby("particle"):
         way = np.hypot(track.x - track.x.iloc[0], track.y - track.y.iloc[0]).max() * um_px
         if len(track) >= SHORTEST and way >= MOVED_UM:
-            kept.append(track)
-    table = pd.concat(kept).sort_values("frame") if kept else tracks.iloc[:0]
+            long_tracks.append(track)
+    table = pd.concat(long_tracks).sort_values("frame") if long_tracks else tracks.iloc[:0]
     height = cv2.VideoCapture(str(folder / "film.avi")).get(cv2.CAP_PROP_FRAME_HEIGHT)
     none = np.full(len(table), np.nan)
     return Shown(

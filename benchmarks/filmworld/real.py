@@ -22,8 +22,8 @@ def report(film: Path, scales: Sequence[float], rate_hz: float | None) -> None:
             said = json.loads(done.stdout)
             cells = said["cells"]
             seconds = [cell["duration_s"] for cell in cells] or [0.0]
-            whole = max(said["pictures"], 1)
-            shares = [cell["pictures"] / whole for cell in cells] or [0.0]
+            count = max(said["pictures"], 1)
+            shares = [cell["pictures"] / count for cell in cells] or [0.0]
             print(f"| {said['um_per_px']:.3g} um/px, {said.get('organism')} | {len(cells)} cells |")
             print(
                 f"| seen for, s: median, longest | {np.median(seconds):.2f}, {max(seconds):.2f} |"

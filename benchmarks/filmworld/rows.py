@@ -19,8 +19,12 @@ def vars_of(film: FilmScore) -> dict:
 
 
 def f1(films: Sequence[FilmScore]) -> float:
-    found = total(films, "found")
-    return 2 * found / max(2 * found + total(films, "missed") + total(films, "extra"), 1)
+    true_positives = total(films, "found")
+    return (
+        2
+        * true_positives
+        / max(2 * true_positives + total(films, "missed") + total(films, "extra"), 1)
+    )
 
 
 def idf1(films: Sequence[FilmScore]) -> float:
@@ -81,11 +85,11 @@ def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, s
         ("IDF1", over_films(films, idf1, 3)),
         (
             "new names a cell-hour",
-            over_films(films, lambda some: an_hour(some, total(some, "renamed")), 0),
+            over_films(films, lambda scored: an_hour(scored, total(scored, "renamed")), 0),
         ),
         (
             "wrong names that last, a cell-hour",
-            over_films(films, lambda some: an_hour(some, sum(len(f.wrong) for f in some)), 1),
+            over_films(films, lambda scored: an_hour(scored, sum(len(f.wrong) for f in scored)), 1),
         ),
     ]
     lives = [life for film in films for life in film.lives]
@@ -108,6 +112,8 @@ def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, s
             ("long tracks without a number", f"{total(films, 'silent')}"),
             ("strangers whose a is said not to be 0", share(*strangers)),
         ]
-    cpu = over_films(films, lambda some: 1e3 * total(some, "cpu_s") / total(some, "pictures"), 1)
+    cpu = over_films(
+        films, lambda scored: 1e3 * total(scored, "cpu_s") / total(scored, "pictures"), 1
+    )
     rows.append(("processor time a picture, ms", f"{cpu}, n {pictures}"))
     return rows

@@ -77,103 +77,105 @@ class FilmScore:
         return 2 * self.found / max(2 * self.found + self.missed + self.extra, 1)
 
 
-def score_film(name: str, truth: FilmTruth, shown: Shown) -> FilmScore:
+def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     """Return how well a film's rows agree with its truth."""
-    owner = owners(truth, shown)
+    owner = owners(truth, tracked)
     view = truth.view
     nearest = _nearest(truth)
-    score = FilmScore(name, pictures=len(truth.times), cpu_s=shown.cpu_s)
+    score = FilmScore(name, pictures=len(truth.times), cpu_s=tracked.cpu_s)
     true = owner >= 0
     inside = np.zeros(len(owner), bool)
-    inside[true] = view[shown.frame[true], owner[true]]
+    inside[true] = view[tracked.frame[true], owner[true]]
     span = truth.um_px * truth.side_px - VIEW_UM
-    within = (np.minimum(shown.x, shown.y) > VIEW_UM) & (np.maximum(shown.x, shown.y) < span)
+    within = (np.minimum(tracked.x, tracked.y) > VIEW_UM) & (
+        np.maximum(tracked.x, tracked.y) < span
+    )
     score.found = int(inside.sum())
     score.missed = int(view.sum()) - score.found
     score.extra = int((~true & within).sum())
     score.hours = float(view.sum()) * (truth.times[1] - truth.times[0]) / 3600
     rows = np.flatnonzero(inside)
-    apart = rows[nearest[shown.frame[rows], owner[rows]] > APART_UM]
-    _errors(score, truth, shown, owner, apart)
-    score.named = _named(shown, owner, inside)
-    free = rows[nearest[shown.frame[rows], owner[rows]] > TOGETHER_UM]
-    score.renamed = _renamed(truth, shown, owner, free)
-    score.wrong = _wrong(truth, shown, owner, free)
-    first = dict(zip(shown.name[true][::-1].tolist(), owner[true][::-1].tolist(), strict=True))
-    right = true & (owner == np.array([first.get(name, -1) for name in shown.name.tolist()]))
+    apart = rows[nearest[tracked.frame[rows], owner[rows]] > APART_UM]
+    _errors(score, truth, tracked, owner, apart)
+    score.named = _named(tracked, owner, inside)
+    free = rows[nearest[tracked.frame[rows], owner[rows]] > TOGETHER_UM]
+    score.renamed = _renamed(truth, tracked, owner, free)
+    score.wrong = _wrong(truth, tracked, owner, free)
+    first = dict(zip(tracked.name[true][::-1].tolist(), owner[true][::-1].tolist(), strict=True))
+    right = true & (owner == np.array([first.get(name, -1) for name in tracked.name.tolist()]))
     score.right = int(right.sum())
-    score.covered = int((right & shown.sure).sum())
-    _intervals(score, truth, shown, owner)
-    score.lives = _lives(truth, shown)
+    score.covered = int((right & tracked.sure).sum())
+    _intervals(score, truth, tracked, owner)
+    score.lives = _lives(truth, tracked)
     score.views = _views(truth)
     return score
 
 
-def owners(truth: FilmTruth, shown: Shown) -> np.ndarray:
+def owners(truth: FilmTruth, tracked: Shown) -> np.ndarray:
     """Return the individual that each row shows, or -1: the nearest assignment within REACH_UM,
     where a name that was an individual's in the picture before stays so within reach.
     """
-    owner = np.full(len(shown.frame), -1)
+    owner = np.full(len(tracked.frame), -1)
     last: dict[int, int] = {}
-    starts = np.searchsorted(shown.frame, np.arange(len(truth.times) + 1))
+    starts = np.searchsorted(tracked.frame, np.arange(len(truth.times) + 1))
     for k, (first, end) in enumerate(pairwise(starts.tolist())):
-        there = np.flatnonzero(np.isfinite(truth.x[k]))
-        if first == end or not len(there):
+        present = np.flatnonzero(np.isfinite(truth.x[k]))
+        if first == end or not len(present):
             continue
         gaps = np.hypot(
-            truth.x[k, there][:, None] - shown.x[None, first:end],
-            truth.y[k, there][:, None] - shown.y[None, first:end],
+            truth.x[k, present][:, None] - tracked.x[None, first:end],
+            truth.y[k, present][:, None] - tracked.y[None, first:end],
         )
         cost = np.where(gaps < REACH_UM, gaps - 1e4, 0.0)
-        place = {int(i): at for at, i in enumerate(there)}
+        place = {int(i): column for column, i in enumerate(present)}
         for j in range(end - first):
-            i = place.get(last.get(int(shown.name[first + j]), -1))
+            i = place.get(last.get(int(tracked.name[first + j]), -1))
             if i is not None and gaps[i, j] < REACH_UM:
                 cost[i, j] -= 1e3
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if gaps[i, j] < REACH_UM:
-                owner[first + j] = there[i]
-                last[int(shown.name[first + j])] = int(there[i])
+                owner[first + j] = present[i]
+                last[int(tracked.name[first + j])] = int(present[i])
     return owner
 
 
 def _nearest(truth: FilmTruth) -> np.ndarray:
     """Return the distance of each individual's nearest neighbour (K, M) [um]."""
-    found = np.full(truth.x.shape, np.inf)
+    nearest_um = np.full(truth.x.shape, np.inf)
     for k in range(len(truth.times)):
-        there = np.flatnonzero(np.isfinite(truth.x[k]))
-        x = truth.x[k, there]
-        y = truth.y[k, there]
+        present = np.flatnonzero(np.isfinite(truth.x[k]))
+        x = truth.x[k, present]
+        y = truth.y[k, present]
         gaps = np.hypot(x[:, None] - x, y[:, None] - y)
         np.fill_diagonal(gaps, np.inf)
-        found[k, there] = gaps.min(axis=1, initial=np.inf)
-    return found
+        nearest_um[k, present] = gaps.min(axis=1, initial=np.inf)
+    return nearest_um
 
 
-def _errors(score: FilmScore, truth: FilmTruth, shown: Shown, owner, rows) -> None:
-    k = shown.frame[rows]
+def _errors(score: FilmScore, truth: FilmTruth, tracked: Shown, owner, rows) -> None:
+    k = tracked.frame[rows]
     i = owner[rows]
-    dx = shown.x[rows] - truth.x[k, i]
-    dy = shown.y[rows] - truth.y[k, i]
+    dx = tracked.x[rows] - truth.x[k, i]
+    dy = tracked.y[rows] - truth.y[k, i]
     along = dx * np.cos(truth.axis[k, i]) + dy * np.sin(truth.axis[k, i])
     aside = dy * np.cos(truth.axis[k, i]) - dx * np.sin(truth.axis[k, i])
     score.near = len(rows)
     score.place2 = float((dx**2 + dy**2).sum())
     off = along - along.mean() if len(rows) else along
     score.place2_less = float((off**2 + aside**2).sum())
-    axis = (shown.axis[rows] - truth.axis[k, i] + np.pi / 2) % np.pi - np.pi / 2
+    axis = (tracked.axis[rows] - truth.axis[k, i] + np.pi / 2) % np.pi - np.pi / 2
     axis = axis[np.isfinite(axis)]
     score.axis2 = float((axis**2).sum())
     score.axes = len(axis)
-    heading = (shown.heading[rows] - truth.heading[k, i] + np.pi) % (2 * np.pi) - np.pi
+    heading = (tracked.heading[rows] - truth.heading[k, i] + np.pi) % (2 * np.pi) - np.pi
     heading = heading[np.isfinite(heading) & ~truth.resting[k, i]]
     score.heading2 = float((heading**2).sum())
     score.headings = len(heading)
 
 
-def _named(shown: Shown, owner, inside) -> int:
+def _named(tracked: Shown, owner, inside) -> int:
     """Return the rows that agree if each individual has the one name that suits it best (IDTP)."""
-    names, column = np.unique(shown.name, return_inverse=True)
+    names, column = np.unique(tracked.name, return_inverse=True)
     if not len(names) or owner.max(initial=-1) < 0:
         return 0
     count = np.zeros((owner.max() + 1, len(names)))
@@ -181,83 +183,83 @@ def _named(shown: Shown, owner, inside) -> int:
     return int(count[linear_sum_assignment(-count)].sum())
 
 
-def _renamed(truth: FilmTruth, shown: Shown, owner, free) -> int:
+def _renamed(truth: FilmTruth, tracked: Shown, owner, free) -> int:
     """Return how often a cell that stays in view gets a name that no cell had before."""
     last: dict[int, tuple[int, int]] = {}
-    known: set[int] = set()
+    named: set[int] = set()
     count = 0
     view = truth.view
     for row in free:
         i = int(owner[row])
-        name = int(shown.name[row])
-        k = int(shown.frame[row])
+        name = int(tracked.name[row])
+        k = int(tracked.frame[row])
         before = last.get(i)
-        if before is not None and before[0] != name and name not in known:
+        if before is not None and before[0] != name and name not in named:
             gone = (~view[before[1] : k, i]).sum()
             count += int(gone <= GAP)
         last[i] = name, k
-        known.add(name)
+        named.add(name)
     return count
 
 
-def _wrong(truth: FilmTruth, shown: Shown, owner, free) -> list[bool]:
+def _wrong(truth: FilmTruth, tracked: Shown, owner, free) -> list[bool]:
     """Return whether a name is called sure (in most rows) where one that was one cell's is
     another's for LASTS_S or to its end. A mother's name may be a daughter's.
     """
-    found = []
-    for name in np.unique(shown.name[free]):
-        rows = free[shown.name[free] == name]
+    wrong = []
+    for name in np.unique(tracked.name[free]):
+        rows = free[tracked.name[free] == name]
         cuts = np.flatnonzero(np.diff(owner[rows])) + 1
         runs = np.split(rows, cuts)
         before = -1
         for number, run in enumerate(runs):
             i = int(owner[run[0]])
-            times = truth.times[shown.frame[run]]
+            times = truth.times[tracked.frame[run]]
             lasts = times[-1] - times[0] >= LASTS_S or number in (0, len(runs) - 1)
             if not lasts:
                 continue
             family = before in (i, truth.parent[i]) or truth.parent[before] == i
             family |= before >= 0 and truth.parent[before] == truth.parent[i] >= 0
             if before >= 0 and not family:
-                found.append(bool(np.mean(shown.sure[run]) > 0.5))
+                wrong.append(bool(np.mean(tracked.sure[run]) > 0.5))
             before = i
-    return found
+    return wrong
 
 
-def _lives(truth: FilmTruth, shown: Shown) -> list[float]:
+def _lives(truth: FilmTruth, tracked: Shown) -> list[float]:
     """Return the time from the first to the last row of each number [s]."""
-    times = truth.times[shown.frame]
-    return [float(np.ptp(times[shown.name == name])) for name in np.unique(shown.name)]
+    times = truth.times[tracked.frame]
+    return [float(np.ptp(times[tracked.name == name])) for name in np.unique(tracked.name)]
 
 
 def _views(truth: FilmTruth) -> list[float]:
     """Return how long cells are in view without a break [s]."""
-    found = []
-    for seen in truth.view.T:
-        changes = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]])))
+    lives_s = []
+    for in_view in truth.view.T:
+        changes = np.flatnonzero(np.diff(np.concatenate([[False], in_view, [False]])))
         for first, end in changes.reshape(-1, 2).tolist():
-            found.append(float(truth.times[end - 1] - truth.times[first]))
-    return found
+            lives_s.append(float(truth.times[end - 1] - truth.times[first]))
+    return lives_s
 
 
-def _intervals(score: FilmScore, truth: FilmTruth, shown: Shown, owner) -> None:
+def _intervals(score: FilmScore, truth: FilmTruth, tracked: Shown, owner) -> None:
     """Score the intervals of names seen for LONG_S by the cell that bears each for longest."""
     held = {"a": [0, 0], "speed": [0, 0], "strangers": [0, 0]}
-    for name in np.unique(shown.name):
-        rows = np.flatnonzero(shown.name == name)
-        times = truth.times[shown.frame[rows]]
-        own = owner[rows][owner[rows] >= 0]
-        if times[-1] - times[0] < LONG_S or 2 * len(own) < len(rows):
+    for name in np.unique(tracked.name):
+        rows = np.flatnonzero(tracked.name == name)
+        times = truth.times[tracked.frame[rows]]
+        owners_of_rows = owner[rows][owner[rows] >= 0]
+        if times[-1] - times[0] < LONG_S or 2 * len(owners_of_rows) < len(rows):
             continue
-        i = int(np.bincount(own).argmax())
-        said = shown.numbers.get(int(name), {})
+        i = int(np.bincount(owners_of_rows).argmax())
+        said = tracked.numbers.get(int(name), {})
         score.silent += int("speed" not in said)
         rows = rows[owner[rows] == i]
         if "speed" in said:
-            mean = float(truth.speed[shown.frame[rows], i].mean())
+            mean = float(truth.speed[tracked.frame[rows], i].mean())
             _count(held["speed"], said["speed"][0] <= mean <= said["speed"][1])
         # what a is while a cell rests is not defined
-        rests = truth.resting[shown.frame[rows], i].any()
+        rests = truth.resting[tracked.frame[rows], i].any()
         if "a" in said and truth.a[i] > 0 and not rests:
             _count(held["a"], said["a"][0] <= truth.a[i] <= said["a"][1])
         elif "a" in said and truth.a[i] == 0:

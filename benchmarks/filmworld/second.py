@@ -24,20 +24,24 @@ TRIES = 60  # attempts to let two neighbours cross in view
 def second_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
     """Return the truth of a film, its pictures and the quality at which they are to be coded."""
     random = np.random.default_rng([seed, 2, ("easy", "normal", "hard").index(level)])
-    made = Conditions.drawn(random, level)
-    fauna = Fauna.drawn(random, CELLS, STRANGERS, made.pulse)
+    conditions = Conditions.drawn(random, level)
+    fauna = Fauna.drawn(random, CELLS, STRANGERS, conditions.pulse)
     times = [0.0]
-    while times[-1] < made.seconds:
+    while times[-1] < conditions.seconds:
         times.append(times[-1] + random.uniform(0.3, 1.2))
     turns = np.column_stack([times, random.uniform(-np.pi, np.pi, len(times))])
-    rest = (CELLS - 1, 0.4 * made.seconds, 0.6 * made.seconds) if made.events else None
-    swum = swim(random, fauna, made.seconds, turns, rest, made.backs)
-    world = _World.of(random, made, fauna, swum)
-    count = round(made.seconds * RATE_HZ)
+    rest = (
+        (CELLS - 1, 0.4 * conditions.seconds, 0.6 * conditions.seconds)
+        if conditions.events
+        else None
+    )
+    swum = swim(random, fauna, conditions.seconds, turns, rest, conditions.backs)
+    world = _World.of(random, conditions, fauna, swum)
+    count = round(conditions.seconds * RATE_HZ)
     moments = (np.arange(count) + 0.5) / RATE_HZ
-    jitter = random.uniform(0, made.late_s / 2, len(turns))
-    truth = world.truth(moments, turns, turns[:, 0] + made.late_s / 2 + jitter, level, seed)
-    return truth, world.pictures(random, moments), made.quality
+    jitter = random.uniform(0, conditions.late_s / 2, len(turns))
+    truth = world.truth(moments, turns, turns[:, 0] + conditions.late_s / 2 + jitter, level, seed)
+    return truth, world.pictures(random, moments), conditions.quality
 
 
 @dataclass(slots=True)
@@ -54,7 +58,7 @@ class _World:
     parent: np.ndarray
 
     @classmethod
-    def of(cls, random, made: Conditions, fauna: Fauna, swum: Swum) -> "_World":
+    def of(cls, random, conditions: Conditions, fauna: Fauna, swum: Swum) -> "_World":
         """Place the cells so that neighbours cross in view; one that leaves on one side is
         followed by a new individual on the other.
         """
@@ -67,10 +71,10 @@ class _World:
         for i in range(count):
             shift[i] = random.uniform(0, wide, 2) - flat[steps // 2, i]
             for _ in range(TRIES if i % 4 else 0):  # with the neighbour before it
-                at = random.integers(steps // 10, 95 * steps // 100)
-                meet = (flat[at, i - 1] + shift[i - 1]) % wide - NEARBY_UM
+                knock_step = random.integers(steps // 10, 95 * steps // 100)
+                meet = (flat[knock_step, i - 1] + shift[i - 1]) % wide - NEARBY_UM
                 if (meet > 60).all() and (meet < side - 60).all():
-                    shift[i] = meet + NEARBY_UM - flat[at, i] + random.normal(0, 6, 2)
+                    shift[i] = meet + NEARBY_UM - flat[knock_step, i] + random.normal(0, 6, 2)
                     break
         slots = []
         shifts = []
@@ -86,7 +90,7 @@ class _World:
             size = shrink * random.normal(1, 0.0 if first == 0 else 0.08)
             long = fauna.length[i] * np.clip(size, 0.6, 1.2)
             wide = fauna.width[i]
-            shapes.append(Shape.drawn(random, long, wide, made.texture, made.spread))
+            shapes.append(Shape.drawn(random, long, wide, conditions.texture, conditions.spread))
 
         for i in range(count):
             turns = np.floor((flat[:, i] + shift[i]) / wide)
@@ -95,8 +99,10 @@ class _World:
                 if end - first < 3:
                     continue
                 add(i, shift[i] - turns[first] * wide - NEARBY_UM, int(first), int(end), -1, 1.0)
-        world = cls(made, fauna, swum, shapes, *map(np.array, (slots, shifts, spans, parents)))
-        if made.events:
+        world = cls(
+            conditions, fauna, swum, shapes, *map(np.array, (slots, shifts, spans, parents))
+        )
+        if conditions.events:
             world._divide(random)
         return world
 
@@ -105,24 +111,24 @@ class _World:
         half = len(self.swum.place) // 2
         side = SIDE_PX * UM_PX
         middle = self.swum.place[half, self.slot, :2] + self.shift
-        there = (self.span[:, 0] < half) & (self.span[:, 1] > half + 2 * STEPS_S)
-        there &= ((middle > 250) & (middle < side - 250)).all(axis=1) & (self.slot < CELLS - 1)
-        if not there.any():
+        may_divide = (self.span[:, 0] < half) & (self.span[:, 1] > half + 2 * STEPS_S)
+        may_divide &= ((middle > 250) & (middle < side - 250)).all(axis=1) & (self.slot < CELLS - 1)
+        if not may_divide.any():
             return
-        mother = int(random.choice(np.flatnonzero(there)))
-        own = self.slot[mother]
+        mother = int(random.choice(np.flatnonzero(may_divide)))
+        slot_of_mother = self.slot[mother]
         # the daughters swim on as the mother and as the swimmer with the likest heading
-        turn = self.swum.heading[half] - self.swum.heading[half, own]
-        off = np.abs(np.angle(np.exp(1j * turn))) + 10.0 * (np.arange(len(turn)) == own)
-        other = int(np.argmin(np.where(self.fauna.a > 0, np.abs(off - 0.6), 100.0)))
-        ways = own, other
+        turn = self.swum.heading[half] - self.swum.heading[half, slot_of_mother]
+        off = np.abs(np.angle(np.exp(1j * turn))) + 10.0 * (np.arange(len(turn)) == slot_of_mother)
+        twin_species = int(np.argmin(np.where(self.fauna.a > 0, np.abs(off - 0.6), 100.0)))
+        ways = slot_of_mother, twin_species
         ends = int(self.span[mother, 1]), len(self.swum.place)
         slots = []
         shifts = []
         spans = []
         parents = []
         for way, end, apart in zip(ways, ends, (1.0, -1.0), strict=True):
-            th = self.swum.heading[half, own] + math.pi / 2
+            th = self.swum.heading[half, slot_of_mother] + math.pi / 2
             step = apart * 6.0 * np.array([math.cos(th), math.sin(th)])
             slots.append(way)
             shifts.append(middle[mother] - self.swum.place[half, way, :2] + step)
@@ -141,13 +147,13 @@ class _World:
 
     def truth(self, moments, turns, recorded, level: str, seed: int) -> FilmTruth:
         step = np.round(moments * STEPS_S).astype(int)
-        here = (step[:, None] >= self.span[:, 0]) & (step[:, None] < self.span[:, 1])
+        is_alive = (step[:, None] >= self.span[:, 0]) & (step[:, None] < self.span[:, 1])
         knocked = (moments > self.made.knock_s)[:, None, None] * np.array(self.made.knock_um)
         place = self.swum.place[step][:, self.slot, :2] + self.shift + knocked
         along = self.swum.along[step][:, self.slot]
 
         def only(values: np.ndarray) -> np.ndarray:
-            return np.where(here, values, np.nan)
+            return np.where(is_alive, values, np.nan)
 
         about = {"renderer": "second", "level": level, "seed": seed, "look": self.made.look}
         drawn = {name: getattr(self.made, name) for name in Conditions.__slots__}
@@ -159,7 +165,7 @@ class _World:
             axis=only(np.arctan2(along[..., 1], along[..., 0])),
             heading=only(self.swum.heading[step][:, self.slot]),
             speed=only(self.swum.speed[step][:, self.slot]),
-            resting=self.swum.resting[step][:, self.slot] & here,
+            resting=self.swum.resting[step][:, self.slot] & is_alive,
             a=self.fauna.a[self.slot],
             bias=self.fauna.bias[self.slot],
             parent=self.parent,
@@ -172,31 +178,34 @@ class _World:
 
     def pictures(self, random, moments: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the pictures at the given times [s]."""
-        made = self.made
+        conditions = self.made
         side = SIDE_PX
-        grain = random.standard_normal((side + NOISE_SPARE_PX,) * 2).astype(np.float32) * made.noise
+        grain = (
+            random.standard_normal((side + NOISE_SPARE_PX,) * 2).astype(np.float32)
+            * conditions.noise
+        )
         focus = 0.0
         flicker = 0.0
-        debris = _Debris.drawn(random, made)
+        debris = _Debris.drawn(random, conditions)
         stills = {}  # by the focus, to which a film comes back
         for t in moments.tolist():
             focus += (
                 -focus / (2.0 * RATE_HZ)
-                + made.wander / math.sqrt(RATE_HZ) * random.standard_normal()
+                + conditions.wander / math.sqrt(RATE_HZ) * random.standard_normal()
             )
-            flicker = made.flicker * math.sin(2 * math.pi * 99.3 * t) + 0.2 * made.flicker * (
-                random.standard_normal()
-            )
-            knock = np.array(made.knock_um) * (t > made.knock_s)
-            key = t > made.knock_s, round(focus / FOCUS_UM)
+            flicker = conditions.flicker * math.sin(
+                2 * math.pi * 99.3 * t
+            ) + 0.2 * conditions.flicker * (random.standard_normal())
+            knock = np.array(conditions.knock_um) * (t > conditions.knock_s)
+            key = t > conditions.knock_s, round(focus / FOCUS_UM)
             if key not in stills:
-                stills[key] = debris.still(made, knock, FOCUS_UM * key[1])
+                stills[key] = debris.still(conditions, knock, FOCUS_UM * key[1])
             field = stills[key].copy()
-            debris.moving(field, made, t, knock, focus)
+            debris.moving(field, conditions, t, knock, focus)
             step = round(t * STEPS_S)
             for i in np.flatnonzero((self.span[:, 0] <= step) & (step < self.span[:, 1])):
                 self._stamp(field, int(i), step, knock, focus)
-            light = made.light * (1 + made.drift * t) * (1 + flicker)
+            light = conditions.light * (1 + conditions.drift * t) * (1 + flicker)
             down, across = random.integers(0, NOISE_SPARE_PX, 2)
             shades = field * np.float32(light)
             waves = grain[down : down + side, across : across + side]
@@ -227,18 +236,22 @@ class _Debris:
     bubbles: list[tuple[float, ...]]
 
     @classmethod
-    def drawn(cls, random, made: Conditions) -> "_Debris":
+    def drawn(cls, random, conditions: Conditions) -> "_Debris":
         side = SIDE_PX * UM_PX
-        count = made.specks + made.lookalikes
+        count = conditions.specks + conditions.lookalikes
         shapes = []
         drift = np.zeros((count, 3))
         for i in range(count):
-            alike = i < made.lookalikes
+            alike = i < conditions.lookalikes
             long = random.normal(52, 8) if alike else random.uniform(5, 40)
             wide = long * (random.uniform(0.42, 0.6) if alike else random.uniform(0.4, 1.0))
-            shapes.append(Shape.drawn(random, max(long, 5.0), max(wide, 4.0), made.texture, 0.3))
-            if made.speck_um_s and (random.random() < 0.5 if alike else random.random() < 0.3):
-                speed = random.uniform(5, made.speck_um_s)
+            shapes.append(
+                Shape.drawn(random, max(long, 5.0), max(wide, 4.0), conditions.texture, 0.3)
+            )
+            if conditions.speck_um_s and (
+                random.random() < 0.5 if alike else random.random() < 0.3
+            ):
+                speed = random.uniform(5, conditions.speck_um_s)
                 way = random.uniform(-np.pi, np.pi)
                 turn = random.normal(0, 0.3)
                 drift[i] = speed * math.cos(way), speed * math.sin(way), turn
@@ -255,27 +268,29 @@ class _Debris:
                 random.uniform(25, 60),
                 random.uniform(0.3, 0.6),
             )
-            for _ in range(made.bubbles)
+            for _ in range(conditions.bubbles)
         ]
         return cls(shapes, pose, drift, bubbles)
 
-    def still(self, made: Conditions, knock: np.ndarray, focus: float) -> np.ndarray:
+    def still(self, conditions: Conditions, knock: np.ndarray, focus: float) -> np.ndarray:
         """Return the field of the light with what does not move."""
         rows, columns = np.ogrid[-1 : 1 : SIDE_PX * 1j, -1 : 1 : SIDE_PX * 1j]
-        field = (1 - made.vignetting * ((rows - 0.1) ** 2 + (columns + 0.15) ** 2) / 2).astype(
-            np.float32
-        )
+        field = (
+            1 - conditions.vignetting * ((rows - 0.1) ** 2 + (columns + 0.15) ** 2) / 2
+        ).astype(np.float32)
         for x, y, radius, strength in self.bubbles:
             bubble(field, x + knock[0] / UM_PX, y - knock[1] / UM_PX, radius, strength)
-        self._stamp(field, ~self.drift.any(axis=1), made, 0.0, knock, focus)
+        self._stamp(field, ~self.drift.any(axis=1), conditions, 0.0, knock, focus)
         return field
 
-    def moving(self, field, made: Conditions, t: float, knock: np.ndarray, focus: float) -> None:
+    def moving(
+        self, field, conditions: Conditions, t: float, knock: np.ndarray, focus: float
+    ) -> None:
         """Add what drifts to a field, at a time [s]."""
-        self._stamp(field, self.drift.any(axis=1), made, t, knock, focus)
+        self._stamp(field, self.drift.any(axis=1), conditions, t, knock, focus)
 
-    def _stamp(self, field, which, made: Conditions, t: float, knock, focus: float) -> None:
-        strong = replace(made.optics, halo=0.5 * made.optics.halo)
+    def _stamp(self, field, which, conditions: Conditions, t: float, knock, focus: float) -> None:
+        strong = replace(conditions.optics, halo=0.5 * conditions.optics.halo)
         for i in np.flatnonzero(which):
             x, y, z, turn = self.pose[i]
             dx, dy, dturn = self.drift[i] * t

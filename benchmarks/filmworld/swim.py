@@ -90,25 +90,25 @@ def swim(
     turning = 2 * np.pi * fauna.hertz
     lean = np.arctan2(np.abs(turning) * fauna.radius, fauna.speed)
     # the helix's axis in the body's frame, at the angle `lean` to e1
-    own = np.stack([np.cos(lean), np.sin(lean), np.zeros(count)], 1)
-    body = np.array([1.0, 0.0, 0.0]) * (1 - fauna.steady)[:, None] + own * fauna.steady[:, None]
+    forward = np.stack([np.cos(lean), np.sin(lean), np.zeros(count)], 1)
+    body = np.array([1.0, 0.0, 0.0]) * (1 - fauna.steady)[:, None] + forward * fauna.steady[:, None]
     body[:, 2] += fauna.slant
     body /= np.linalg.norm(body, axis=1)[:, None]
     frame = _start_frames(random, lean)
     place = np.zeros((count, 3))
     place[:, 2] = random.normal(0, 12, count)
-    shown = [np.empty((steps + 1, count, 3)) for _ in range(3)]
+    recorded = [np.empty((steps + 1, count, 3)) for _ in range(3)]
     flat = [np.empty((steps + 1, count)) for _ in range(2)]
     resting = np.zeros((steps + 1, count), bool)
     start = random.uniform(0, 2 * np.pi, count)
     noise = np.zeros(count)
     current = np.append(random.uniform(-4, 4, 2), 0.0)
-    left = np.zeros(count)
+    remaining_s = np.zeros(count)
     swerve = np.zeros(count)
     depth = random.normal(0, 12, count)
     for k in range(steps + 1):
         t = k * dt
-        axis = np.einsum("nij,nj->ni", frame, own)
+        axis = np.einsum("nij,nj->ni", frame, forward)
         heading = np.arctan2(axis[:, 1], axis[:, 0])
         noise += -noise * dt / 0.4 + 0.4 * fauna.pulse * math.sqrt(2 * dt / 0.4) * (
             random.standard_normal(count)
@@ -118,15 +118,15 @@ def swim(
         if rest is not None and rest[1] <= t < rest[2]:
             going[rest[0]] = 0.0
             resting[k, rest[0]] = True
-        backing = left > 0
+        backing = remaining_s > 0
         ahead = fauna.speed * beat * going * np.where(backing, -0.6, 1.0)
-        shown[0][k] = place
-        shown[1][k] = np.einsum("nij,nj->ni", frame, body)
-        shown[2][k] = frame[:, :, 2]
+        recorded[0][k] = place
+        recorded[1][k] = np.einsum("nij,nj->ni", frame, body)
+        recorded[2][k] = frame[:, :, 2]
         flat[0][k] = heading
         flat[1][k] = ahead
         begins = (random.random(count) < backs * dt) & ~backing & (going > 0)
-        left = np.where(begins, random.uniform(0.2, 0.5, count), left - dt)
+        remaining_s = np.where(begins, random.uniform(0.2, 0.5, count), remaining_s - dt)
         swerve = np.where(begins, random.normal(0, 4.0, count), swerve)
         place = place + frame[:, :, 0] * (ahead / np.cos(lean))[:, None] * dt + current * dt
         depth += -depth * dt / 4 + 12 * math.sqrt(2 * dt / 4) * random.standard_normal(count)
@@ -140,7 +140,7 @@ def swim(
         spin -= np.cross(axis, np.array([0.0, 0.0, 1.0])) * (3.0 * axis[:, 2])[:, None]
         spin[:, 2] += pull
         frame = _turned(frame, spin * dt)
-    return Swum(shown[0], shown[1], shown[2], flat[0], flat[1], resting)
+    return Swum(recorded[0], recorded[1], recorded[2], flat[0], flat[1], resting)
 
 
 def _start_frames(random: np.random.Generator, lean: np.ndarray) -> np.ndarray:
@@ -150,8 +150,8 @@ def _start_frames(random: np.random.Generator, lean: np.ndarray) -> np.ndarray:
         th = random.uniform(-np.pi, np.pi)
         roll = random.uniform(-np.pi, np.pi)
         w = np.array([math.cos(th), math.sin(th), 0.0])
-        left = np.array([-math.sin(th), math.cos(th), 0.0])
-        out = math.cos(roll) * left + math.sin(roll) * np.array([0.0, 0.0, 1.0])
+        leftwards = np.array([-math.sin(th), math.cos(th), 0.0])
+        out = math.cos(roll) * leftwards + math.sin(roll) * np.array([0.0, 0.0, 1.0])
         e1 = math.cos(angle) * w - math.sin(angle) * out
         e2 = math.sin(angle) * w + math.cos(angle) * out
         frames.append(np.stack([e1, e2, np.cross(e1, e2)], 1))

@@ -65,9 +65,9 @@ class FilmTruth:
 
     @classmethod
     def load(cls, path: Path) -> "FilmTruth":
-        with np.load(path) as found:
-            values = {name: found[name] for name in cls.__slots__ if name != "about"}
-            about = json.loads(str(found["about"]))
+        with np.load(path) as stored:
+            values = {name: stored[name] for name in cls.__slots__ if name != "about"}
+            about = json.loads(str(stored["about"]))
         values["um_px"], values["side_px"] = float(values["um_px"]), int(values["side_px"])
         return cls(**values, about=about)
 
@@ -120,10 +120,10 @@ def write_mjpeg(
         start = file.tell()
         file.write(b"LIST\0\0\0\0movi")
         for data in pictures:
-            whole = chunk(b"00dc", data)
-            file.write(whole)
+            frame = chunk(b"00dc", data)
+            file.write(frame)
             index.append(struct.pack("<4sIII", b"00dc", 0x10, place, len(data)))
-            place += len(whole)
+            place += len(frame)
         file.write(chunk(b"idx1", b"".join(index)))
         end = file.tell()
         file.seek(start + 4)

@@ -33,8 +33,8 @@ def play(folder, args):
 
     warm_up(on_plant(load_spec(SPEC, args.set), "emulated").experiment, print)
     for day in args.days:
-        if not (kept := folder / f"{day}.json").exists():
-            kept.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, day)))
+        if not (result_file := folder / f"{day}.json").exists():
+            result_file.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, day)))
 
 
 def found(folder, day):
@@ -51,24 +51,24 @@ def main():
     parser.add_argument("--set", nargs="*", default=[])
     parser.add_argument("--out", type=Path, default=Path("mutants"))
     args = parser.parse_args()
-    kept = args.out.absolute()
+    results = args.out.absolute()
     if home := os.environ.get("PLAYS_IN"):
         play(Path(home), args)
         return
     for number in ["00", *args.mutants]:
-        (folder := kept / number).mkdir(parents=True, exist_ok=True)
+        (folder := results / number).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as tree:
             for part in PARTS:
                 shutil.copytree(ROOT / part, Path(tree) / part)
             if number != "00":
                 patch = Path(__file__).with_name(f"{number}.patch")
                 subprocess.run(["git", "apply", patch], cwd=tree, check=True)
-            own = {"PYTHONPATH": f"{tree}:{tree}/{EMULATOR}", "PLAYS_IN": str(folder)}
+            environment = {"PYTHONPATH": f"{tree}:{tree}/{EMULATOR}", "PLAYS_IN": str(folder)}
             words = [sys.executable, __file__, number, *sys.argv[1 + len(args.mutants) :]]
-            subprocess.run(words, env=os.environ | own, check=True)
+            subprocess.run(words, env=os.environ | environment, check=True)
         for day in args.days:
-            known = found(kept / "00", day) if number != "00" else {}
-            new = [f"{k}: {v}" for k, v in found(folder, day).items() if k not in known]
+            unmutated = found(results / "00", day) if number != "00" else {}
+            new = [f"{k}: {v}" for k, v in found(folder, day).items() if k not in unmutated]
             print(number, "day", day, "; ".join(new) or "breaks nothing", flush=True)
 
 

@@ -21,23 +21,23 @@ def growth(settings: Settings, plot: Path | None) -> Report:
     """Fit an exponent to each, and draw them."""
     report = Report("(d) Growth")
     problem = printed()
-    every = 4 if settings.quick else 1
+    step = 4 if settings.quick else 1
     series: list[tuple[str, Sequence[int], Case, str]] = [
         (
             "particles",
-            [32, 64, 128, 256, 512, 1024, 2048, 4096][::every],
+            [32, 64, 128, 256, 512, 1024, 2048, 4096][::step],
             lambda n: (problem, n, SIGNALS),
             GREEN,
         ),
         (
             "signals",
-            [10, 20, 41, 60, 80, 100, 150, 200][::every],
+            [10, 20, 41, 60, 80, 100, 150, 200][::step],
             lambda n: (problem, PARTICLES, n),
             BLUE,
         ),
         (
             "robots",
-            [1, 2, 3, 4, 8, 16, 32, 64][::every],
+            [1, 2, 3, 4, 8, 16, 32, 64][::step],
             lambda n: (random_robots(n), PARTICLES, SIGNALS),
             RED,
         ),
@@ -77,9 +77,9 @@ def _iteration(problem: Problem, particles: int, signals: int, settings: Setting
     spec = SWARM.model_copy(update={"particles": particles, "iterations": iterations})
     none = spec.model_copy(update={"iterations": 1})
     search = lambda chosen: chosen.search(problem, signals, None, 1, Limits())  # noqa: E731
-    whole = least(lambda: search(spec), settings.repeats)
+    search_s = least(lambda: search(spec), settings.repeats)
     start = least(lambda: search(none), settings.repeats)
-    return (whole - start) / (iterations - 1) * 1e6
+    return (search_s - start) / (iterations - 1) * 1e6
 
 
 def _draw(series: Sequence[tuple], path: Path) -> None:

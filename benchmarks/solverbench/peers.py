@@ -91,8 +91,8 @@ def _ours(optimizer: OptimizerSection, restarts: int = 10**9) -> Peer:
         length = meter.length
         for again in range(1 + restarts):
             key = mix(seed, again)
-            found = optimizer.search(problem, length, None, key, Limits(expired=meter.expired))
-            meter.note(float(evaluate(problem, found.signals[None]).total[0]))
+            plan = optimizer.search(problem, length, None, key, Limits(expired=meter.expired))
+            meter.note(float(evaluate(problem, plan.signals[None]).total[0]))
         raise Over
 
     return run
@@ -150,8 +150,8 @@ def pycma(meter: Meter, seed: int) -> NoReturn:
         start = smooth_start(meter.problem, meter.length, rng)
         search = cma.CMAEvolutionStrategy(start, 0.2, options)
         while not search.stop():
-            asked = search.ask()
-            search.tell(asked, meter.of_rows(np.array(asked)).tolist())
+            candidates = search.ask()
+            search.tell(candidates, meter.of_rows(np.array(candidates)).tolist())
     raise AssertionError
 
 

@@ -70,7 +70,7 @@ def plain_cost(problem: Problem) -> Cost:
     v = problem.speed
     weight = problem.obstacle_weight
     (box,) = problem.obstacles.shapes
-    left, bottom, right, top = box.box
+    west, south, east, north = box.box
     poses = problem.poses
     targets = problem.targets
 
@@ -83,7 +83,7 @@ def plain_cost(problem: Problem) -> Cost:
             x = x + t * v * np.cos(heading)
             y = y + t * v * np.sin(heading)
             heading = heading + t * a * np.sin(u - heading)
-            hits = hits + ((left <= x) & (x <= right) & (bottom <= y) & (y <= top))
+            hits = hits + ((west <= x) & (x <= east) & (south <= y) & (y <= north))
         miss = np.hypot(x - targets[:, 0], y - targets[:, 1])
         return (miss + weight * hits).sum(axis=1)
 
@@ -96,7 +96,7 @@ def tuned_cost(problem: Problem) -> Cost:
     turn = problem.a[:, None] * problem.period
     step = problem.speed[:, None] * problem.period
     (box,) = problem.obstacles.shapes
-    left, bottom, right, top = box.box
+    west, south, east, north = box.box
     start = problem.poses
     target = problem.targets[:, :, None]
     weight = problem.obstacle_weight
@@ -111,7 +111,7 @@ def tuned_cost(problem: Problem) -> Cost:
             x += step * np.cos(heading)
             y += step * np.sin(heading)
             heading += turn * np.sin(u - heading)
-            hits += (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
+            hits += (x >= west) & (x <= east) & (y >= south) & (y <= north)
         miss = np.hypot(x - target[:, 0], y - target[:, 1])
         return (miss + weight * hits).sum(0)
 

@@ -28,8 +28,8 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
         programme = shooter(problem, meter.length, cap_s)
         while True:
             (start,) = promising(problem, meter.length, rng, 1)
-            found = programme.solve(problem, start)
-            meter.note(float(evaluate(problem, found[None]).total[0]))
+            solution = programme.solve(problem, start)
+            meter.note(float(evaluate(problem, solution[None]).total[0]))
 
     return run
 

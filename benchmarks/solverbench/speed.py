@@ -113,20 +113,20 @@ def floor(settings: Settings) -> Report:
     signals = rng.uniform(-np.pi, np.pi, (SIGNALS, PARTICLES))
     total = np.empty(PARTICLES)
     course = lay_out(euler, PARTICLES)
-    other = lay_out(exact, PARTICLES)
+    layout = lay_out(exact, PARTICLES)
     q = rng.uniform(0, 0.5, PARTICLES * 3)
     count = settings.repeats * 20
     roll = lambda: costs(course, signals, total)  # noqa: E731
     work = in_pairs(roll, lambda: _arithmetic(q, rows, SIGNALS), count)
     move = in_pairs(roll, lambda: _traffic(rows, SIGNALS), count)
-    models = in_pairs(roll, lambda: costs(other, signals, total), count)
+    models = in_pairs(roll, lambda: costs(layout, signals, total), count)
     swept = [lay_out(replace(recommended(), motion=m), PARTICLES) for m in ("euler", "exact")]
     walls = in_pairs(
         lambda: costs(swept[0], signals, total), lambda: costs(swept[1], signals, total), count
     )
-    one = _Iterations(euler)
+    iterations = _Iterations(euler)
     two = _Iterations(exact)
-    searches = in_pairs(lambda: one.run(SHORT), lambda: two.run(SHORT), settings.repeats * 5)
+    searches = in_pairs(lambda: iterations.run(SHORT), lambda: two.run(SHORT), settings.repeats * 5)
     ns = 1e9 / ROBOT_STEPS
     table = [
         ["Euler rollout and obstacle, our kernel", np.min(models.ours) * ns, 1.0],
@@ -176,9 +176,9 @@ def _arithmetic(q, rows, times):
     for _ in range(times):
         for n in range(q.size):
             z = q[n]
-            left = polynomial(_A, z) * polynomial(_B, z)
+            left_side = polynomial(_A, z) * polynomial(_B, z)
             right = polynomial(_C, z) * polynomial(_D, z)
-            out[n] = left * right * (polynomial(_E, z) * polynomial(_F, z)) + z
+            out[n] = left_side * right * (polynomial(_E, z) * polynomial(_F, z)) + z
         q[0] = 0.5 * out[0]  # so that no pass can be left out
     return out[0]
 

@@ -36,8 +36,8 @@ def fatrop(meter: Meter, seed: int) -> NoReturn:
     programme = Stages.of(problem, meter.length)
     while True:
         (start,) = promising(problem, meter.length, rng, 1)
-        found = programme.solve(problem, start)
-        meter.note(float(evaluate(problem, found[None]).total[0]))
+        solution = programme.solve(problem, start)
+        meter.note(float(evaluate(problem, solution[None]).total[0]))
 
 
 class Stages:
@@ -58,12 +58,12 @@ class Stages:
         scene = ca.MX.sym("d", 3, discs), ca.MX.sym("b", 4, boxes)
         move = _step(motion).map(count)
         variables = list[Any]()
-        kept = list[Any]()
+        defects = list[Any]()
         equal = list[bool]()
 
         def keep(expression: Any, equality: bool) -> None:
-            kept.append(ca.vec(expression))
-            equal.extend([equality] * kept[-1].numel())
+            defects.append(ca.vec(expression))
+            equal.extend([equality] * defects[-1].numel())
 
         for k, x in enumerate(states):
             variables.append(ca.vec(x))
@@ -77,14 +77,14 @@ class Stages:
                 continue
             for outside, shapes in zip(_outside(), scene, strict=True):
                 for i in range(shapes.shape[1]):
-                    every = ca.repmat(shapes[:, i], 1, count)
-                    keep(outside.map(count)(x[:2, :], every), equality=False)
+                    shape = ca.repmat(shapes[:, i], 1, count)
+                    keep(outside.map(count)(x[:2, :], shape), equality=False)
         self.equal = np.array(equal)
         programme = {
             "x": ca.vertcat(*variables),
             "p": ca.vertcat(*map(ca.vec, (start, robots, held, targets, *scene))),
             "f": ca.sumsqr(states[-1][:2, :] - targets),
-            "g": ca.vertcat(*kept),
+            "g": ca.vertcat(*defects),
         }
         options = {"print_level": 0, "max_iter": ITERATIONS, "tol": 1e-6}
         settings = {
@@ -121,7 +121,7 @@ class Stages:
         low[1:, :, :2] = scene.field[:2]
         high[1:, :, :2] = scene.field[2:]
         parts = path[0], robots, held, problem.targets / unit, *scene.discs, *scene.boxes
-        found = self.solver(
+        solution = self.solver(
             x0=self._woven(path, guess),
             p=np.concatenate([np.ravel(part) for part in parts]),
             lbx=self._woven(low, np.full(length, -np.inf)),
@@ -129,7 +129,7 @@ class Stages:
             lbg=np.zeros(self.equal.size),
             ubg=np.where(self.equal, 0.0, np.inf),
         )
-        return np.array(found["x"]).ravel()[self.step - 1 :: self.step]
+        return np.array(solution["x"]).ravel()[self.step - 1 :: self.step]
 
     def _woven(self, path: Floats, signals: Floats) -> Floats:
         """Return states (L + 1, N, 3) and signals (L,) in the order of the variables."""

@@ -17,7 +17,7 @@ SWEEP_CAP_S = 0.02  # for each of the lengths of a sweep
 
 def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
     """Return who takes part, and who is not installed."""
-    found = [
+    rows = [
         ("**ours (multistart)**", peers.ours),
         ("our compiled PSO, restarted", peers.our_pso),
         ("our NumPy reference", peers.reference),
@@ -30,14 +30,14 @@ def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
         (shooting.PACKAGE, "CasADi + IPOPT", shooting.ipopt(cap_s)),
     ):
         if available(module):
-            found.append((name, peer))
+            rows.append((name, peer))
         else:
             missing.append(module)
     if stages.installed():
-        found.append(("CasADi + Fatrop", stages.fatrop))
+        rows.append(("CasADi + Fatrop", stages.fatrop))
     else:
         missing.append("casadi with Fatrop")
-    return found, missing
+    return rows, missing
 
 
 def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:

@@ -19,10 +19,10 @@ SMALLEST = [
 ]
 
 
-@pytest.mark.parametrize("given", SMALLEST, ids=lambda given: given[0])
-def test_a_benchmark_prints_its_table(given):
+@pytest.mark.parametrize("words", SMALLEST, ids=lambda words: words[0])
+def test_a_benchmark_prints_its_table(words):
     """Regression: three of these had followed no change of the controller's arguments."""
-    name, *arguments = given
+    name, *arguments = words
     command = [sys.executable, f"benchmarks/{name}", *arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
@@ -33,9 +33,9 @@ def test_recordings_of_robots_that_drive_are_read(tmp_path):
     """Two robots as in a set of MRCLAM: they turn to and fro, 0.1 s after they are sent it."""
     for robot in (1, 2):
         sent = [f"{k / 20} 0.1 {-0.2 if (k + 2) // 20 % 2 == 0 else 0.2}" for k in range(120)]
-        seen = [f"{k / 50} {k / 500} 0 {0.2 * abs(k / 50 % 2 - 1)}" for k in range(300)]
+        lines = [f"{k / 50} {k / 500} 0 {0.2 * abs(k / 50 % 2 - 1)}" for k in range(300)]
         (tmp_path / f"Robot{robot}_Odometry.dat").write_text("\n".join(["# t v w", *sent]))
-        (tmp_path / f"Robot{robot}_Groundtruth.dat").write_text("\n".join(["# t x y", *seen]))
+        (tmp_path / f"Robot{robot}_Groundtruth.dat").write_text("\n".join(["# t x y", *lines]))
     script = Path(__file__).parents[1] / "mrclam.py"
     done = subprocess.run([sys.executable, script, tmp_path], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -106,15 +106,15 @@ def test_a_film_is_read_at_its_rate_and_quality(tmp_path):
     reader = cv2.VideoCapture(str(tmp_path / "film" / "film.avi"))
     assert reader.get(cv2.CAP_PROP_FPS) == RATE
     for picture in pictures:
-        read, seen = reader.read()
+        read, decoded = reader.read()
         assert read
         coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
         expected = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
-        assert np.abs(seen[..., 0].astype(int) - expected).max() <= 3
+        assert np.abs(decoded[..., 0].astype(int) - expected).max() <= 3
     assert not reader.read()[0]
-    kept = FilmTruth.load(tmp_path / "film" / "truth.npz")
-    np.testing.assert_array_equal(kept.x, truth.x)
-    assert kept.view.all() == truth.view.all()
+    stored = FilmTruth.load(tmp_path / "film" / "truth.npz")
+    np.testing.assert_array_equal(stored.x, truth.x)
+    assert stored.view.all() == truth.view.all()
 
 
 def test_the_second_renderer_shares_no_code_with_tetractl():

@@ -34,21 +34,21 @@ class Mean:
     low: float
     high: float
 
-    def agrees(self, other: "Mean") -> bool:
-        return self.low <= other.high and other.low <= self.high
+    def agrees(self, printed: "Mean") -> bool:
+        return self.low <= printed.high and printed.low <= self.high
 
 
 def mean_in(text: str) -> Mean:
     """Return the first mean of a line of a table."""
-    found = MEAN.search(text)
-    assert found, text
-    return Mean(*map(float, found.groups()))
+    match = MEAN.search(text)
+    assert match, text
+    return Mean(*map(float, match.groups()))
 
 
 def line_of(text: str, *cells: str) -> str:
     """Return the one line of a table that begins with some cells."""
     begin = f"| {' | '.join(cells)} |"
-    (line,) = [one for one in text.splitlines() if one.startswith(begin)]
+    (line,) = [splitline for splitline in text.splitlines() if splitline.startswith(begin)]
     return line
 
 
@@ -76,7 +76,9 @@ ROWS = [
 ]
 
 
-@pytest.mark.parametrize(("mark", "row", "options"), ROWS, ids=lambda one: str(one).split()[0])
+@pytest.mark.parametrize(
+    ("mark", "row", "options"), ROWS, ids=lambda row_name: str(row_name).split()[0]
+)
 def test_a_row_of_what_disturbs_is_as_printed(mark, row, options):
     now = run("benchmarks/disturbed.py", *options, "--only", row, "--trials", "20")
     page = printed(MEASURED, mark)
@@ -106,6 +108,6 @@ def test_the_bench_without_noise_is_as_printed():
     cells = line_of(BENCH.read_text("utf-8"), "bench without noise, slip and lost frames")
     assert cells.split("|")[2].strip() == "20 of 20"
     mean, deviation = map(float, re.findall(r"[\d.]+", cells.split("|")[3]))
-    (found,) = distributions(np.array([errors]))
-    assert found.ci95.low <= mean <= found.ci95.high
-    assert found.std == pytest.approx(deviation, rel=0.5)
+    (distribution,) = distributions(np.array([errors]))
+    assert distribution.ci95.low <= mean <= distribution.ci95.high
+    assert distribution.std == pytest.approx(deviation, rel=0.5)

@@ -17,7 +17,7 @@ def test_verdicts_agree_with_the_plant(seed):
 
 def test_a_wrong_verdict_is_seen():
     alike = setup_of(np.array([4.0, 4.0]), np.array([100.0, 50.0]), np.zeros(2))
-    other = setup_of(np.array([4.0, 5.0]), np.array([100.0, 50.0]), np.zeros(2))
-    seen = judged(alike, "exact", 1)
-    assert right(alike, "exact", reach_of(alike, "exact"), seen, 1)[0]
-    assert not right(other, "exact", reach_of(other, "exact"), seen, 1)[0]
+    unlike = setup_of(np.array([4.0, 5.0]), np.array([100.0, 50.0]), np.zeros(2))
+    verdict = judged(alike, "exact", 1)
+    assert right(alike, "exact", reach_of(alike, "exact"), verdict, 1)[0]
+    assert not right(unlike, "exact", reach_of(unlike, "exact"), verdict, 1)[0]

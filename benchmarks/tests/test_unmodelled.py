@@ -20,7 +20,7 @@ def test_the_true_a_of_robots_on_wheels_is_that_by_which_they_turn(part):
     plant.clock.sleep_until(SECOND // 4)
     path = truths(plant.samples())[..., 2]
     # by (3), tan((u - heading) / 2) decays with the rate a
-    left = np.log(np.tan((np.pi / 2 - path) / 2))
-    turns = (left[0] - left[-1]) / ((len(path) - 1) / 1000)
+    remaining = np.log(np.tan((np.pi / 2 - path) / 2))
+    turns = (remaining[0] - remaining[-1]) / ((len(path) - 1) / 1000)
     assert true(plant)["a"] == pytest.approx(turns, rel=0.01)
     assert np.abs(turns / plant.setup.a - 1).max() > 0.02

@@ -92,19 +92,19 @@ class Ipopt(OptimizerSection):
 
         J (7) of what IPOPT returns decides. The time of one solution is not limited.
         """
-        found = _Solutions(self, problem, length, limits)
+        solutions = _Solutions(self, problem, length, limits)
         if warm is not None:
-            found.note(warm)
-            found.solve(warm, self.polish, warm=True)
-            return found.search()
+            solutions.note(warm)
+            solutions.solve(warm, self.polish, warm=True)
+            return solutions.search()
         rng = np.random.default_rng(key)
         starts = promising(problem, length, rng, self.starts if in_reach(problem, length) else 1)
-        found.note(starts[0])
+        solutions.note(starts[0])
         for start in starts:
-            first = found.solve(start, self.iterations, warm=False)
+            first = solutions.solve(start, self.iterations, warm=False)
             if first is not None:
-                found.solve(first, self.polish, warm=True)
-        return found.search()
+                solutions.solve(first, self.polish, warm=True)
+        return solutions.search()
 
 
 class _Solutions(Progress):
@@ -246,9 +246,9 @@ class Shooter:
         self.length = length
         self.near = near
         self.iterations = 0
-        self.size = each = count * length
+        self.size = stages = count * length
         u = ca.MX.sym("u", 1, length)
-        states = ca.MX.sym("s", 3, each)
+        states = ca.MX.sym("s", 3, stages)
         start = ca.MX.sym("p", 3, count)
         targets = ca.MX.sym("t", 2, count)
         robots = ca.MX.sym("r", 2, count)
@@ -256,20 +256,20 @@ class Shooter:
         guess = ca.MX.sym("n", 1, length)
         scene = ca.MX.sym("d", 3, discs), ca.MX.sym("b", 4, boxes)
         signal = np.repeat(np.arange(length), count).tolist()  # of each column of `states`
-        before = ca.horzcat(start, states[:, : each - count])
-        step = _step(motion).map(each)
+        before = ca.horzcat(start, states[:, : stages - count])
+        step = _step(motion).map(stages)
         after = step(before, u[:, signal], ca.repmat(robots, 1, length), held[:, signal])
-        kept = [ca.vec(after - states)]
+        defects = [ca.vec(after - states)]
         for outside, shapes in zip(_outside(), scene, strict=True):
             for i in range(shapes.shape[1]):
-                every = ca.repmat(shapes[:, i], 1, each)
-                kept.append(ca.vec(outside.map(each)(states[:2, :], every)))
-        cost = ca.sumsqr(states[:2, each - count :] - targets)
+                shape = ca.repmat(shapes[:, i], 1, stages)
+                defects.append(ca.vec(outside.map(stages)(states[:2, :], shape)))
+        cost = ca.sumsqr(states[:2, stages - count :] - targets)
         programme = {
             "x": ca.vertcat(ca.vec(u), ca.vec(states)),
             "p": ca.vertcat(*map(ca.vec, (start, robots, held, targets, *scene, guess))),
             "f": cost + near * ca.sumsqr(u - guess),
-            "g": ca.vertcat(*kept),
+            "g": ca.vertcat(*defects),
         }
         settings = {"print_time": False, "ipopt": dict(options)}
         self.solver = ca.nlpsol("shoot", "ipopt", programme, settings)
@@ -284,9 +284,9 @@ class Shooter:
         scene = Scene.of(problem, self.length)
         path = predict(problem, guess)[1:]  # (L, N, 3)
         path[..., :2] /= unit
-        at = problem.poses.array()
+        poses = problem.poses.array()
         targets = problem.targets / unit
-        at[:, :2] /= unit
+        poses[:, :2] /= unit
         held = np.full(length, problem.period)
         held[0] = problem.first_period
         robots = np.column_stack([problem.a, problem.speed / unit])
@@ -298,13 +298,13 @@ class Shooter:
         least = [np.zeros(path.size)]
         for outside, shapes in zip(_outside(), (scene.discs, scene.boxes), strict=True):
             for shape in shapes:
-                ends = np.vstack([at[:, :2], targets])
+                ends = np.vstack([poses[:, :2], targets])
                 room = np.array(outside(ends.T, np.tile(shape[:, None], len(ends)))).ravel()
                 robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
                 least.append(np.tile(robot, length))
         lowest = np.concatenate(least)
-        parts = at, robots, held, targets, *scene.discs, *scene.boxes, guess
-        found = self.solver(
+        parts = poses, robots, held, targets, *scene.discs, *scene.boxes, guess
+        solution = self.solver(
             x0=np.concatenate([guess, path.ravel()]),
             p=np.concatenate([np.ravel(part) for part in parts]),
             lbx=np.concatenate([-free, low.ravel()]),
@@ -313,7 +313,7 @@ class Shooter:
             ubg=np.where(np.arange(lowest.size) < path.size, 0.0, np.inf),
         )
         self.iterations = self.solver.stats()["iter_count"]
-        return np.array(found["x"]).ravel()[:length]
+        return np.array(solution["x"]).ravel()[:length]
 
 
 def shooter(
@@ -327,15 +327,15 @@ def shooter(
     scene = Scene.of(problem, length)
     counts = problem.a.size, length, len(scene.discs), len(scene.boxes)
     key = (problem.motion, *counts, iterations, cap_s, warm)
-    found = _built.pop(key, None)
-    if found is None:
+    shooter = _built.pop(key, None)
+    if shooter is None:
         options = SHARED | (WARM if warm else COLD)
         options |= {"max_iter": iterations, "max_wall_time": cap_s}
-        found = Shooter(problem.motion, *counts, NEAR if warm else 0.0, options)
-    _built[key] = found  # as the latest used
-    while len(_built) > 1 and sum(one.size for one in _built.values()) > KEPT:
+        shooter = Shooter(problem.motion, *counts, NEAR if warm else 0.0, options)
+    _built[key] = shooter  # as the latest used
+    while len(_built) > 1 and sum(built.size for built in _built.values()) > KEPT:
         del _built[next(iter(_built))]
-    return found
+    return shooter
 
 
 _built: dict[tuple[Any, ...], Shooter] = {}
@@ -383,16 +383,16 @@ def _outside() -> tuple[Any, Any]:
     """
     import casadi as ca
 
-    at = ca.SX.sym("at", 2)
+    time = ca.SX.sym("at", 2)
     disc = ca.SX.sym("disc", 3)
     box = ca.SX.sym("box", 4)
-    x = at[0]
-    y = at[1]
+    x = time[0]
+    y = time[1]
     round_one = (((x - disc[0]) ** 2 + (y - disc[1]) ** 2) / disc[2] - disc[2]) / 2
     sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / BEND
     largest = ca.mmax(sides)
     soft = largest + ca.log(ca.sum1(ca.exp(sides - largest))) - np.log(2)
     return (
-        ca.Function("disc", [at, disc], [round_one]),
-        ca.Function("box", [at, box], [BEND * soft]),
+        ca.Function("disc", [time, disc], [round_one]),
+        ca.Function("box", [time, box], [BEND * soft]),
     )

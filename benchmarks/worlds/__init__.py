@@ -49,9 +49,9 @@ class Unmodelled(Disturbance):
     def draw(self) -> None:
         """Draw what is constant in a trial."""
 
-    def truth(self, known: Truth) -> Truth:
+    def truth(self, truth_known: Truth) -> Truth:
         """Return what holds at the trial's end, given what holds without this disturbance."""
-        return known
+        return truth_known
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         self.xy = poses.xy.T
@@ -72,8 +72,8 @@ class Later(Unmodelled):
         self.began = True
         return replace(command, due_ns=command.due_ns + round(1e9 * self.size))
 
-    def truth(self, known: Truth) -> Truth:
-        return known | {"dead_time": known["dead_time"] + self.size * self.began}
+    def truth(self, truth_known: Truth) -> Truth:
+        return truth_known | {"dead_time": truth_known["dead_time"] + self.size * self.began}
 
 
 class SparseRadio(Unmodelled):
@@ -95,8 +95,8 @@ class SlowPictures(Unmodelled):
     """Twice for 4 s only 10 pictures a second arrive, later by `size` [s], from 1 to 14 s on."""
 
     def draw(self) -> None:
-        given = FrozenCameraSection(type="frozen-camera", times=2, duration=4)
-        self.spells = given.draw(self.random)
+        section = FrozenCameraSection(type="frozen-camera", times=2, duration=4)
+        self.spells = section.draw(self.random)
         self.shown = -1
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
@@ -132,9 +132,9 @@ class Sides(Turning):
     def turned(self, by: Floats, seconds: float) -> Floats:
         return by + self.more * np.abs(by)
 
-    def truth(self, known: Truth) -> Truth:
-        both = {"a": known["a"] * np.sqrt(1 - self.size**2), "side": np.arctanh(self.more)}
-        return known | both
+    def truth(self, truth_known: Truth) -> Truth:
+        changed = {"a": truth_known["a"] * np.sqrt(1 - self.size**2), "side": np.arctanh(self.more)}
+        return truth_known | changed
 
 
 class Saturated(Turning):
@@ -175,8 +175,8 @@ class Lens(Unmodelled):
 
     def measured(self, poses: Poses, valid: Any, time_s: float) -> tuple[Poses, Any]:
         ahead = np.array([np.cos(poses.heading), np.sin(poses.heading)])
-        (x, y), there = self._shown(poses.xy.T), self._shown(poses.xy.T + ahead)
-        turned = np.arctan2(there[1] - y, there[0] - x)
+        (x, y), positions = self._shown(poses.xy.T), self._shown(poses.xy.T + ahead)
+        turned = np.arctan2(positions[1] - y, positions[0] - x)
         return Poses(x, y, poses.heading + wrap(turned - poses.heading)), valid
 
     def _shown(self, xy: Floats) -> Floats:
@@ -195,8 +195,8 @@ class Dead(Unmodelled):
         works = self.lives | (time_s < self.at_s)
         return a * works, speed * works
 
-    def truth(self, known: Truth) -> Truth:
-        return known | {"lives": self.lives}
+    def truth(self, truth_known: Truth) -> Truth:
+        return truth_known | {"lives": self.lives}
 
 
 class Avoid(Unmodelled):
@@ -290,25 +290,25 @@ def through_a_gap(random: Random, spec: Experiment) -> dict[str, Any]:
     """A wall 100 mm thick with one gap of 260 mm, from starts on its left to targets on its right,
     150 mm from walls and 250 mm from each other, with any headings."""
     arena = spec.setup.arena
-    left = arena.left + random.uniform(600, 900)
+    first_x = arena.left + random.uniform(600, 900)
     low = random.uniform(150, arena.height - 260 - 150)
-    wall = {"type": "rectangle", "left": left, "width": 100.0}
+    wall = {"type": "rectangle", "left": first_x, "width": 100.0}
     below = {**wall, "bottom": arena.bottom, "height": low}
     above = {**wall, "bottom": arena.bottom + low + 260, "height": arena.height - low - 260}
     y = arena.bottom + 150, arena.top - 150
-    starts = scattered(random, 3, (arena.left + 150, left - 150), y)
-    targets = scattered(random, 3, (left + 250, arena.right - 150), y)
+    starts = scattered(random, 3, (arena.left + 150, first_x - 150), y)
+    targets = scattered(random, 3, (first_x + 250, arena.right - 150), y)
     return {"robots": _robots(random, spec, starts, targets), "obstacles": (below, above)}
 
 
 def _robots(
     random: Random, spec: Experiment, starts: Floats, targets: Floats | None = None
 ) -> tuple[dict[str, Any], ...]:
-    found = [one.model_dump(mode="json") for one in spec.robots]
-    for i, one in enumerate(found):
-        one |= {"start": tuple(starts[i]), "heading": float(random.uniform(-np.pi, np.pi))}
-        one |= {} if targets is None else {"target": tuple(targets[i])}
-    return tuple(found)
+    robots = [robot.model_dump(mode="json") for robot in spec.robots]
+    for i, robot_fields in enumerate(robots):
+        robot_fields |= {"start": tuple(starts[i]), "heading": float(random.uniform(-np.pi, np.pi))}
+        robot_fields |= {} if targets is None else {"target": tuple(targets[i])}
+    return tuple(robots)
 
 
 def eight(random: Random, spec: Experiment) -> dict[str, Any]:
@@ -332,14 +332,16 @@ class World:
     def spec(self, rate_hz: int, seed: int, trial: int, settings: Sequence[str] = ()) -> Experiment:
         """Return the spec of a trial."""
         rate = RATES[rate_hz] if self.base == OURS else ()
-        given = (*rate, *self.settings, f"trials.seed={seed}", *settings)
-        spec = experiment(self.base, *given)
+        settings_given = (*rate, *self.settings, f"trials.seed={seed}", *settings)
+        spec = experiment(self.base, *settings_given)
         if self.layout:
             data = spec.model_dump(mode="json", exclude={"lab", "scale", "reference"})
             drawn = self.layout(np.random.default_rng([seed, trial]), spec)
             spec = Experiment.model_validate(data | drawn)
-        own = tuple(UnmodelledSection(type=kind, size=size) for kind, size in self.more)
-        plant = spec.plant.model_copy(update={"disturbances": (*spec.plant.disturbances, *own)})
+        sections = tuple(UnmodelledSection(type=kind, size=size) for kind, size in self.more)
+        plant = spec.plant.model_copy(
+            update={"disturbances": (*spec.plant.disturbances, *sections)}
+        )
         return spec.model_copy(update={"plant": plant})
 
 
@@ -353,9 +355,11 @@ def _radio(text: str) -> tuple[str, ...]:
 
 def _cells(disturbance: dict[str, Any], *settings: str) -> World:
     """The disturbed cells with one more of the shipped disturbances."""
-    shipped = [one.model_dump(mode="json") for one in experiment(CELLS).plant.disturbances]
-    every = json.dumps([*shipped, disturbance])
-    return World((f"plant.disturbances={every}", *settings), base=CELLS)
+    shipped = [
+        disturbance.model_dump(mode="json") for disturbance in experiment(CELLS).plant.disturbances
+    ]
+    parts = json.dumps([*shipped, disturbance])
+    return World((f"plant.disturbances={parts}", *settings), base=CELLS)
 
 
 ANY_CELL = "plant.cells=null", "plant.a_error=0.5", "plant.disturbances.6.heading=3.1416"

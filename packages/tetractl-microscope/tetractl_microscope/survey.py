@@ -105,8 +105,8 @@ def survey(
     choices = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
     if as_json:
         listed_choices = [
-            {"cells": [cell.number for cell in choice.cells], "error": choice.error}
-            for choice in choices
+            {"cells": [cell.number for cell in proposal.cells], "error": proposal.error}
+            for proposal in choices
         ]
         numbers = [[first.number, second.number] for first, second in pairs]
         listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
@@ -122,10 +122,12 @@ def survey(
             )
         )
     else:
-        for choice in choices:
-            numbers = ", ".join(str(cell.number) for cell in choice.cells)
+        for proposal in choices:
+            numbers = ", ".join(str(cell.number) for cell in proposal.cells)
             error = (
-                f"{choice.error:.0f} {unit}" if np.isfinite(choice.error) else "none, no plan found"
+                f"{proposal.error:.0f} {unit}"
+                if np.isfinite(proposal.error)
+                else "none, no plan found"
             )
             print(f"cells {numbers}: predicted mean total error {error}")
     if not choices or not np.isfinite(choices[0].error):

@@ -186,6 +186,6 @@ def _identify(
     left_out = [name for track in identified for name in track.left_out]
     if left_out:
         ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")
-    tell_remarks(tracks)
-    show_found(identify(tracks, None, None), out, as_json)
+    tell_remarks(identified)
+    show_found(identify(identified, None, None), out, as_json)
     return Exit.DONE

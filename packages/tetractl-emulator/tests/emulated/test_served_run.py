@@ -37,7 +37,7 @@ def test_a_viewer_sees_the_frames_of_the_log_while_robots_drive(tmp_path):
         assert "too slow" not in terminal.raw
         log = tmp_path / "logs" / "trial-000.mcap"
         topics = CHANNELS.keys() - {FRAMES, TRANSFORMS}  # of which a log has fewer messages
-        logged = {(one.topic, one.log_ns, one.data) for one in scan(log).entries}
+        logged = {(entry.topic, entry.log_ns, entry.data) for entry in scan(log).entries}
         seen = {got for got in viewer.all if got[0] in topics}
         assert seen <= logged
     finally:

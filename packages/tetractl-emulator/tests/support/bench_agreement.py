@@ -47,7 +47,9 @@ def bench() -> SimSection:
 
 def part(kind):
     """Return the bench's disturbance of a kind."""
-    return next(one for one in bench().disturbances if isinstance(one, kind))
+    return next(
+        disturbance for disturbance in bench().disturbances if isinstance(disturbance, kind)
+    )
 
 
 def lab_spec(*sets: str) -> LoadedSpec:

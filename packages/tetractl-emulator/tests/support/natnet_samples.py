@@ -32,7 +32,7 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
     sections = [
         [packed_name("green") + listed(at, at), packed_name("all") + listed(*[at] * 5)],
         [at],
-        [packed_body(each, version, markers=3) for each in bodies],
+        [packed_body(body, version, markers=3) for body in bodies],
         [packed("i", 3) + listed(body, body), packed("i", 4) + listed()],
         *[[asset]] * layout.sized,
         [marker + bytes(4 * layout.timed)] * 2,

@@ -21,9 +21,9 @@ def test_what_the_camera_adds_is_logged_as_it_is_with_the_times_of_its_frame(sho
     log = scan(path)
     begin = log.run.start_unix_ns
     added = [
-        (topic, begin + one.observation.received_ns, begin + one.observation.sampled_ns, data)
-        for one in samples
-        for topic, data in one.messages
+        (topic, begin + sample.observation.received_ns, begin + sample.observation.sampled_ns, data)
+        for sample in samples
+        for topic, data in sample.messages
     ]
     logged = [*log.by_topic[channels.PICTURE], *log.by_topic[channels.BACKGROUND]]
     assert sorted(map(tuple, logged)) == sorted(added)

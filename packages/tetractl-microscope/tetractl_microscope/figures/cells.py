@@ -41,7 +41,7 @@ class Panel(NamedTuple):
 @style.styled()
 def cells_figure(log: TrackLog) -> Figure:
     """Draw all panels for which the film has data."""
-    names: list[Any] = [name for name, panel in PANELS.items() if panel.known(log)]
+    names: list[Any] = [name for name, panel in PANELS.items() if panel.is_known(log)]
     shape = log.record["height"] / log.record["width"]
     figure = style.figure(style.PAGE_IN, min(2 / 3 * style.PAGE_IN * shape, 5.2) + 2.2)
     below = names[-3:] if len(names) > 5 else names[-2:] if len(names) > 2 else []
@@ -59,7 +59,7 @@ def cells_figure(log: TrackLog) -> Figure:
 @style.styled()
 def _single(name: str, log: TrackLog) -> Figure:
     """Draw one panel."""
-    if not PANELS[name].known(log):
+    if not PANELS[name].is_known(log):
         raise UsageError(f"{log.path}: has no data for the figure {name!r}")
     shape = log.record["height"] / log.record["width"]
     size = (style.PAGE_IN, style.PAGE_IN * shape) if name == "paths" else (4.2, 3.2)

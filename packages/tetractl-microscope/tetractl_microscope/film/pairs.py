@@ -93,7 +93,7 @@ def _fill(
     added = list[TrackRow]()
     for row in reversed(olds[since:j]):
         cell = row.cell
-        half = np.zeros(2)
+        half: Floats = np.zeros(2)
         now_s = times[row.at]
         x = cell.x
         y = cell.y

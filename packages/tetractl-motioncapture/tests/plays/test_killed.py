@@ -61,14 +61,14 @@ def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
 
     def moves():
         parts = (tmp_path / "logs").glob("trial-000.mcap*")
-        return run.poll() is not None or any(one.stat().st_size > BEGUN for one in parts)
+        return run.poll() is not None or any(part.stat().st_size > BEGUN for part in parts)
 
     assert wait_for(MonotonicClock(), moves, 120) and run.poll() is None, run.communicate()
     os.kill(bridge_of(run.pid), signal.SIGKILL)
     _, said = run.communicate(timeout=120)
     assert run.returncode == 1 and "the process of the camera has ended: Killed" in said
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
-    driven = [one.sent_ns for one in trial.commands if one.action != Stop()]
+    driven = [command.sent_ns for command in trial.commands if command.action != Stop()]
     assert max(driven) - trial.received_ns[-1] < 0.15 * SECOND  # stale, and a tick of a busy host
     events = map(json.loads, record.read_text().splitlines())
     robots = {e["name"]: e["moving"] for e in events if e["event"] == "robot"}

@@ -120,7 +120,9 @@ def test_the_process_prints_bodies_until_no_program_reads_them():
     out = Pipe()
     exec(LIBRARY.replace("time.sleep(0.01)", "pass"), library)
     stream(library["connect"], '["vicon", "there", {}]', out)
-    stamps, lines = zip(*(one.split(" ", 1) for one in out.getvalue().splitlines()), strict=True)
+    stamps, lines = zip(
+        *(splitline.split(" ", 1) for splitline in out.getvalue().splitlines()), strict=True
+    )
     assert sorted(map(int, stamps)) == [*map(int, stamps)]
     assert json.loads(lines[0])["bodies"]["G"] == [0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 1.0]
 

@@ -71,8 +71,10 @@ def test_turns_computed_again_from_a_log_are_those_of_the_guard(folder, monkeypa
     complete = replace(trial.result, outcome=Outcome.ARRIVED)
     monkeypatch.setattr(lab_result, "TURN", 1e-9)
     monkeypatch.setattr(lab_result, "TURN_STD", 1e-9)
-    fields = {one.field for one in lab_result.lab_differences(trial, complete)}
-    assert not {one for one in fields if one.startswith("result.turn")}
+    fields = {
+        lab_difference.field for lab_difference in lab_result.lab_differences(trial, complete)
+    }
+    assert not {field for field in fields if field.startswith("result.turn")}
     assert all(0 < error < 10 for error in trial.result.verdict.turn_std)
 
 

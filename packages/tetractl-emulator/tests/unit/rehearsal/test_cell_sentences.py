@@ -59,7 +59,10 @@ def truth_of(*events, fault=DARK, said=ERROR):
 
 
 def found(*events, **more):
-    names = {one.name for one in cell_violations(truth_of(*events, **more), EXPERIMENT.lab)}
+    names = {
+        cell_violation.name
+        for cell_violation in cell_violations(truth_of(*events, **more), EXPERIMENT.lab)
+    }
     return names - {"log"}
 
 

@@ -17,7 +17,7 @@ def test_steps_of_the_lab_come_in_order(tmp_path):
     before, step = log.steps[1:3]
     back = replace(step, observation=replace(step.observation, frame=before.observation.frame - 1))
     forged = replace(log, steps=(*log.steps[:2], back, *log.steps[3:]))
-    found = {one.field for one in log_differences(forged)}
+    found = {log_difference.field for log_difference in log_differences(forged)}
     assert "command.sent_ns" in found
 
 
@@ -57,5 +57,7 @@ def test_a_complete_lab_trial_shows_every_robot_at_rest(
 ):
     log = lab_log(tmp_path, valid, speed_mm, halts, metres)
     differences = log_differences(log)
-    found = [one.message for one in differences if one.field == "result.outcome"]
+    found = [
+        difference.message for difference in differences if difference.field == "result.outcome"
+    ]
     assert found == ([said] if said else [])

@@ -73,7 +73,7 @@ def day(events, fault=LOST, said=ERROR, code=1, left="", setup=SETUP):
 
 def broken(events, **more):
     """Return the sentences that a day without a log breaks, but that a log has to be there."""
-    return {one.name for one in violations(day(events, **more))} - {"log"}
+    return {violation.name for violation in violations(day(events, **more))} - {"log"}
 
 
 def test_there_are_seven_sentences():
@@ -130,7 +130,7 @@ def test_a_frozen_picture_on_a_cameras_grid_is_of_a_class_that_no_camera_shows()
     events = [*GOOD, command(2.1, 20, unseen=(900.0, 10.0, 10.0))]
     grid = replace(SETUP, sight=Sight(grid_mm=1.36, grid_rad=0.02))
     classes = [v.predicted for v in violations(day(events, fault=FREEZES, setup=grid))]
-    assert any(one.startswith("frozen") for one in classes)
+    assert any(kind.startswith("frozen") for kind in classes)
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     assert missed <= 0.02 * 30 * 8
     assert found.bright is (contrast > 0)
     assert shifts[15] == pytest.approx((6.0, -5.0), abs=0.5)
-    assert [each for k, each in enumerate(shifts) if k != 15] == [(0.0, 0.0)] * 29
+    assert [shift for k, shift in enumerate(shifts) if k != 15] == [(0.0, 0.0)] * 29
 
 
 def test_a_small_knock_is_seen_by_little_debris():

@@ -166,7 +166,7 @@ def test_a_heading_that_walks_does_not_lower_a():
     cells = Swimmers.drawn(random, count)
     seen = []
     cells.walk[:] = 0.15
-    mean, start, model = new_cell(TETRAHYMENA, known=True)
+    mean, start, model = new_cell(TETRAHYMENA, field_known=True)
     model[[X, Y, C, S]] = 0.2
     model[HEADING] = 0.15
     model[SPEED] = 5.0
@@ -216,7 +216,7 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
     bank.covariance[row] += root @ root.T
     m = bank.mean[row].copy()
     p = bank.covariance[row].copy()
-    *_, model = new_cell(TETRAHYMENA, known=True)
+    *_, model = new_cell(TETRAHYMENA, field_known=True)
     bank.predict(pieces)
     for k, (seconds, *field) in enumerate(pieces):
         if k and not walled:
@@ -246,7 +246,7 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     pieces = [(1 / 30, 0.6, 0.8)] * 15 + [(1 / 30, -0.8, 0.6)] * 14
     m = bank.mean[rows[0]].copy()
     p = bank.covariance[rows[0]].copy()
-    *_, model = new_cell(TETRAHYMENA, known=True)
+    *_, model = new_cell(TETRAHYMENA, field_known=True)
     truth = m.copy()
     measured = []
     for k in range(count):

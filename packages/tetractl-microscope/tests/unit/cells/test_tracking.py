@@ -130,7 +130,7 @@ def test_a_resting_cell_is_not_lost_in_the_background():
 )
 def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
     made = film(seed=1, side=240, cells=2, seconds=1.0)
-    pictures = [each[:200] for each in made.pictures()]
+    pictures = [picture[:200] for picture in made.pictures()]
     tracker = CellTracker(2.3, known=False)
     tracker.finder.learn(pictures)
     for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):

@@ -171,7 +171,7 @@ def test_once_one_stop_was_an_emergency_stop_every_command_is():
     for flag in (Flag.RUN, Flag.EMERGENCY_STOP, Flag(0), Flag.POLL):
         driver.send(flag)
     flags = [decode_command(frame[:-1]).flags for frame in heard]
-    assert [Flag.EMERGENCY_STOP in one for one in flags] == [False, True, True, True]
+    assert [Flag.EMERGENCY_STOP in flag for flag in flags] == [False, True, True, True]
 
 
 # from here on: before an emulated driver

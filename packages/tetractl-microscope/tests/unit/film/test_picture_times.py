@@ -239,7 +239,7 @@ def test_the_turning_rate_does_not_depend_on_an_uneven_rate():
     intervals = [cell.a for cell in cells if cell.a is not None and cell.seconds > 3]
     truth = even.cells.a
     assert len(intervals) >= 2
-    assert all(any(one.low <= a <= one.high for a in truth) for one in intervals)
+    assert all(any(interval.low <= a <= interval.high for a in truth) for interval in intervals)
 
 
 def test_hidden_and_odd_files_neither_count_nor_spoil_the_others(tmp_path):

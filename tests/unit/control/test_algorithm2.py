@@ -111,8 +111,8 @@ def test_steps_are_counted_however_long_each_takes():
     controller = mpc(spec(steps_max=2), 99, Scripted({6: 0.0}))
     sent = [Command(Steer(0.0), k * 10**9, (True,) * 3) for k in range(3)]
     decisions = [controller.plan(seen())]
-    decisions += [controller.plan(seen(now=one.sent_ns + 10**9), one) for one in sent]
-    assert all(isinstance(one, Plan) for one in decisions[:3])
+    decisions += [controller.plan(seen(now=command.sent_ns + 10**9), command) for command in sent]
+    assert all(isinstance(command, Plan) for command in decisions[:3])
     assert decisions[3] is Outcome.STEPS_MAX
 
 

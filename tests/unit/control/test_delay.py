@@ -58,8 +58,8 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
 
     def after_step(plant, observation, steer):
         nonlocal last
-        found = estimates.seen(observation, last)
-        predicted.append((observation.sampled_ns, found.poses))
+        motion = estimates.seen(observation, last)
+        predicted.append((observation.sampled_ns, motion.poses))
         last = steer()
         for s in plant.samples():
             frames[round(s.observation.sampled_ns / SECOND * 120)] = s.truth
@@ -80,16 +80,16 @@ def test_without_a_dead_time_the_poses_are_those_of_the_frame():
     problem, estimates = estimator(0.0)
     for k, u in enumerate([0.3, -2.0, 1.0]):
         frame = seen(problem, 0.2 * k, x=problem.poses.x + 7 * k)
-        found = estimates.seen(frame, command(u, 0.2 * k - 0.2) if k else None)
-        assert np.array_equal(found.poses.array(), frame.poses.array())
+        motion = estimates.seen(frame, command(u, 0.2 * k - 0.2) if k else None)
+        assert np.array_equal(motion.poses.array(), frame.poses.array())
 
 
 @pytest.mark.parametrize("watchdog", [math.inf, 0.25])
 def test_robots_stand_before_the_first_command_acts(watchdog):
     problem, estimates = estimator(0.3, watchdog=watchdog)
     assert np.array_equal(estimates.seen(seen(problem, 0.0)).poses.x, problem.poses.x)
-    found = estimates.seen(seen(problem, 0.2), command(0.0, 0.0))
-    assert found.poses.x - problem.poses.x == pytest.approx(0.2 * problem.speed, rel=1e-3)
+    motion = estimates.seen(seen(problem, 0.2), command(0.0, 0.0))
+    assert motion.poses.x - problem.poses.x == pytest.approx(0.2 * problem.speed, rel=1e-3)
     assert estimates.held_at_action.tolist() == [0.0] * 3
 
 

@@ -28,9 +28,9 @@ def drive(fields, **changes):
     off = []
     plans = []
     for k in range(1002):
-        seen = plant.observe()
-        sums.append(seen.poses.distances(spec.setup.targets).sum())
-        decision = controller.plan(seen)
+        observation = plant.observe()
+        sums.append(observation.poses.distances(spec.setup.targets).sum())
+        decision = controller.plan(observation)
         if isinstance(decision, Outcome):
             return np.array(sums), np.array(off), plans, decision
         off.append(decision.instead == FieldOff())
@@ -82,8 +82,8 @@ def test_a_dead_time_that_is_told_is_predicted_over(dead_time):
         acts = now.sampled_ns + round(dead_time * SECOND)
         due.append((acts, plan.path[0]))
         world.clock.sleep_until((k + 1) * SECOND // 5)
-    seen = {s.observation.sampled_ns: s.truth.array() for s in world.samples()}
-    checked = [(seen[t], p) for t, p in starts if t in seen]
+    true_poses = {s.observation.sampled_ns: s.truth.array() for s in world.samples()}
+    checked = [(true_poses[t], p) for t, p in starts if t in true_poses]
     assert checked
     for truth, promised in checked:
         assert promised == pytest.approx(truth, abs=1e-6)

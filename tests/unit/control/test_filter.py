@@ -403,12 +403,12 @@ def let_all_be_stuck(filters):
 
 def frozen(frames):
     """Show the frame before in place of those from `frames` on, for 0.4 s."""
-    shown = []
+    heading_errors = []
 
     def altered(frame):
         if frames <= frame.frame < frames + 48:
-            return replace(frame, poses=shown[-1])
-        shown.append(frame.poses)
+            return replace(frame, poses=heading_errors[-1])
+        heading_errors.append(frame.poses)
         return frame
 
     return altered
@@ -623,8 +623,8 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
         heading = HEADING
         marker = MARKER_BIAS
-        both = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
-        assert both.min() >= 0
+        variance = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
+        assert variance.min() >= 0
         assert np.isfinite(filters.bank.score).all()
 
 
@@ -649,8 +649,8 @@ def test_poses_are_followed_at_their_own_times():
     late_ns = 30_000_000
 
     def stated(frame):
-        own = (frame.sampled_ns,) * len(frame.valid)
-        return replace(frame, sampled_ns=frame.sampled_ns + late_ns, exposed_ns=own)
+        own_times = (frame.sampled_ns,) * len(frame.valid)
+        return replace(frame, sampled_ns=frame.sampled_ns + late_ns, exposed_ns=own_times)
 
     ways = {"settings": (*NOISY, "plant.dead_time=0.1"), "seconds": 3, "rate": 20}
     usual = drive(**ways).estimate
@@ -700,10 +700,10 @@ def test_where_robots_will_be_can_be_asked_any_number_of_times():
 
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
     quiet = drive(settings, 6, 20, disturbance=Turns(most=1.5))
-    asked = drive(settings, 6, 20, disturbance=Turns(most=1.5), watch=ask)
+    directions = drive(settings, 6, 20, disturbance=Turns(most=1.5), watch=ask)
     for name, value in asdict(quiet.estimate).items():
-        assert np.array_equal(value, getattr(asked.estimate, name), equal_nan=True), name
-    assert asked.filters.reopened_ns == quiet.filters.reopened_ns > 0
+        assert np.array_equal(value, getattr(directions.estimate, name), equal_nan=True), name
+    assert directions.filters.reopened_ns == quiet.filters.reopened_ns > 0
 
 
 def test_poses_are_predicted_only_after_a_frame():

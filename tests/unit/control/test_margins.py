@@ -34,10 +34,10 @@ def test_the_margin_is_kept_where_there_is_room(shape):
 @pytest.mark.parametrize("away", [1.0, 15.0, 39.0])
 def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
     margins = Margins([BOX, ROUND], None, FAR)
-    near, other = margins.obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
+    near, unreduced = margins.obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
     assert not near.contain(np.array(1000 - away), np.array(1050.0))
     assert near.contain(np.array(1000 - 0.9 * away), np.array(1050.0))
-    assert other.radius == 90
+    assert unreduced.radius == 90
 
 
 def test_a_target_inside_the_margin_can_be_reached():
@@ -53,11 +53,13 @@ def test_inside_an_obstacle_nothing_of_the_margin_is_left():
     assert shape.radius == 0
 
 
-@pytest.mark.parametrize(("away", "kept"), [(30, 0.98 * 30), (15, 14.7), (10.1, 10), (5, 10)])
-def test_the_margin_is_not_reduced_below_the_radius(away, kept):
+@pytest.mark.parametrize(
+    ("away", "margin_kept"), [(30, 0.98 * 30), (15, 14.7), (10.1, 10), (5, 10)]
+)
+def test_the_margin_is_not_reduced_below_the_radius(away, margin_kept):
     margins = Margins([BOX], None, FAR, 10)
     (shape,) = margins.obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
-    assert shape.radius == pytest.approx(kept)
+    assert shape.radius == pytest.approx(margin_kept)
     (target,) = Margins([BOX], None, np.array([[995.0, 1050]]), 10).obstacles(at((5, 5)), 40).shapes
     assert target.radius == pytest.approx(0.98 * 5)
 
@@ -101,8 +103,8 @@ def test_the_separation_grows_by_what_both_robots_may_be_off():
     spec = experiment(controller={"type": "mpc", "collision": {"separation": 50}})
     problem = spec.controller.problem(spec.setup)
     section = spec.controller
-    found = section.build(spec.setup, 3)._with_margins(problem, None)
-    assert found.separation == pytest.approx(
+    with_margins = section.build(spec.setup, 3)._with_margins(problem, None)
+    assert with_margins.separation == pytest.approx(
         50 + 2 * off_course(problem.speed, section.period, section.dead_time, None)
     )
 
@@ -138,8 +140,8 @@ def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
         control["collision"]["adaptive"] = adaptive
         spec = experiment(robots=robots, obstacles=[box], controller=control)
         controller = spec.controller.build(spec.setup, 3)
-        seen = Observation(0, 0, 0, spec.setup.starts, np.ones(1, np.bool_))
-        return controller.plan(seen).cost
+        observation = Observation(0, 0, 0, spec.setup.starts, np.ones(1, np.bool_))
+        return controller.plan(observation).cost
 
     assert cost(False) > 1e5
     assert cost(True) < 1

@@ -115,9 +115,9 @@ def test_a_plan_within_the_accepted_error_is_followed():
 def test_longer_plans_are_searched_afresh_where_they_can_be_worth_more():
     controller, search = driving({4: 35.0, 5: 34.0, 6: 31.0, 8: 0.0})
     assert step(controller).search.length == 8
-    asked = lengths(search)
-    assert asked[:5] == [(5, True), (4, True), (6, True), (7, False), (8, False)]
-    assert len(asked) == 5  # none longer can be worth as much
+    lengths_asked = lengths(search)
+    assert lengths_asked[:5] == [(5, True), (4, True), (6, True), (7, False), (8, False)]
+    assert len(lengths_asked) == 5  # none longer can be worth as much
 
 
 @pytest.mark.parametrize(("periods", "tried"), [(1, [5, 4, 6, 7, 8]), (2, [5])])
@@ -274,8 +274,8 @@ def asked_margins(left, watchdog_s=math.inf):
 def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(left, tested):
     """Two signals of the plan under way, which may become one longer; of a new plan, two signals
     longer or more, all but the last two. A plan of two signals has none to test."""
-    asked = asked_margins(left).tested
-    shortest_asked = dict(sorted(asked.items())[: len(tested)])
+    tested_by_length = asked_margins(left).tested
+    shortest_asked = dict(sorted(tested_by_length.items())[: len(tested)])
     assert shortest_asked == tested
 
 
@@ -383,10 +383,10 @@ def test_the_first_plan_is_the_shortest_that_is_good_enough(shortest):
         dict.fromkeys(range(shortest), BAD) | dict.fromkeys(range(shortest, 200), 0.5)
     )
     plan = mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
-    asked = [length for length, *_ in search.asked]
-    assert asked[0] == round(SPREAD * 30)
+    lengths_asked = [length for length, *_ in search.asked]
+    assert lengths_asked[0] == round(SPREAD * 30)
     assert plan.search.length == max(30, shortest)
-    assert min(asked) >= 30
+    assert min(lengths_asked) >= 30
 
 
 class Lucky(Scripted):
@@ -415,9 +415,9 @@ def test_searches_for_a_shorter_plan_end_after_vain_ones():
 def test_spread_lengths_end_with_the_horizon():
     search = Scripted()
     mpc(spec(horizon_max=40), 99, search).plan(seen())
-    asked = [length for length, *_ in search.asked]
-    assert asked[:2] == [39, 40]
-    assert max(asked) == 40  # also of those that are searched thoroughly then
+    lengths_asked = [length for length, *_ in search.asked]
+    assert lengths_asked[:2] == [39, 40]
+    assert max(lengths_asked) == 40  # also of those that are searched thoroughly then
 
 
 def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_periods():

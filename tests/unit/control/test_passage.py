@@ -33,10 +33,10 @@ def walled(gap, middle=1200.0, robots=3):
     high = middle + gap / 2
     below = wall | {"bottom": 350.0, "height": low - 350}
     above = wall | {"bottom": high, "height": 2150 - high}
-    each = experiment().model_dump(mode="json")["robots"][:robots]
+    robots_of_spec = experiment().model_dump(mode="json")["robots"][:robots]
     placed = [
-        one | {"start": start, "target": target}
-        for one, start, target in zip(each, STARTS, TARGETS, strict=False)
+        robot | {"start": start, "target": target}
+        for robot, start, target in zip(robots_of_spec, STARTS, TARGETS, strict=False)
     ]
     controller = {
         "type": "mpc",
@@ -60,14 +60,14 @@ def test_the_lengths_of_ways_are_those_round_what_is_not_free():
     free = np.ones(grid.shape, dtype=np.bool_)
     free[20, :60] = False
     targets = np.array([[30.5, 30.5], [80.5, 10.5]])
-    one, other = grid.ways(free.ravel(), targets).reshape(2, 50, 90)
+    to_first, to_second = grid.ways(free.ravel(), targets).reshape(2, 50, 90)
     # ten rows up on either side of the wall's end
     diagonal = np.sqrt(2)
     turns = 60 - 30 - 10
-    assert one[10, 30] == pytest.approx(20 * diagonal + 2 * turns)
-    assert one[30, 32] == pytest.approx(2)
-    assert other[10, 80] == 0
-    assert np.isinf(one[20, 10])
+    assert to_first[10, 30] == pytest.approx(20 * diagonal + 2 * turns)
+    assert to_first[30, 32] == pytest.approx(2)
+    assert to_second[10, 80] == 0
+    assert np.isinf(to_first[20, 10])
 
 
 def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
@@ -106,20 +106,20 @@ def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
     """Random sequences leave more than half of the way; the tree is the same for every clock."""
     rng = np.random.default_rng(3)
     base = experiment().model_dump(mode="json")["robots"][0]
-    at = np.stack(np.meshgrid([300, 1100, 1900, 2700], [600, 2400]), axis=-1).reshape(-1, 2)
-    each = tuple(
+    places = np.stack(np.meshgrid([300, 1100, 1900, 2700], [600, 2400]), axis=-1).reshape(-1, 2)
+    shapes = tuple(
         base
         | {
             "name": f"r{i}",
-            "start": tuple(at[i]),
-            "target": tuple(at[j] + (0.0, 400.0 - at[j, 1] / 3)),
+            "start": tuple(places[i]),
+            "target": tuple(places[j] + (0.0, 400.0 - places[j, 1] / 3)),
         }
         | {"heading": float(rng.uniform(-3, 3)), "a": float(a), "speed": 170.0}
         for i, (j, a) in enumerate(zip(rng.permutation(8), np.geomspace(2, 6, 8), strict=True))
     )
     arena = {"left": 0, "bottom": 0, "width": 3000, "height": 3000}
     controller = {"type": "mpc", "collision": {"radius": RADIUS, "separation": SEPARATION}}
-    spec = experiment(robots=each, arena=arena, obstacles=(), controller=controller)
+    spec = experiment(robots=shapes, arena=arena, obstacles=(), controller=controller)
     problem, margins, arena = problem_of(spec)
     *_, signals = ways(problem, arena, 200, key=2)
     path = predict(problem, signals)
@@ -134,9 +134,9 @@ def test_a_polish_from_the_tree_leads_robots_from_anywhere_to_anywhere(key):
     spec = load_spec(ROOT / "experiments/benchmark/anywhere.yaml").experiment
     problem = spec.controller.problem(spec.setup)
     optimizer = Multistart()
-    found = (
+    searches = (
         optimizer.search(problem, len(start), start, key, Limits())
         for start in ways(problem, spec.setup.arena, 134, key)
     )
-    assert min(one.cost for one in found) < 1
+    assert min(search.cost for search in searches) < 1
     assert optimizer.search(problem, 134, None, key, Limits()).cost > 100

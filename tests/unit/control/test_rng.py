@@ -44,15 +44,15 @@ def test_numbers_are_the_high_bits_of_their_draws(key, first):
 
 def test_numbers_are_uniform_and_independent():
     n = 100_000
-    one = uniform(1, 0, n)
-    other = uniform(2, 0, n)
+    of_key_1 = uniform(1, 0, n)
+    of_key_2 = uniform(2, 0, n)
     high, low = uniform_pair(3, 0, n)
-    for numbers in (one, other, high, low):
+    for numbers in (of_key_1, of_key_2, high, low):
         assert numbers.min() >= 0
         assert numbers.max() < 1
         counts = np.histogram(numbers, 64, (0, 1))[0]
         assert stats.chisquare(counts).pvalue > 1e-4
-    pairs = ((one, other), (high, low), (one[1:], one[:-1]), (low[1:], high[:-1]))
+    pairs = ((of_key_1, of_key_2), (high, low), (of_key_1[1:], of_key_1[:-1]), (low[1:], high[:-1]))
     for left, right in pairs:
         table = np.histogram2d(left, right, 16, ((0, 1), (0, 1)))[0]
         assert stats.chisquare(table.ravel()).pvalue > 1e-4
@@ -65,9 +65,9 @@ def test_derived_keys_start_streams_of_their_own():
 
 @given(KEYS, st.integers(0, 10**6), st.integers(1, 40))
 def test_normal_numbers_depend_on_key_and_index_alone(key, first, count):
-    whole = normal(key, first, count)
-    assert np.isfinite(whole).all()
-    assert whole[-1:].tolist() == normal(key, first + count - 1, 1).tolist()
+    at_once = normal(key, first, count)
+    assert np.isfinite(at_once).all()
+    assert at_once[-1:].tolist() == normal(key, first + count - 1, 1).tolist()
 
 
 def test_normal_numbers_are_normal():

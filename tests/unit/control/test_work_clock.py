@@ -28,14 +28,14 @@ def test_searches_advance_the_clock_while_they_run_and_after_them():
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml").experiment
     clock = WorkClock()
     problem = spec.controller.problem(spec.setup)
-    each = 3 * 20 * ROBOT_STEP_NS
-    end = SEARCH_NS + 4 * each
+    search_ns = 3 * 20 * ROBOT_STEP_NS
+    end = SEARCH_NS + 4 * search_ns
     timed = Limits(expired=lambda _: clock() >= end)
     search = clock.wrap(Steady()).search
     assert search(problem, 20, None, 1, timed).evaluations == 4
     assert clock() == end
     assert search(problem, 20, None, 1, Limits(expired=never)).evaluations == 10
-    assert clock() == end + SEARCH_NS + 10 * each
+    assert clock() == end + SEARCH_NS + 10 * search_ns
 
 
 @pytest.mark.long
@@ -51,13 +51,16 @@ def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path,
     steps = read_trial(log_path(tmp_path, 0)).steps
     moving = [now.plan for last, now in itertools.pairwise(steps) if not last.plan.pauses]
     work = [
-        sum(SEARCH_NS + 4 * one.length * one.evaluations * ROBOT_STEP_NS for one in plan.searches)
+        sum(
+            SEARCH_NS + 4 * search.length * search.evaluations * ROBOT_STEP_NS
+            for search in plan.searches
+        )
         for plan in moving
     ]
     look = 2 * BETWEEN_LOOKS * ROBOT_STEP_NS + SEARCH_NS
     deadline_ns = spec.experiment.controller.deadline * SECOND
     assert max(work) <= deadline_ns + look
-    ended = [one.stopped for plan in moving for one in plan.searches]
+    ended = [search.stopped for plan in moving for search in plan.searches]
     assert StopReason.DEADLINE in ended
 
 

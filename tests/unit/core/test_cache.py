@@ -26,9 +26,9 @@ def mode(path):
 
 def test_the_folder_is_the_users_alone(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
-    found = cache_folder()
-    assert found == tmp_path / "new" / "tetractl"
-    assert mode(found) == 0o700
+    folder = cache_folder()
+    assert folder == tmp_path / "new" / "tetractl"
+    assert mode(folder) == 0o700
     assert capsys.readouterr().err == ""
 
 
@@ -38,11 +38,11 @@ def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, ca
     (base / "tetractl").mkdir(parents=True)
     (base if exposes == "its parent" else base / "tetractl").chmod(0o777)
     monkeypatch.setenv("XDG_CACHE_HOME", str(base))
-    found = cache_folder()
-    assert not found.is_relative_to(base)
-    assert mode(found) == 0o700
-    assert list(found.iterdir()) == []
-    assert os.environ[FOLDER] == str(found)  # for worker processes
+    folder = cache_folder()
+    assert not folder.is_relative_to(base)
+    assert mode(folder) == 0o700
+    assert list(folder.iterdir()) == []
+    assert os.environ[FOLDER] == str(folder)  # for worker processes
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "others can write to" in said

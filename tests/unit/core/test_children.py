@@ -92,10 +92,10 @@ def print_hostile(number):
 
 def test_what_workers_print_is_told_by_lines_with_who_printed():
     """Regression: a plug-in's `print` in a worker reached the terminal with its escapes."""
-    told = []
-    with WorkerPool(copying_context(), 1, "a worker", told.append) as pool:
+    lines = []
+    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
         assert pool.submit(print_hostile, 7).result() == 7
-    assert told == [r"a worker: \x1b[2J 7", "a worker: to the descriptor"]
+    assert lines == [r"a worker: \x1b[2J 7", "a worker: to the descriptor"]
 
 
 def print_much():
@@ -104,11 +104,11 @@ def print_much():
 
 
 def test_what_workers_print_is_bounded():
-    told = []
-    with WorkerPool(copying_context(), 1, "a worker", told.append) as pool:
+    lines = []
+    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
         pool.submit(print_much).result()
-    assert told[-2:] == ["a worker: 49", "a worker: says more, which is not shown"]
-    assert len(told) == 51
+    assert lines[-2:] == ["a worker: 49", "a worker: says more, which is not shown"]
+    assert len(lines) == 51
 
 
 def test_a_killed_child_tells_the_signal():

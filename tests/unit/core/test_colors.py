@@ -19,8 +19,8 @@ from tetractl.log.format.layout import layout
 
 
 def test_no_colour_has_two_meanings():
-    every = [*PALETTE, *SLATES, GREY, OBSTACLE, OBSTACLE_EDGE, ALARM]
-    assert len(set(every)) == len(every)
+    colors = [*PALETTE, *SLATES, GREY, OBSTACLE, OBSTACLE_EDGE, ALARM]
+    assert len(set(colors)) == len(colors)
 
 
 def test_the_report_has_these_colours_on_a_light_page():

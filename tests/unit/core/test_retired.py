@@ -3,7 +3,7 @@ from tetractl.core.retired import INSTEAD
 
 
 def test_no_retired_name_is_a_kind():
-    groups = {one.group: one for one in (*all_registries(), COMMANDS, LAB_COMMANDS)}
+    groups = {group.group: group for group in (*all_registries(), COMMANDS, LAB_COMMANDS)}
     for group, name in INSTEAD:
         if group in groups:
             assert name not in groups[group]

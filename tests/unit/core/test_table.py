@@ -126,13 +126,13 @@ def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
 
 
 def test_columns_that_are_empty_in_all_rows_are_left_out():
-    found = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
-    assert found.header == ["name", "why"]
+    table = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
+    assert table.header == ["name", "why"]
 
 
 def test_records_that_lack_a_key_have_no_value_there():
-    found = Table.of_records("", [{"a": 1}, {"a": 2, "b": 3}])
-    assert found.as_dict() == {"a": [1, 2], "b": [None, 3]}
+    table = Table.of_records("", [{"a": 1}, {"a": 2, "b": 3}])
+    assert table.as_dict() == {"a": [1, 2], "b": [None, 3]}
 
 
 def test_html_escapes_and_links_cells_of_the_first_column():
@@ -142,8 +142,8 @@ def test_html_escapes_and_links_cells_of_the_first_column():
 
 
 def test_json_is_plain_and_strict():
-    found = json.loads(json_text({"a": np.array([1.0, math.inf]), "b": (np.int64(2), math.nan)}))
-    assert found == {"a": [1.0, None], "b": [2, None]}
+    numbers = json.loads(json_text({"a": np.array([1.0, math.inf]), "b": (np.int64(2), math.nan)}))
+    assert numbers == {"a": [1.0, None], "b": [2, None]}
 
 
 def test_nested_items_become_one_row():
@@ -155,10 +155,10 @@ def test_nested_items_become_one_row():
 def test_no_other_module_writes_tables():
     """CSV is read, CSV, tables of rich and of HTML are written in one package."""
     writers = r"\bcsv\.(reader|writer|Dict)|import csv\n|rich\.table|<table"
-    found = {
+    texts = {
         str(path.relative_to(ROOT))
         for path in (ROOT / "tetractl").rglob("*.py")
         if re.search(writers, path.read_text("utf-8"))
     }
     names = ("csv_rows", "table_files", "terminal_table")
-    assert found == {f"tetractl/core/table/{name}.py" for name in names}
+    assert texts == {f"tetractl/core/table/{name}.py" for name in names}

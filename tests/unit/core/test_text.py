@@ -8,7 +8,7 @@ from tetractl.core.errors import UsageError, entry, printable
 
 
 @pytest.mark.parametrize(
-    ("text", "shown"),
+    ("text", "printed"),
     [
         ("plain, with ü and µ", "plain, with ü and µ"),
         ("\x1b[2J", "\\x1b[2J"),
@@ -19,17 +19,17 @@ from tetractl.core.errors import UsageError, entry, printable
         ("caf\udce9", "caf\\udce9"),  # of a file name that is not UTF-8
     ],
 )
-def test_nothing_is_left_that_a_terminal_obeys(text, shown):
-    assert printable(text) == shown
+def test_nothing_is_left_that_a_terminal_obeys(text, printed):
+    assert printable(text) == printed
     assert printable(text).isprintable()
     printable(text).encode()
 
 
 @given(st.text(), st.integers(3, 30))
 def test_text_once_printable_stays_as_it_is(text, length):
-    shown = printable(text, length)
-    assert len(shown) <= length
-    assert printable(shown, length) == shown
+    printed = printable(text, length)
+    assert len(printed) <= length
+    assert printable(printed, length) == printed
 
 
 @pytest.mark.parametrize(

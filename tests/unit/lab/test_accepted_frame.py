@@ -22,8 +22,8 @@ def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
     for count in arrivals:
         for _ in range(count):
             buffer.append(frame(number := number + 1))
-        found, read = buffer.since(read)
-        got += [each.frame.number for each in found]
+        frames, read = buffer.since(read)
+        got += [frame.frame.number for frame in frames]
     assert got == list(range(1, number + 1))
     assert buffer.count == number
     assert (buffer.newest.frame.number if number else buffer.newest) == (number or None)
@@ -33,14 +33,14 @@ def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
     buffer = FrameBuffer()
     for number in range(WAITING_MAX + 5):
         buffer.append(frame(number))
-    found, read = buffer.since(0)
-    assert [each.frame.number for each in found] == list(range(5, WAITING_MAX + 5))
+    frames, read = buffer.since(0)
+    assert [frame.frame.number for frame in frames] == list(range(5, WAITING_MAX + 5))
     assert buffer.since(read) == ([], WAITING_MAX + 5), "none comes twice"
-    last = [each.frame.number - WAITING_MAX for each in buffer.last(20)]
+    last = [frame.frame.number - WAITING_MAX for frame in buffer.last(20)]
     assert last == [2, 3, 4]
 
 
 def test_a_pose_that_is_not_of_the_frame_is_none():
     old = Pose(1.0, 2.0, 3.0)
-    seen = AcceptedFrame(CameraFrame(1, 0, 0, (None, old)), (old, old), (False, True))
-    assert (seen.pose(0), seen.pose(1)) == (None, old)
+    accepted = AcceptedFrame(CameraFrame(1, 0, 0, (None, old)), (old, old), (False, True))
+    assert (accepted.pose(0), accepted.pose(1)) == (None, old)

@@ -59,14 +59,14 @@ def accused(
         courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
         places[:, :2] += (ways[0] * courses).T * FRAME_NS / SECOND
         noise = random.normal(size=(n, 3)) * (0.3, 0.3, 0.004)
-        left = (3 * SECOND - now) / SECOND
-        seen = places + noise + [shown(i, places[i], left) for i in range(n)]
-        shots.append(seen)
+        left_s = (3 * SECOND - now) / SECOND
+        shown_places = places + noise + [shown(i, places[i], left_s) for i in range(n)]
+        shots.append(shown_places)
         old = [shots[max(-1 - k, -len(shots))][i] for i, k in enumerate(late)]
         poses = tuple(Pose(*map(float, row)) for row in old)
         times = [now - int(k) * FRAME_NS for k in late]
         culprit.see(now, poses, times)
-        if left > (0.3 if obeys is None else 0.6) and before:  # wheels are learnt until the fault
+        if left_s > (0.3 if obeys is None else 0.6) and before:  # wheels are learnt until the fault
             way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
             drift.frame(now, times, poses, way)
         before = poses
@@ -109,14 +109,14 @@ def test_a_slow_radio_is_named_with_its_delay(seed):
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])  # in which they are commanded differently
-@pytest.mark.parametrize("one, other", [(0, 1), (0, 2), (1, 2)])
-def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed, one, other):
+@pytest.mark.parametrize("first, second", [(0, 1), (0, 2), (1, 2)])
+def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed, first, second):
     obeys = [0, 1, 2]
-    obeys[one] = other
-    obeys[other] = one
-    text = SWAPPED.format(NAMES[one], NAMES[other])
-    assert accused(obeys=obeys, seed=seed, suspect=one) == text
-    assert accused(obeys=obeys, seed=seed, suspect=other) == text
+    obeys[first] = second
+    obeys[second] = first
+    text = SWAPPED.format(NAMES[first], NAMES[second])
+    assert accused(obeys=obeys, seed=seed, suspect=first) == text
+    assert accused(obeys=obeys, seed=seed, suspect=second) == text
 
 
 def test_the_two_of_two_robots_are_named_together_if_they_have_exchanged_numbers():

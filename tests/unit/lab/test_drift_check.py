@@ -88,9 +88,9 @@ def test_robots_with_slow_wheels_that_are_turned_to_and_fro_are_let(rate_hz, lim
     trials the statistic reached 13, it reaches 9; if it lasted for 50 ms, 13.3, it reaches 12.2.
     """
     monkeypatch.setattr(drift_check, "LIMIT", limit)
-    own = {"lag_s": 0.08, "most": 8.0, "rate_hz": rate_hz}
-    found = [drifting(lambda places, t: 0.0, 60 / rate_hz, k, **own)[0] for k in range(14)]
-    assert found == [""] * 14
+    settings = {"lag_s": 0.08, "most": 8.0, "rate_hz": rate_hz}
+    faults = [drifting(lambda places, t: 0.0, 60 / rate_hz, k, **settings)[0] for k in range(14)]
+    assert faults == [""] * 14
 
 
 def test_a_rest_leaves_out_the_ways_that_were_still_to_be_counted():
@@ -111,9 +111,9 @@ def test_a_drift_in_steps_is_noticed(who):
         off[who, :2] = np.array([2.4, 3.2]) * (max(0.0, t - 2.0) // 0.5)
         return off
 
-    said, at = drifting(steps, seed=2)
+    said, noticed_s = drifting(steps, seed=2)
     assert said.startswith(f"{NAMES[who]} moves ")
-    assert at < 9.0
+    assert noticed_s < 9.0
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -163,7 +163,7 @@ def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels()
     random = np.random.default_rng(3)
     check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
     assert check.turning() == ((), ())
-    own = np.array([0.3, -0.5, 0.1])
+    constants = np.array([0.3, -0.5, 0.1])
     off = []
     for seconds in (1.0, 20.0):
         poses = np.zeros((3, 3))
@@ -173,16 +173,18 @@ def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels()
         for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
             check.sent(now - SECOND // 20, [SPEED, SPEED, 0.0], np.zeros(3))
             speed = np.array([SPEED, SPEED, 0.0])
-            poses[:, 2] += own * (speed > 0) * FRAME_NS / SECOND
+            poses[:, 2] += constants * (speed > 0) * FRAME_NS / SECOND
             courses = np.array([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
             poses[:, :2] += (speed * courses).T * FRAME_NS / SECOND
-            seen = [Pose(*map(float, row)) for row in poses + random.normal(0, 0.003, (3, 3))]
+            poses_shown = [
+                Pose(*map(float, row)) for row in poses + random.normal(0, 0.003, (3, 3))
+            ]
             if last:
-                pairs = zip(last, seen, strict=True)
+                pairs = zip(last, poses_shown, strict=True)
                 way = way + np.array([motion(then, pose) for then, pose in pairs])
-                check.frame(now, [now] * len(seen), seen, way)
-            last = seen
+                check.frame(now, [now] * len(poses_shown), poses_shown, way)
+            last = poses_shown
         rates, errors = map(np.array, check.turning())
-        off.append(np.abs(rates - own)[:2] / errors[:2])
+        off.append(np.abs(rates - constants)[:2] / errors[:2])
         assert errors[2] == np.inf
     assert np.max(off) < 3.0 and errors[0] < 0.02

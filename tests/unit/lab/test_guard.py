@@ -655,11 +655,11 @@ class GuardMachine(RuleBasedStateMachine):
     def see(self, a, b, age, fault):
         self.number += 1
         sampled = max(0, self.now - age)
-        found = self.guard.check_frame(
+        accepted = self.guard.check_frame(
             CameraFrame(self.number, sampled, self.now, (a, b), fault=fault)
         )
         if self.exposed is not None and sampled <= self.exposed:
-            assert found is None
+            assert accepted is None
             return
         self.exposed = sampled
         for i, pose in enumerate((a, b)):

@@ -13,15 +13,15 @@ DISC = Shape(np.array([[500.0, 500.0]]), 100.0)
 
 
 def places(speed=0.0, turning=0.0):
-    found = Places(Bounds(0.0, 0.0, 1000.0, 1000.0), (DISC,), 0.5, 2.0)
-    found.sent((speed,), (turning,))
-    return found
+    checked_places = Places(Bounds(0.0, 0.0, 1000.0, 1000.0), (DISC,), 0.5, 2.0)
+    checked_places.sent((speed,), (turning,))
+    return checked_places
 
 
 def test_a_robot_in_an_obstacle_is_found_there_whatever_it_is_commanded():
-    found = places()
-    assert not found.enters(0, Pose(395.0, 500.0, 0.0))
-    assert found.enters(0, Pose(401.0, 500.0, 0.0))
+    checked_places = places()
+    assert not checked_places.enters(0, Pose(395.0, 500.0, 0.0))
+    assert checked_places.enters(0, Pose(401.0, 500.0, 0.0))
 
 
 def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
@@ -33,9 +33,9 @@ def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
 
 
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():
-    found = places(speed=200.0)
-    assert not found.enters(0, Pose(410.0, 500.0, 0.0))
-    assert not found.enters(0, Pose(405.0, 500.0, 0.0))
-    assert found.enters(0, Pose(408.0, 500.0, 0.0))
-    found.restart()
-    assert not found.enters(0, Pose(408.0, 500.0, 0.0))
+    checked_places = places(speed=200.0)
+    assert not checked_places.enters(0, Pose(410.0, 500.0, 0.0))
+    assert not checked_places.enters(0, Pose(405.0, 500.0, 0.0))
+    assert checked_places.enters(0, Pose(408.0, 500.0, 0.0))
+    checked_places.restart()
+    assert not checked_places.enters(0, Pose(408.0, 500.0, 0.0))

@@ -103,9 +103,9 @@ def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():
 
         camera.frames = older
 
-    found = looked_over(outdate)
-    assert not found.ready
-    (problem,) = found.problems
+    report = looked_over(outdate)
+    assert not report.ready
+    (problem,) = report.problems
     assert problem.startswith("no new camera frame for 0.")
     assert "outdated frames came" in problem
 

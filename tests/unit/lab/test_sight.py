@@ -60,8 +60,8 @@ class Mat:
         self.frozen = False
         self.repeats = 0
 
-    def rates(self, at):
-        t = at / SECOND
+    def rates(self, time_ns):
+        t = time_ns / SECOND
         return self.speed, [self.swing * math.sin(3 * t), -self.swing * math.cos(2 * t)]
 
     def go(self, seconds):
@@ -83,20 +83,20 @@ class Mat:
         return self.guard
 
     def frame(self):
-        shown = []
+        poses_at = []
         for measured, late in zip(self.seen, self.late, strict=True):
             arrived = [row for row in measured if row[0] <= self.now - late] or measured[:1]
-            shown.append(arrived[-1])
+            poses_at.append(arrived[-1])
         if self.frozen:
-            shown = [(at, pose) for (at, _), (_, pose) in zip(shown, self.held, strict=True)]
+            poses_at = [(at, pose) for (at, _), (_, pose) in zip(poses_at, self.held, strict=True)]
         else:
-            if self.held and self.held[0][1] == shown[0][1]:
+            if self.held and self.held[0][1] == poses_at[0][1]:
                 self.repeats += 1
-            self.held = shown
+            self.held = poses_at
         self.number += 1
-        times = tuple(at for at, _ in shown)
+        times = tuple(at for at, _ in poses_at)
         own = times if any(self.late) else ()
-        poses = tuple(pose for _, pose in shown)
+        poses = tuple(pose for _, pose in poses_at)
         self.guard.check_frame(CameraFrame(self.number, self.now, self.now, poses, exposed_ns=own))
         if self.guard.state is GuardState.PREFLIGHT and self.number == 10:
             self.guard.pass_preflight()
@@ -174,12 +174,14 @@ def test_a_pose_that_is_refused_leaves_the_time_of_the_pose_before():
     """Regression: the old pose was logged with the new one's time, which went back later."""
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
-    kept = mat.held[0][0]
+    held_ns = mat.held[0][0]
     now = mat.now + 10 * MS
     for i, pose in enumerate((Pose(9e3, 9e3, 0.0), None)):
-        own = (now + i * MS, now)
-        frame = CameraFrame(10**6 + i, max(own), now + MS, (pose, mat.held[1][1]), exposed_ns=own)
-        assert guard.check_frame(frame).exposed_ns == (kept, now)
+        own_times = (now + i * MS, now)
+        frame = CameraFrame(
+            10**6 + i, max(own_times), now + MS, (pose, mat.held[1][1]), exposed_ns=own_times
+        )
+        assert guard.check_frame(frame).exposed_ns == (held_ns, now)
 
 
 def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_the_next():
@@ -191,9 +193,9 @@ def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_th
     now = mat.now + 10 * MS
 
     def show(after_ns):
-        own = (now, now + after_ns)
+        own_times = (now, now + after_ns)
         frame = CameraFrame(
-            10**6 + after_ns, max(own), now + 100 * MS, (sideways, blue), exposed_ns=own
+            10**6 + after_ns, max(own_times), now + 100 * MS, (sideways, blue), exposed_ns=own_times
         )
         return guard.check_frame(frame)
 
@@ -218,8 +220,8 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
     setup = replace(experiment().setup, sight=Sight(rate_hz=declared_hz))
     lab = fake_lab(setup)
     lab.plant.open()
-    told = [one.text for one in lab.plant.news() if isinstance(one, Note)]
-    assert len([text for text in told if "frames a second come instead of 200" in text]) == warned
+    texts = [note.text for note in lab.plant.news() if isinstance(note, Note)]
+    assert len([text for text in texts if "frames a second come instead of 200" in text]) == warned
 
 
 def test_a_pose_that_is_later_than_its_frame_stops_the_robots():

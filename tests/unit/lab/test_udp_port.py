@@ -93,9 +93,9 @@ def test_names(name, address):
 
 
 def test_a_port_is_chosen_by_its_name():
-    given = 57600, "the radio", MonotonicClock(), lambda data, now: None, ""
-    assert isinstance(open_port("udp://robot:1", *given), UdpPort)
-    assert type(open_port("/dev/ttyUSB0", *given)) is SerialPort
+    settings = 57600, "the radio", MonotonicClock(), lambda data, now: None, ""
+    assert isinstance(open_port("udp://robot:1", *settings), UdpPort)
+    assert type(open_port("/dev/ttyUSB0", *settings)) is SerialPort
 
 
 def test_who_has_another_address_is_not_heard(robot):
@@ -118,9 +118,9 @@ def test_who_has_another_address_is_not_heard(robot):
 
 def test_a_device_that_is_not_there_yet_does_not_end_the_port(robot):
     """The refusal of one datagram is reported with a later one."""
-    own = robot.getsockname()
+    address = robot.getsockname()
     robot.close()
-    port = port_to(f"udp://127.0.0.1:{own[1]}")
+    port = port_to(f"udp://127.0.0.1:{address[1]}")
     port.open()
     try:
         for _ in range(20):
@@ -128,7 +128,7 @@ def test_a_device_that_is_not_there_yet_does_not_end_the_port(robot):
         assert port.failure is None
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
             again.settimeout(PATIENCE_S)
-            again.bind(own)
+            again.bind(address)
             port.write(b"now")
             assert again.recv(100) == b"now"
     finally:

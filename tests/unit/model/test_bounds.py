@@ -66,8 +66,8 @@ def test_no_plan_undercuts_the_bound(seed, motion):
         rng, robots=int(rng.integers(1, 5)), signals=int(rng.integers(4, 14)), motion=motion
     )
     least = least_total_error(experiment.setup, seconds_of(experiment))
-    found = best_plan(experiment)
-    assert found >= least - 1e-6
+    plan = best_plan(experiment)
+    assert plan >= least - 1e-6
     together = least_total_error(experiment.setup, seconds_of(experiment), alike=True)
     assert together >= least - 1e-6
 

@@ -25,9 +25,9 @@ def setup(*obstacles, start=(100, 500), target=(900, 500)):
 
 
 def placed(obstacles, start, target):
-    found = spec(np.random.default_rng(1), robots=1, signals=5).setup
+    drawn = spec(np.random.default_rng(1), robots=1, signals=5).setup
     starts = Poses.of(np.array([[*start, 0.0]]))
-    return replace(found, starts=starts, targets=np.array([target]), obstacles=obstacles)
+    return replace(drawn, starts=starts, targets=np.array([target]), obstacles=obstacles)
 
 
 WALL = wall(480, -100, 40, 1200)
@@ -63,11 +63,11 @@ def test_a_start_inside_the_margin_is_not_judged():
 
 
 def test_the_clearance_counts_walls_where_there_are_any():
-    found = setup(WALL)
+    walled = setup(WALL)
     x = np.array([100.0, 20.0])
     y = np.array([500.0, 500.0])
-    np.testing.assert_allclose(clearance(found, x, y, walls=True), [100, 20])
-    np.testing.assert_allclose(clearance(found, x, y, walls=False), [380, 460])
+    np.testing.assert_allclose(clearance(walled, x, y, walls=True), [100, 20])
+    np.testing.assert_allclose(clearance(walled, x, y, walls=False), [380, 460])
 
 
 @pytest.mark.long

@@ -33,8 +33,8 @@ def integrated(x, y, heading, u, a, v, t, turning=None):
         east, north, turn = rates(state[2], u, a, v)
         return [east, north, turn if turning is None else turning]
 
-    found = solve_ivp(change, (0, t), [x, y, heading], method="DOP853", rtol=3e-14, atol=1e-12)
-    return tuple(found.y[:, -1])
+    solution = solve_ivp(change, (0, t), [x, y, heading], method="DOP853", rtol=3e-14, atol=1e-12)
+    return tuple(solution.y[:, -1])
 
 
 def displaced(phi, a, v, t):

@@ -113,13 +113,13 @@ def test_many_samples_at_once_are_checked_as_one_by_one(walls):
         headings = rng.uniform(-np.pi, np.pi, 3) + headings.cumsum(axis=0)
         x, y = (start[k] + 10 * f(headings).cumsum(axis=0) for k, f in enumerate((np.cos, np.sin)))
         x[rng.uniform(size=x.shape) < 0.1] = np.nan
-        whole, single = (PathCheck(obstacles, ARENA, 3) for _ in range(2))
-        whole.add(x, y)
+        at_once, single = (PathCheck(obstacles, ARENA, 3) for _ in range(2))
+        at_once.add(x, y)
         for m in range(len(x)):
             single.add(x[m : m + 1], y[m : m + 1])
         for name in ("entered", "clearance", "edge", "apart"):
-            assert getattr(whole, name).tolist() == getattr(single, name).tolist()
-        entered += whole.entered.sum()
+            assert getattr(at_once, name).tolist() == getattr(single, name).tolist()
+        entered += at_once.entered.sum()
     assert 0 < entered < 60
 
 
@@ -135,11 +135,11 @@ def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
     path = np.full((4, 2, 3), np.nan)
     path[[0, 3], 0, :2] = [[1100, 1200], [1500, 1200]]  # through the box; two samples are lost
     path[:, 1, :2] = [[0, 0], [1300, 1200], [0, 0], [0, 0]]
-    known = np.isfinite(path[..., 0])
-    known[1, 1] = False  # a reflection in the box, not accepted
+    is_known = np.isfinite(path[..., 0])
+    is_known[1, 1] = False  # a reflection in the box, not accepted
     setup = replace(batches.experiment(2).setup, obstacles=(BOX,), arena=ARENA)
     final = Poses.of(np.zeros((2, 3)))
-    verdict = check_path(setup, path, known, final)
+    verdict = check_path(setup, path, is_known, final)
     assert verdict.final is final
     assert verdict.entered == (True, False)
     assert verdict.clearance == (100, pytest.approx(math.hypot(1200, 1100)))
@@ -159,7 +159,7 @@ def test_a_path_check_keeps_how_far_out_and_how_near_one_another_robots_came():
 def test_a_robot_that_is_not_seen_is_at_no_distance_to_another():
     x = np.array([[0.0, 90.0], [50.0, 90.0], [20.0, 90.0]])
     y = np.zeros((3, 2))
-    known = np.array([[True, True], [True, False], [True, True]])
+    is_known = np.array([[True, True], [True, False], [True, True]])
     check = PathCheck(Obstacles.of([]), ARENA, 2)
-    check.add(x, y, known)
+    check.add(x, y, is_known)
     assert check.apart == pytest.approx([70.0, 70.0])

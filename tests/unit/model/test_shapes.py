@@ -115,8 +115,8 @@ def test_the_kernels_agree(section, x0, y0, x1, y1, margin):
     ("x", "y", "out"), [(2, 0, (0, -1)), (4, 0.5, (1, 0)), (1, 2, (1, 0)), (3, 1, (0, 1))]
 )
 def test_outward_of_a_point_on_an_edge_is_its_normal(x, y, out):
-    found = compiled(row(L_SHAPE.shape()), float(x), float(y), float(x), float(y))[1]
-    assert found[1:] == out
+    distance = compiled(row(L_SHAPE.shape()), float(x), float(y), float(x), float(y))[1]
+    assert distance[1:] == out
 
 
 def test_two_corners_with_a_radius_are_a_capsule():

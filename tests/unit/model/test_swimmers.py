@@ -13,66 +13,66 @@ pytestmark = pytest.mark.slow
 
 def cells(count=1, seed=1, **values):
     """Cells of a culture without noise, at the origin and heading along x."""
-    found = Swimmers.drawn(np.random.default_rng(seed), count)
-    found.heading[:] = found.walk[:] = found.bias[:] = 0.0
+    drawn = Swimmers.drawn(np.random.default_rng(seed), count)
+    drawn.heading[:] = drawn.walk[:] = drawn.bias[:] = 0.0
     for name, value in values.items():
-        getattr(found, name)[:] = value
-    return found
+        getattr(drawn, name)[:] = value
+    return drawn
 
 
-def swum(found, seconds, field=(0.0, 0.0), step=0.002, **options):
+def swum(swimmers, seconds, field=(0.0, 0.0), step=0.002, **options):
     random = np.random.default_rng(0)
     for _ in range(round(seconds / step)):
-        found.swim(field, step, random, **options)
-    return found
+        swimmers.swim(field, step, random, **options)
+    return swimmers
 
 
 def test_without_a_field_the_axis_is_a_straight_line():
-    found = swum(cells(speed=400.0), 2.0)
-    assert found.x[0] == pytest.approx(800.0)
-    assert found.y[0] == pytest.approx(0.0)
+    swimmers = swum(cells(speed=400.0), 2.0)
+    assert swimmers.x[0] == pytest.approx(800.0)
+    assert swimmers.y[0] == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("strength", [0.5, 1.0, 2.0])
 def test_a_field_turns_the_axis_by_3_in_proportion_to_it(strength):
     """tan(d / 2) of the angle d to the field shrinks as exp(-a B / B_ref t)."""
-    found = swum(cells(a=3.0), 0.4, field=(0.0, strength))
-    left = 2 * math.atan(math.exp(-3.0 * strength * 0.4))
-    assert math.pi / 2 - found.heading[0] == pytest.approx(left, abs=1e-3)
+    swimmers = swum(cells(a=3.0), 0.4, field=(0.0, strength))
+    angle_left = 2 * math.atan(math.exp(-3.0 * strength * 0.4))
+    assert math.pi / 2 - swimmers.heading[0] == pytest.approx(angle_left, abs=1e-3)
 
 
 def test_a_dipole_beside_the_axis_ends_beside_the_field():
-    found = swum(cells(a=4.0, bias=0.2), 5.0, field=(0.0, 1.0))
-    assert found.heading[0] == pytest.approx(math.pi / 2 - 0.2, abs=1e-3)
+    swimmers = swum(cells(a=4.0, bias=0.2), 5.0, field=(0.0, 1.0))
+    assert swimmers.heading[0] == pytest.approx(math.pi / 2 - 0.2, abs=1e-3)
 
 
 def test_the_body_goes_round_the_axis_and_points_along_its_way():
-    found = cells(speed=300.0, helix_um=8.0, helix_hz=2.5)
+    swimmers = cells(speed=300.0, helix_um=8.0, helix_hz=2.5)
     dt = 0.001
-    seen = []
+    positions = []
     for _ in range(800):
-        swum(found, dt, step=dt)
-        seen.append(bodies(found))
-    x, y = (np.array([getattr(b, name)[0] for b in seen]) for name in "xy")
+        swum(swimmers, dt, step=dt)
+        positions.append(bodies(swimmers))
+    x, y = (np.array([getattr(b, name)[0] for b in positions]) for name in "xy")
     assert np.ptp(y) == pytest.approx(16.0, rel=0.01)  # two radii
     way = np.arctan2(np.diff(y), np.diff(x))
-    axis = np.array([b.axis[0] for b in seen])
+    axis = np.array([b.axis[0] for b in positions])
     assert np.abs(way - axis[1:]).max() < 0.02
     tilt = math.atan(2 * math.pi * 2.5 * 8.0 / 300.0)  # 0.40 rad, as in the notes of the doc
     assert np.abs(axis).max() == pytest.approx(tilt, abs=0.01)
 
 
 def test_a_cell_slides_along_a_wall_until_it_is_turned_away():
-    found = cells(speed=300.0, heading=math.radians(60), a=5.0)
+    swimmers = cells(speed=300.0, heading=math.radians(60), a=5.0)
     random = np.random.default_rng(0)
     for _ in range(1000):
-        found.swim((0.0, 0.0), 0.002, random, walls=Bounds(-100.0, -1e6, 100.0, 1e6))
-        assert abs(found.x[0]) <= 100
-    assert found.x[0] == 100  # it keeps what its heading has along the wall
-    assert found.y[0] > 500
+        swimmers.swim((0.0, 0.0), 0.002, random, walls=Bounds(-100.0, -1e6, 100.0, 1e6))
+        assert abs(swimmers.x[0]) <= 100
+    assert swimmers.x[0] == 100  # it keeps what its heading has along the wall
+    assert swimmers.y[0] > 500
     for _ in range(1000):
-        found.swim((-1.0, -0.2), 0.002, random, walls=Bounds(-1e6, -1e6, 100.0, 1e6))
-    assert found.x[0] < 0
+        swimmers.swim((-1.0, -0.2), 0.002, random, walls=Bounds(-1e6, -1e6, 100.0, 1e6))
+    assert swimmers.x[0] < 0
 
 
 def test_speeds_are_log_normal_and_grow_by_four_per_cent_a_degree():
@@ -92,20 +92,20 @@ def test_a_culture_repeats_by_its_seed_and_strangers_have_no_magnet():
 
 
 def test_a_cell_rests_and_goes_on():
-    found = cells(2, speed=300.0)
-    found.rest(0)
-    swum(found, 1.0)
-    assert found.x == pytest.approx([0.0, 300.0])
-    found.rest(0, False)
-    swum(found, 1.0)
-    assert found.x == pytest.approx([300.0, 600.0])
+    swimmers = cells(2, speed=300.0)
+    swimmers.rest(0)
+    swum(swimmers, 1.0)
+    assert swimmers.x == pytest.approx([0.0, 300.0])
+    swimmers.rest(0, False)
+    swum(swimmers, 1.0)
+    assert swimmers.x == pytest.approx([300.0, 600.0])
 
 
 def test_a_cell_divides_into_two_that_share_its_magnet():
-    found = cells(3)
-    after = found.divide(1, np.random.default_rng(3))
-    assert len(found) == 3 and len(after) == 4
-    assert after.a[1] + after.a[3] == pytest.approx(2 * found.a[1])
-    assert (after.length[[1, 3]] == 0.8 * found.length[1]).all()
+    swimmers = cells(3)
+    after = swimmers.divide(1, np.random.default_rng(3))
+    assert len(swimmers) == 3 and len(after) == 4
+    assert after.a[1] + after.a[3] == pytest.approx(2 * swimmers.a[1])
+    assert (after.length[[1, 3]] == 0.8 * swimmers.length[1]).all()
     assert after.x[1] == after.x[3] and after.heading[1] != after.heading[3]
-    assert (after.a[[0, 2]] == found.a[[0, 2]]).all()
+    assert (after.a[[0, 2]] == swimmers.a[[0, 2]]).all()

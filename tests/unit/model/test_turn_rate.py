@@ -18,9 +18,9 @@ T = 0.2
 
 
 def step(heading, u, a, side, saturation, t=T):
-    at = math.cos(heading), math.sin(heading), math.cos(u), math.sin(u)
-    rate, slopes = turning(*at, (a, V, side, saturation), t)
-    return by_turning(differentiate(*at, (rate, V), t), slopes)
+    angles = math.cos(heading), math.sin(heading), math.cos(u), math.sin(u)
+    rate, slopes = turning(*angles, (a, V, side, saturation), t)
+    return by_turning(differentiate(*angles, (rate, V), t), slopes)
 
 
 def integrated(heading, u, a, side, saturation, t=T):
@@ -31,14 +31,14 @@ def integrated(heading, u, a, side, saturation, t=T):
         rate = a * math.exp(math.copysign(side, side * sine)) * sine
         return [V * math.cos(state[2]), V * math.sin(state[2]), max(min(rate, most), -most)]
 
-    found = solve_ivp(change, (0, t), [0, 0, heading], rtol=1e-9, atol=1e-9, max_step=1e-2)
-    return found.y[:, -1] - [0, 0, heading]
+    solution = solve_ivp(change, (0, t), [0, 0, heading], rtol=1e-9, atol=1e-9, max_step=1e-2)
+    return solution.y[:, -1] - [0, 0, heading]
 
 
 @given(heading=ANGLES, u=ANGLES, a=st.floats(1, 7), side=SIDES)
 def test_a_robot_turns_faster_to_one_side(heading, u, a, side):
-    found, *_ = step(heading, u, a, side, 1.0)
-    assert found == pytest.approx(integrated(heading, u, a, side, 1.0), abs=1e-4)
+    rate, *_ = step(heading, u, a, side, 1.0)
+    assert rate == pytest.approx(integrated(heading, u, a, side, 1.0), abs=1e-4)
 
 
 @given(heading=ANGLES, u=ANGLES, a=st.floats(1, 7), side=SIDES, saturation=st.floats(0.2, 1))
@@ -68,10 +68,12 @@ def test_derivatives_are_those_of_the_step(heading, phi, side, saturation):
     u = heading + phi
 
     def moved(change_heading=0.0, change_u=0.0, p=None):
-        own = given_ + by * (np.arange(4) == p)
-        rate = a * math.exp(own[0])
-        found = step(heading + change_heading, u + change_u, rate, own[2], math.exp(own[3]), t)[0]
-        return np.array(found) * [math.exp(own[1]), math.exp(own[1]), 1]
+        parameters = given_ + by * (np.arange(4) == p)
+        rate = a * math.exp(parameters[0])
+        step_a = step(
+            heading + change_heading, u + change_u, rate, parameters[2], math.exp(parameters[3]), t
+        )[0]
+        return np.array(step_a) * [math.exp(parameters[1]), math.exp(parameters[1]), 1]
 
     if saturation < 1 and abs(math.sin(phi)) < 1.5 * saturation * math.exp(abs(side)):
         return  # may saturate in one step, and not in the other
@@ -94,19 +96,19 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
     """Regression: to the second order, with one mean time, an a of 6 came out 0.3 % high."""
     hold = tuple(np.average(np.power(kept_s, k), weights=kept_s) for k in (1, 2, 3))
     steps_s = np.tile(kept_s, 12 // len(kept_s))
-    left = phi
+    phi_left = phi
     for step_s in steps_s:  # of the angle from the heading to the direction
-        left -= step_s * a * math.sin(left)
+        phi_left -= step_s * a * math.sin(phi_left)
 
-    def change(_, at):
-        c = math.cos(at[0])
-        s = math.sin(at[0])
+    def change(_, phi_now):
+        c = math.cos(phi_now[0])
+        s = math.sin(phi_now[0])
         rate, _ = held(a, (0.0, 0.0, 0.0), c, s, hold)
         return [-rate * s]
 
     span = (0.0, float(steps_s.sum()))
-    found = solve_ivp(change, span, [phi], rtol=1e-9, atol=1e-12).y[0, -1]
-    assert math.log(found / left) == pytest.approx(0.0, abs=0.001 * a * span[1])
+    integrated = solve_ivp(change, span, [phi], rtol=1e-9, atol=1e-12).y[0, -1]
+    assert math.log(integrated / phi_left) == pytest.approx(0.0, abs=0.001 * a * span[1])
 
 
 @pytest.mark.parametrize("phi", [-2.0, -0.3, 0.8, 2.5])
@@ -114,8 +116,10 @@ def test_the_slope_of_a_kept_rate_is_its_derivative(phi):
     hold = (0.04, 0.0018, 8e-5)
     by = 1e-6
 
-    def ln_rate(at):
-        return math.log(held(6.0, (0.0, 0.0, 0.0), math.cos(at), math.sin(at), hold)[0])
+    def ln_rate(phi_there):
+        return math.log(
+            held(6.0, (0.0, 0.0, 0.0), math.cos(phi_there), math.sin(phi_there), hold)[0]
+        )
 
     _, slopes = held(6.0, (0.0, 0.0, 0.0), math.cos(phi), math.sin(phi), hold)
     assert slopes[0] == pytest.approx((ln_rate(phi + by) - ln_rate(phi - by)) / (2 * by), abs=1e-6)

@@ -43,19 +43,19 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
 
 def headings_at_rest(lag_s, sent, frames, until):
     """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
-    at = SentRates.none(2)
-    known = np.ones((3, 2))
+    sent_rates = SentRates.none(2)
+    parameters = np.ones((3, 2))
     for when, rates in sent:
-        at = at.with_room()
-        note(when, np.array([-rates, rates]), known, *at)
-    found = []
+        sent_rates = sent_rates.with_room()
+        note(when, np.array([-rates, rates]), parameters, *sent_rates)
+    headings = []
     for since, heading in frames:
-        args = (True, since, until, known, lag_s, *at)
+        args = (True, since, until, parameters, lag_s, *sent_rates)
         sine, cosine = (
             np.diff(wish(heading, np.full(2, u), *args), axis=0)[0] / 2 for u in (0.0, np.pi / 2)
         )
-        found.append(np.arctan2(-sine, cosine))
-    return found
+        headings.append(np.arctan2(-sine, cosine))
+    return headings
 
 
 def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
@@ -74,29 +74,31 @@ def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
         heading = heading + step * turning
         turning = turning + step / lag_s * (wanted - turning)
     moments = (0.02, 0.07, 0.12, 0.16)
-    times = [round(each * SECOND) for each in sent]
+    times = [round(value * SECOND) for value in sent]
     commands = list(zip(times, sent.values(), strict=True))
     frames = [(round(when * SECOND), headings[round(when / step)]) for when in moments]
-    found = headings_at_rest(lag_s, commands, frames, SECOND // 5)
-    for each in found:
-        assert each == pytest.approx(headings[-1], abs=2e-3)
+    rest_headings = headings_at_rest(lag_s, commands, frames, SECOND // 5)
+    for value in rest_headings:
+        assert value == pytest.approx(headings[-1], abs=2e-3)
 
 
 def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
-    known = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]])
+    parameters = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]])
     heading = np.array([0.3, -2.0])
-    found = wish(
+    wished = wish(
         heading,
         np.full(2, 1.2),
         True,
         0,
         SECOND // 50,
-        known,
+        parameters,
         0.0,
         *SentRates.none(2),
     )
-    _, _, ahead = exact(0.0, 0.0, heading, 1.2, known[0], known[1], 0.02)
-    assert found == pytest.approx(np.array(wheel_speeds(np.sin(1.2 - ahead), *known)), abs=1e-9)
+    _, _, ahead = exact(0.0, 0.0, heading, 1.2, parameters[0], parameters[1], 0.02)
+    assert wished == pytest.approx(
+        np.array(wheel_speeds(np.sin(1.2 - ahead), *parameters)), abs=1e-9
+    )
 
 
 def robots(rng, count):
@@ -112,10 +114,12 @@ def robots(rng, count):
 def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
     rng = np.random.default_rng(5)
     count = 3
-    known = np.array([rng.uniform(2, 6, count), rng.uniform(100, 300, count), np.full(count, 40.0)])
+    parameters = np.array(
+        [rng.uniform(2, 6, count), rng.uniform(100, 300, count), np.full(count, 40.0)]
+    )
     trains, _ = robots(rng, count)
     wrong = Drivetrains(2 * trains.gain, trains.dead_zone + 1, trains.limit, trains.swap)
-    host = WheelHost(*known, lag_s, trains)
+    host = WheelHost(*parameters, lag_s, trains)
     rows = np.array(
         [
             0 * trains.gain,
@@ -126,17 +130,19 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
             trains.limit + 0 * trains.gain,
         ]
     )
-    at = SentRates.none(count)
+    rates = SentRates.none(count)
     for k in range(40):
         now = (k + 1) * SECOND // 40
         since = k * SECOND // 40 + 3_000_000
         heading = rng.uniform(-3, 3, count)
         u = rng.uniform(-3, 3)
         drives = k % 5 > 0
-        at = at.with_room()
+        rates = rates.with_room()
         speeds = np.empty((2, 2, count))
         towards = np.full(count, u)
-        kernels.answer(heading, towards, drives, since, now, known, lag_s, *at, rows, speeds)
+        kernels.answer(
+            heading, towards, drives, since, now, parameters, lag_s, *rates, rows, speeds
+        )
         wished = host.wished(heading, u, since, now, drives)
         host.sent(now, wished)
         sent = host.counts(wished)
@@ -157,15 +163,17 @@ def test_the_path_is_that_of_an_integration_in_any_division_into_calls():
     wheels = 100 * wheels
     targets = 100 * targets
     times = np.arange(1, 201) * SECOND // 1000
-    at = pose
+    pose_now = pose
     step = 1e-4
     expected = []
     for k in range(2000):
         decay = math.exp(-(k + 0.5) * step / lag_s)
         speed, turning = body_velocity(*(targets + (wheels - targets) * decay), radius)
-        course = at[2] + turning * step / 2
-        at = at + step * np.array([speed * np.cos(course), speed * np.sin(course), turning])
-        expected.append(at)
+        course = pose_now[2] + turning * step / 2
+        pose_now = pose_now + step * np.array(
+            [speed * np.cos(course), speed * np.sin(course), turning]
+        )
+        expected.append(pose_now)
     end = targets + (wheels - targets) * math.exp(-0.2 / lag_s)
     paths = []
     for parts in (1, 7):
@@ -175,11 +183,11 @@ def test_the_path_is_that_of_an_integration_in_any_division_into_calls():
             fleet.wheels[:] = wheels
             fleet.targets[:] = targets
             since = 0
-            found = []
+            counts = []
             for part in np.array_split(times, parts):
-                found.append(fleet.drive(since, part))
+                counts.append(fleet.drive(since, part))
                 since = part[-1]
-            paths.append(np.concatenate(found))
+            paths.append(np.concatenate(counts))
             assert paths[-1] == pytest.approx(np.array(expected[9::10]), abs=1e-4)
             assert fleet.wheels == pytest.approx(end, abs=1e-9)
     assert all(path.tobytes() == paths[0].tobytes() for path in paths)

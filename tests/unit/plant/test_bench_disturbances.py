@@ -193,8 +193,8 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
     sent = 0.1
     stood = 0.75 + sent if watchdog else lag
     assert gone == pytest.approx(np.array([100, 50]) * (3 - stood), abs=100 * sent)
-    at = [round(120 * when) for when in (1.5, 2.0)]
-    stands = samples[at[1]].truth.x - samples[at[0]].truth.x < 0.1
+    frames = [round(120 * when) for when in (1.5, 2.0)]
+    stands = samples[frames[1]].truth.x - samples[frames[0]].truth.x < 0.1
     assert stands.all() == stands.any() == (watchdog is not None)
     simulated.send(Stop())
     simulated.clock.sleep_until(4 * SECOND)
@@ -234,8 +234,8 @@ def test_each_robot_sticks_as_often_and_as_long_as_the_spec_says():
 def test_the_camera_shows_old_poses_as_new_for_a_spell(section, behind):
     samples = driven(plant(section | {"duration": 0.4, "between": [1, 1]}), 3)
     times = np.array([sample.observation.sampled_ns for sample in samples]) / SECOND
-    seen = np.array([sample.observation.poses.x for sample in samples])
-    lag_s = (np.array([sample.truth.x for sample in samples]) - seen) / [100, 50]
+    measured_x = np.array([sample.observation.poses.x for sample in samples])
+    lag_s = (np.array([sample.truth.x for sample in samples]) - measured_x) / [100, 50]
     during = (times >= 1) & (times < 1.4)
     assert np.diff(times) == pytest.approx(1 / 120, abs=1e-6)
     assert np.all(lag_s[~during] == 0)
@@ -273,12 +273,12 @@ def test_a_and_speed_wander_as_far_and_as_fast_as_the_spec_says(field):
     setup = experiment(robots=PAIR, obstacles=[]).setup
     disturbance = section.build(setup, np.random.default_rng(5))
     ones = np.ones(2)
-    both = np.log([disturbance.varied(ones, ones, k / 20) for k in range(20_000)])
-    error, other = (both[:, i] for i in ((0, 1) if field == "a" else (1, 0)))
-    assert np.all(other == 0)
+    ln_factors = np.log([disturbance.varied(ones, ones, k / 20) for k in range(20_000)])
+    error, unchanged = (ln_factors[:, i] for i in ((0, 1) if field == "a" else (1, 0)))
+    assert np.all(unchanged == 0)
     assert error.std(axis=0) == pytest.approx([0.1, 0.1], rel=0.1)
-    kept = [np.corrcoef(robot[:-10], robot[10:])[0, 1] for robot in error.T]
-    assert kept == pytest.approx([np.exp(-1)] * 2, abs=0.1)
+    correlations = [np.corrcoef(robot[:-10], robot[10:])[0, 1] for robot in error.T]
+    assert correlations == pytest.approx([np.exp(-1)] * 2, abs=0.1)
     assert np.abs(np.corrcoef(error.T)[0, 1]) < 0.1
     fast = driven(plant({"type": "wander", "speed": 0.1}, seed=5), 10)[-1].truth.x - 900
     assert fast != pytest.approx([1000, 500], rel=1e-3)

@@ -35,11 +35,13 @@ def setup():
 
 
 def drive(walk=0.0, seed=1, **section):
-    known = setup()
+    known_setup = setup()
     quiet = {"dipole": 0.0, "drift": 0.0} | section
-    made = CultureSection.model_validate(quiet)
+    culture = CultureSection.model_validate(quiet)
     random = np.random.SeedSequence(seed)
-    return CellDrive(made, known, known.a, known.speed, known.starts, walk, random)
+    return CellDrive(
+        culture, known_setup, known_setup.a, known_setup.speed, known_setup.starts, walk, random
+    )
 
 
 def swum(cells, seconds, since=0.0):
@@ -67,8 +69,8 @@ def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
     cells.apply(command(math.pi / 2))
     x, y, heading = swum(cells, np.linspace(0.01, 0.4, 40))
     for i, a in enumerate((5.0, 3.0)):
-        left = 2 * math.atan(math.exp(-a * 0.4))
-        assert math.pi / 2 - heading[-1, i] == pytest.approx(left, abs=2e-3)
+        angle_left = 2 * math.atan(math.exp(-a * 0.4))
+        assert math.pi / 2 - heading[-1, i] == pytest.approx(angle_left, abs=2e-3)
     axis = cells.body[:2] / 1000
     radius = cells.body[swimming.HELIX] / 1000
     assert (np.hypot(x[-1] - axis[0], y[-1] - axis[1]) <= radius + 1e-12).all()
@@ -117,9 +119,9 @@ def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
     assert cells.moving.tolist() == [1, 1]
     assert np.allclose(cells.poses.heading, before)  # no field turns them
     cells.apply(command(None))
-    at = cells.poses.array()
+    places = cells.poses.array()
     swum(cells, 0.3)
-    assert np.allclose(cells.poses.array(), at)
+    assert np.allclose(cells.poses.array(), places)
 
 
 def test_a_pose_that_is_set_is_the_bodys():

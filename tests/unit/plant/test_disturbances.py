@@ -31,7 +31,7 @@ class Given(DisturbanceSection):
 
 
 def plant(*disturbances, seed=1, **fields):
-    sections = [Given.model_construct(what=each) for each in disturbances]
+    sections = [Given.model_construct(what=disturbance) for disturbance in disturbances]
     return sim(
         experiment(robots=PAIR, obstacles=[], plant={"disturbances": sections, **fields}), seed
     )
@@ -103,7 +103,7 @@ def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, d
             free = np.array([1.0, not 0.2 <= time_s < 0.6])
             return a * free, speed * free
 
-    robots = [one | {"a": 2.0, "heading": 1.0} for one in PAIR]
+    robots = [robot | {"a": 2.0, "heading": 1.0} for robot in PAIR]
     spec = {"motion": motion, "disturbances": [Given.model_construct(what=Held())]}
     if drive is not None:
         spec["drive"] = drive
@@ -148,10 +148,10 @@ def test_measured_acts_on_the_frame_alone_and_who_is_lost_keeps_the_last_pose():
     simulated = plant(Blind())
     _, samples = driven(simulated, STRAIGHT)
     for sample in samples:
-        seen = sample.observation
+        observation = sample.observation
         truth = sample.truth
-        assert seen.poses.x[0] == pytest.approx(truth.x[0] + 1)
-        assert seen.valid.tolist() == [True, seen.sampled_ns < SECOND // 2]
+        assert observation.poses.x[0] == pytest.approx(truth.x[0] + 1)
+        assert observation.valid.tolist() == [True, observation.sampled_ns < SECOND // 2]
     last_seen = max(s.truth.x[1] for s in samples if s.observation.valid[1])
     assert samples[-1].observation.poses.x[1] == pytest.approx(last_seen + 1)
 
@@ -165,25 +165,27 @@ def test_disturbances_act_in_order_each_with_draws_of_its_own():
             self.drawn = self.rng.uniform()
             return a, (speed + self.factor) * 2
 
-    one = Draws(1.0)
+    first = Draws(1.0)
     two = Draws(10.0)
-    simulated = plant(one, two)
+    simulated = plant(first, two)
     assert simulated.speed.tolist() == [((100 + 1) * 2 + 10) * 2, ((50 + 1) * 2 + 10) * 2]
-    assert one.drawn != two.drawn
+    assert first.drawn != two.drawn
     again = Draws(1.0)
-    other = Draws(1.0)
+    second = Draws(1.0)
     plant(again)
-    plant(other, seed=2)
-    assert again.drawn == one.drawn != other.drawn
+    plant(second, seed=2)
+    assert again.drawn == first.drawn != second.drawn
 
 
 def test_further_disturbances_leave_the_draws_of_the_others():
     noisy = {"measurement_noise": {"position": 2}, "lost_commands": 0.3}
     sent, alone = driven(plant(**noisy), STRAIGHT)
-    sent_both, both = driven(plant(Disturbance(), **noisy), STRAIGHT)
+    sent_both, with_both = driven(plant(Disturbance(), **noisy), STRAIGHT)
     assert [c.delivered for c in sent] == [c.delivered for c in sent_both]
-    for one, two in zip(alone, both, strict=True):
-        assert one.observation.poses.array() == pytest.approx(two.observation.poses.array())
+    for frame_alone, frame_of_both in zip(alone, with_both, strict=True):
+        assert frame_alone.observation.poses.array() == pytest.approx(
+            frame_of_both.observation.poses.array()
+        )
 
 
 PLANTS = {

@@ -201,7 +201,7 @@ def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(cal
     stops = [sent.sent_ns for sent in lab.actuator.sent if isinstance(sent.action, Stop)]
     assert len(stops) == STOPS
     assert (stop.action, stop.sent_ns) == (Stop(), stops[0])
-    others = [one.sent_ns for one in lab.plant.news() if isinstance(one, Command)]
+    others = [event.sent_ns for event in lab.plant.news() if isinstance(event, Command)]
     assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]
 
 

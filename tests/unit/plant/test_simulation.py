@@ -69,7 +69,7 @@ def test_the_plant_reproduces_the_planners_prediction(motion):
 def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     simulated = plant(wheels={"radius": 40}, measurement_noise={"heading": 0.1})
     simulated.open()
-    seen = simulated.observe()
+    observation = simulated.observe()
     command = simulated.send(Steer(1.0))
     assert command.left is not None
     assert command.right is not None
@@ -77,7 +77,7 @@ def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     robots = experiment().robots
     assert speed == pytest.approx([robot.speed for robot in robots])
     a = np.array([robot.a for robot in robots])
-    assert turning == pytest.approx(a * np.sin(1.0 - seen.poses.heading), abs=1e-12)
+    assert turning == pytest.approx(a * np.sin(1.0 - observation.poses.heading), abs=1e-12)
     assert plant().send(Steer(1.0)).left is None  # robots without wheels
 
 
@@ -112,10 +112,10 @@ def test_a_lost_command_leaves_the_one_before_in_force():
                 assert path[-1][i].tolist() == path[-2][i].tolist()  # never commanded to move
                 continue
             phi = held[i] - path[-2][i, 2]
-            left = 2 * math.atan(math.tan(phi / 2) * math.exp(-robot.a * 0.2))
-            assert math.remainder(held[i] - path[-1][i, 2] - left, 2 * math.pi) == pytest.approx(
-                0, abs=1e-9
-            )
+            angle_left = 2 * math.atan(math.tan(phi / 2) * math.exp(-robot.a * 0.2))
+            assert math.remainder(
+                held[i] - path[-1][i, 2] - angle_left, 2 * math.pi
+            ) == pytest.approx(0, abs=1e-9)
             checked += not command.delivered[i]
     assert checked > 5
 

@@ -56,15 +56,15 @@ def test_what_is_sent_is_computed_from_the_newest_frame_received(lag):
     for command in commands[5:]:
         newest = samples[int(np.searchsorted(received, command.sent_ns, side="right")) - 1]
         _, turning = body_velocity(command.left, command.right, 40)
-        seen = newest.observation.poses.heading
-        assert turning == pytest.approx(a * np.sin(command.direction - seen), abs=1e-9)
+        measured = newest.observation.poses.heading
+        assert turning == pytest.approx(a * np.sin(command.direction - measured), abs=1e-9)
 
 
 def test_speeds_may_be_repeated_rather_than_computed_anew():
     commands, _ = driven(plant(drive={"rate": 40, "recompute": False}))
-    for one, two in itertools.pairwise(commands):
-        if one.direction == two.direction:
-            assert one.left.tolist() == two.left.tolist()
+    for before, after in itertools.pairwise(commands):
+        if before.direction == after.direction:
+            assert before.left.tolist() == after.left.tolist()
 
 
 def test_transmissions_come_at_once_with_a_direction_and_then_at_the_rate():
@@ -100,9 +100,9 @@ def test_gains_and_radii_err_within_their_bounds_and_are_not_what_is_logged(part
 
 
 def test_dead_zones_that_the_host_does_not_know_turn_robots():
-    known = plant(drive={"count": COUNT, "dead_zone": 6})
+    simulated_plant = plant(drive={"count": COUNT, "dead_zone": 6})
     wrong = plant(drive={"count": COUNT, "dead_zone": 6, "dead_zone_error": 2})
-    straight = truths(driven(known, [0.0] * 5)[1])[-1]
+    straight = truths(driven(simulated_plant, [0.0] * 5)[1])[-1]
     bent = truths(driven(wrong, [0.0] * 5)[1])[-1]
     assert straight[:, 2] == pytest.approx(0, abs=1e-9)
     assert np.abs(bent[:, 2]).max() > 0.05
@@ -136,11 +136,11 @@ def test_a_host_that_knows_the_lag_turns_robots_as_if_there_were_none():
         simulated.observe()
         simulated.stop()
         setup = simulated.setup
-        found = simulated.settle().final.heading
+        heading = simulated.settle().final.heading
         expected = np.zeros(3)
         for u in (1.0, -0.5):
             nowhere = np.zeros(3)
             _, _, expected = exact(nowhere, nowhere, expected, u, setup.a, setup.speed, 0.1)
-        errors[lag] = np.abs(found - expected).max()
+        errors[lag] = np.abs(heading - expected).max()
     assert errors[0.04] < 1e-3
     assert errors[0.0] > 4e-3

@@ -27,11 +27,11 @@ class Wrong(DisturbanceSection):
         rows = setup.starts.array()
         rows[:, 0] = 0.0 if self.x is None else self.x
         poses = Poses.of(rows[:1] if self.x is None else rows)
-        given = {
+        overrides = {
             "moved": lambda one, old, moving, seconds, time_s: poses,
             "measured": lambda one, old, valid, time_s: (poses, valid),
         }
-        return type("Made", (Disturbance,), {self.method: given[self.method]})()
+        return type("Made", (Disturbance,), {self.method: overrides[self.method]})()
 
 
 @pytest.mark.parametrize(

@@ -168,8 +168,8 @@ class OneByOne:
 
     def run(self, tasks, ready):
         result = made.trial(1, steps=2, frames=2).result
-        for one in tasks:
-            yield one, Finished(result, {"quick": 1.0, "slow": 4.0}[one.arm])
+        for started in tasks:
+            yield started, Finished(result, {"quick": 1.0, "slow": 4.0}[started.arm])
 
 
 def test_the_time_left_is_drawn_from_every_arm():
@@ -178,6 +178,6 @@ def test_the_time_left_is_drawn_from_every_arm():
     tasks = [Task(i, 10, b"", arm) for i in range(10) for arm in ("quick", "slow")]
     watcher = studies.Watcher()
     run_batch(tasks, mock.Mock(), OneByOne(), watcher)
-    found = [(ending.left_s, ending.every_arm) for ending in watcher.endings]
-    assert found[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
-    assert found[-1] == (0.0, True)
+    left_at_ends = [(ending.left_s, ending.every_arm) for ending in watcher.endings]
+    assert left_at_ends[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
+    assert left_at_ends[-1] == (0.0, True)

@@ -68,8 +68,8 @@ def plan(length=2, **changed):
 
 
 def searched(**changed):
-    made = plan()
-    return replace(made, searches=(replace(made.searches[0], **changed),))
+    good_plan = plan()
+    return replace(good_plan, searches=(replace(good_plan.searches[0], **changed),))
 
 
 def at(value):
@@ -121,18 +121,18 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_what_cannot_be_sent_and_logged_is_refused(name):
-    with pytest.raises(WrongValueError) as found:
+    with pytest.raises(WrongValueError) as raised:
         decided(WRONG[name])
-    assert str(found.value).startswith("controller 'given' returned a ")
-    assert "\n" not in found.value.message
-    assert isinstance(found.value.giver, Given)
+    assert str(raised.value).startswith("controller 'given' returned a ")
+    assert "\n" not in raised.value.message
+    assert isinstance(raised.value.giver, Given)
 
 
 class Silent(Pso):
     """An optimiser that does not say why it ended."""
 
-    def search(self, *given):
-        return replace(super().search(*given), stopped=None)
+    def search(self, *arguments):
+        return replace(super().search(*arguments), stopped=None)
 
 
 def test_what_an_optimiser_of_another_package_gives_is_refused():
@@ -157,11 +157,11 @@ FINE = {
 
 @pytest.mark.parametrize("name", FINE)
 def test_what_is_sent_is_read(name, tmp_path):
-    made = trial(steps=12)
+    played = trial(steps=12)
     taken = decided(FINE[name])
-    samples, step = made.rounds[5]
-    made.rounds[5] = samples, replace(step, plan=taken)
-    read = read_trial(write(made, tmp_path / "trial.mcap")).steps[5].plan
+    samples, step = played.rounds[5]
+    played.rounds[5] = samples, replace(step, plan=taken)
+    read = read_trial(write(played, tmp_path / "trial.mcap")).steps[5].plan
     assert read.signals.tolist() == list(taken.signals)
     assert (read.cost, read.chosen, read.generator) == (taken.cost, 0, taken.generator)
     assert read.searches[0].stopped == taken.searches[0].stopped
@@ -174,8 +174,8 @@ def test_arrays_that_are_changed_later_change_nothing():
     controller = CheckedController(section, SETUP, 1)
     taken = controller.plan(SEEN)
     targets = SETUP.targets.copy()
-    for each in (returned.signals, returned.path, returned.searches[0].history):
-        each[:] = np.nan
+    for array in (returned.signals, returned.path, returned.searches[0].history):
+        array[:] = np.nan
     section._own.targets[:] = 0
     assert taken.signals.tolist() == taken.search.signals.tolist() == [0.5, 0.5]
     assert not np.isnan([*taken.path.ravel(), *taken.search.history]).any()
@@ -183,7 +183,12 @@ def test_arrays_that_are_changed_later_change_nothing():
 
 
 def test_what_was_seen_cannot_be_overwritten():
-    seen = Observation(0, 0, 0, Poses(*np.zeros((3, 2))), np.ones(2, dtype=np.bool_))
-    for each in (seen.poses.x, seen.poses.y, seen.poses.heading, seen.valid):
+    observation = Observation(0, 0, 0, Poses(*np.zeros((3, 2))), np.ones(2, dtype=np.bool_))
+    for array in (
+        observation.poses.x,
+        observation.poses.y,
+        observation.poses.heading,
+        observation.valid,
+    ):
         with pytest.raises(ValueError, match="read-only"):
-            each[:] = 1
+            array[:] = 1

@@ -63,13 +63,13 @@ def run(client, count, tmp_path):
         return tmp_path
 
     tasks = [Task(i, count, b"") for i in range(count)]
-    return {task.trial: found for task, found in executor.run(tasks, ready)}
+    return {task.trial: outcome for task, outcome in executor.run(tasks, ready)}
 
 
 def test_a_task_is_two_seconds_of_trials(tmp_path):
     client = Client(threads=4)
-    found = run(client, 2000, tmp_path)
-    assert sorted(found) == list(range(2000))
+    outcomes = run(client, 2000, tmp_path)
+    assert sorted(outcomes) == list(range(2000))
     sizes = list(map(len, client.chunks))
     assert sizes[:8] == [1] * 8  # nothing is known of the first
     assert max(sizes) == int(cluster.TASK_S / 0.05) == 40
@@ -87,11 +87,11 @@ def test_the_size_of_a_task(mean_s, waiting, size):
 
 def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
     client = Client(threads=1, deadly={100})
-    found = run(client, 200, tmp_path)
-    assert sorted(found) == list(range(200))
-    failed = [trial for trial, one in found.items() if isinstance(one, Exception)]
+    outcomes = run(client, 200, tmp_path)
+    assert sorted(outcomes) == list(range(200))
+    failed = [trial for trial, outcome in outcomes.items() if isinstance(outcome, Exception)]
     assert failed == [100]
-    assert str(found[100]) == "the trial was lost: every worker that ran it has ended"
+    assert str(outcomes[100]) == "the trial was lost: every worker that ran it has ended"
     assert [100] in client.chunks
 
 
@@ -107,8 +107,8 @@ def test_no_module_of_distributed_logs_a_lost_connection(monkeypatch):
     monkeypatch.setattr(logging.getLogger("distributed.client"), "level", logging.WARNING)
     monkeypatch.setattr(distributed, "Client", lambda *args, **options: Closed())
     with Cluster("tcp://127.0.0.1:8786", Interrupt()):
-        assert {one.name for one in loggers} >= {"distributed.batched", "distributed.core"}
-        assert [one.name for one in loggers if one.isEnabledFor(logging.ERROR)] == []
+        assert {logger.name for logger in loggers} >= {"distributed.batched", "distributed.core"}
+        assert [logger.name for logger in loggers if logger.isEnabledFor(logging.ERROR)] == []
 
 
 class Closed:

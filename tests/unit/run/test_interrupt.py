@@ -39,8 +39,8 @@ def test_breakable_code_is_broken_once():
 def test_signals_are_all_that_end_a_process_and_can_be_caught():
     names = {"SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGXCPU"}
     assert {getattr(signal, name) for name in names} <= set(STOP_SIGNALS)
-    left = {"SIGKILL", "SIGSTOP", "SIGTSTP", "SIGSEGV", "SIGCHLD", "SIGWINCH", "SIGPIPE"}
-    assert not {getattr(signal, name) for name in left} & set(STOP_SIGNALS)
+    not_handled = {"SIGKILL", "SIGSTOP", "SIGTSTP", "SIGSEGV", "SIGCHLD", "SIGWINCH", "SIGPIPE"}
+    assert not {getattr(signal, name) for name in not_handled} & set(STOP_SIGNALS)
 
 
 def test_the_first_signal_raises_and_the_cleaning_up_is_left_in_peace():

@@ -70,8 +70,8 @@ def driven(way_s, until_s=20.0, rule=GOES_ON):
     for k in range(round(120 * until_s)):
         way = 100 * np.array(way_s(k / 120)) + random.normal(0, 0.3, len(losses.left))
         poses = Poses(way, 0 * way, 0 * way)
-        there = np.ones(len(way), dtype=bool)
-        losses.see(Observation(k, round(k / 120 * 1e9), 0, poses, there))
+        present = np.ones(len(way), dtype=bool)
+        losses.see(Observation(k, round(k / 120 * 1e9), 0, poses, present))
     return losses
 
 
@@ -93,7 +93,7 @@ def stands(t, begin, end):
 )
 def test_one_that_stands_while_another_drives_is_dead(way_s, dead):
     losses = driven(way_s)
-    assert losses.dead.tolist() == losses.lost.tolist() == [bool(one) for one in dead]
+    assert losses.dead.tolist() == losses.lost.tolist() == [bool(is_dead) for is_dead in dead]
     assert losses.times.tolist() == dead
     ends = driven(way_s, rule=LossRule(0.3, False, dead=True, ends=True))
     assert ends.dead.tolist() == losses.dead.tolist()
@@ -107,7 +107,7 @@ def test_one_that_stands_while_another_drives_is_dead(way_s, dead):
 def test_a_trial_ends_or_goes_on_without_a_robot_that_does_not_move(tmp_path):
     """Blue sticks for good after 4 s: the others reach their targets without it."""
     sets = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]", "trials.seed=2"
-    ended, left = (
+    ended, at_end = (
         load_spec(ROOT / "experiments/three_m3pi.yaml", [*sets, f"on_lost={on_lost}"])
         for on_lost in ("stop", "drop")
     )
@@ -117,7 +117,7 @@ def test_a_trial_ends_or_goes_on_without_a_robot_that_does_not_move(tmp_path):
     assert result.reason == said
     assert verify(log_path(tmp_path, 0)).problems == ()
     (tmp_path / "drop").mkdir()
-    result = run_trial(left, tmp_path / "drop")
+    result = run_trial(at_end, tmp_path / "drop")
     path = log_path(tmp_path / "drop", 0)
     log = read_trial(path)
     assert result.lost == log.tour.lost == (0, 1, 0)
@@ -141,15 +141,15 @@ def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(
     paths = [step.plan.path for step in log.steps]
     assert all(path.shape[1:] == (3, 3) for path in paths)
     still = np.array([np.ptp(path[:, :, 0], axis=0) == 0 for path in paths])
-    known = [i for i, gone in enumerate(result.lost) if not gone]
+    tracked = [i for i, gone in enumerate(result.lost) if not gone]
     assert still.any()  # who is lost is planned to stay where it was
-    assert not still[:, known].any()
-    assert max(np.array(result.robot_errors)[known], default=0) < 100
+    assert not still[:, tracked].any()
+    assert max(np.array(result.robot_errors)[tracked], default=0) < 100
     assert verify(path).problems == ()
     contents = scan(path)
-    (at,) = (i for i, entry in enumerate(contents.entries) if entry.topic == RESULT)
-    forged = with_entry(contents, tmp_path / "forged.mcap", at, ("lost", 0))
-    assert [one.field for one in verify(forged).problems] == ["/result[0].lost.0"]
+    (place,) = (i for i, entry in enumerate(contents.entries) if entry.topic == RESULT)
+    forged = with_entry(contents, tmp_path / "forged.mcap", place, ("lost", 0))
+    assert [problem.field for problem in verify(forged).problems] == ["/result[0].lost.0"]
     assert LOST.of_trial(read_result(path)) == {"lost": sum(result.lost)}
     assert any("lost" in note for note in trial_notes(read_result(path)))
 

@@ -21,7 +21,9 @@ UNFIT = replace(FITS, misfit=np.eye(ROBOTS, 3, 2) * 2)
 def said(*estimates):
     """Return what is said of (time [s], estimate)."""
     news = ModelNews()
-    return [text for s, known in estimates for _, text in news.of(known, SETUP, round(1e9 * s))]
+    return [
+        text for s, estimate in estimates for _, text in news.of(estimate, SETUP, round(1e9 * s))
+    ]
 
 
 def test_a_misfit_is_said_once_until_the_model_fits_again():
@@ -29,8 +31,8 @@ def test_a_misfit_is_said_once_until_the_model_fits_again():
     assert said((0, FITS), (1, UNFIT), (2, UNFIT), (3, FITS), (4, UNFIT)) == [warned]
     fits = "the model fits again: with the same values"
     then = 1 + FITS_S
-    both = (1, UNFIT), (then - 0.1, FITS), (then, FITS), (then + 1, FITS), (then + 2, UNFIT)
-    assert said(*both) == [warned, fits, warned]
+    estimates = (1, UNFIT), (then - 0.1, FITS), (then, FITS), (then + 1, FITS), (then + 2, UNFIT)
+    assert said(*estimates) == [warned, fits, warned]
 
 
 def test_what_was_learnt_is_said_with_numbers():
@@ -44,12 +46,12 @@ def test_what_was_learnt_is_said_with_numbers():
         f"{NAME} turns at 2 rad/s at most": {"saturation": np.where(first, 0.5, 1.0)},
     }
     for text, changed in cases.items():
-        found = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
-        assert found == [f"the model fits again: {text}"]
+        texts = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
+        assert texts == [f"the model fits again: {text}"]
 
 
 @pytest.mark.parametrize(
-    ("dead_time", "std", "asked"),
+    ("dead_time", "std", "question"),
     [
         (
             0.06,
@@ -67,12 +69,12 @@ def test_what_was_learnt_is_said_with_numbers():
         (0.036, 0.001, ""),
     ],
 )
-def test_a_latency_that_is_wrong_is_named(dead_time, std, asked):
+def test_a_latency_that_is_wrong_is_named(dead_time, std, question):
     """Regression: a latency 50 ms wrong was only a model that does not fit."""
     news = ModelNews(StatedDelay(0.03, has_latency=True))
-    known = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
-    texts = [text for s in (1, 2) for _, text in news.of(known, SETUP, round(1e9 * s))]
-    assert texts[1:] == ([f"commands act {asked}"] if asked else [])
+    estimate = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
+    texts = [text for s in (1, 2) for _, text in news.of(estimate, SETUP, round(1e9 * s))]
+    assert texts[1:] == ([f"commands act {question}"] if question else [])
 
 
 def test_a_dead_time_is_not_questioned_while_the_model_fits():
@@ -86,11 +88,11 @@ def test_a_dead_time_is_not_questioned_while_the_model_fits():
 def test_a_robot_that_stands_is_named_once():
     stands = replace(FITS, stands=0.95 * (np.arange(ROBOTS) == 0))
     assert stands.standing(SETUP.names) == [NAME]
-    found = said((1, FITS), (2, stands), (3, FITS), (4, stands))
-    assert found == [f"{NAME} stands although it is sent a direction"]
+    texts = said((1, FITS), (2, stands), (3, FITS), (4, stands))
+    assert texts == [f"{NAME} stands although it is sent a direction"]
 
 
 def test_robots_that_stand_are_named_in_the_order_of_the_spec():
     """Regression: the order was that of a set, which differs between processes."""
-    found = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
-    assert found == [f"{name} stands although it is sent a direction" for name in SETUP.names]
+    texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
+    assert texts == [f"{name} stands although it is sent a direction" for name in SETUP.names]

@@ -54,10 +54,10 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     assert not (result.entered_obstacle or result.left_arena)
     robots = identify([track_of(log)], log.start.setup.a).robots
     true = json.loads(log.start.plant.facts["true_speed"])
-    assert [one.speed.value for one in robots] == pytest.approx(true, rel=0.01)
-    found = verify(log_path(tmp_path, 10))
-    assert found.problems == ()
-    assert found.checked == len(log.steps)
+    assert [robot.speed.value for robot in robots] == pytest.approx(true, rel=0.01)
+    verdict = verify(log_path(tmp_path, 10))
+    assert verdict.problems == ()
+    assert verdict.checked == len(log.steps)
 
 
 FACING = (*SLOW, "robots.green.start=[552, 800]", "robots.green.heading=3.14159")  # a wall
@@ -94,6 +94,6 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         assert text in step_line(recording, k)
     assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning on the spot"
     starts = [k for k in turns if k - 1 not in turns]
-    told = "all robots turn on the spot: they have no safe way ahead"
-    assert [note.text for note in log.notes].count(told) == len(starts)
+    turning = "all robots turn on the spot: they have no safe way ahead"
+    assert [note.text for note in log.notes].count(turning) == len(starts)
     assert verify(log_path(tmp_path, 3)).problems == ()

@@ -87,7 +87,7 @@ robots.1.target <- LAB; robots.blue.target=[1700, 595]
 @pytest.mark.parametrize("case", re.findall(r"(.*) <- (.*)\n  (.*) \| (.*)\n", FOUND))
 def test_each_is_found_at_its_field_with_its_number(case):
     field, settings, message, hint = case
-    sets = [NAMED.get(one, one) for one in settings.split("; ")]
+    sets = [NAMED.get(setting, setting) for setting in settings.split("; ")]
     path = sets.pop(0) if sets[0] == LAB else THREE
     warning = found(path, *sets)[field]
     assert re.search(message, warning.message), warning.message
@@ -166,8 +166,8 @@ robots:
 
 
 def test_robots_at_one_place_are_told():
-    told = [str(w) for w in find_warnings(parse_spec(SAME, "s")) if "stand there" in str(w)]
-    assert [line.partition(": both")[0] for line in told] == [
+    warnings = [str(w) for w in find_warnings(parse_spec(SAME, "s")) if "stand there" in str(w)]
+    assert [line.partition(": both")[0] for line in warnings] == [
         "s:7:26: robots.2.start: [10, 10]: is 0 mm from the start of one",
         "s:7:44: robots.2.target: [90, 90]: is 0 mm from the target of one",
     ]
@@ -182,8 +182,10 @@ def test_bodies_overlap_at_no_start_and_at_targets_with_a_warning():
         "move one of them"
     ]
     sets = ["controller.collision.radius=2.1", "robots.one.start=[1, 1]", "robots.two.start=[1, 9]"]
-    told = [str(w) for w in find_warnings(parse_spec(SAME, "s", sets), sets)]
-    assert any("is 4 mm from the target of one: both cannot stand there" in one for one in told)
+    warnings = [str(w) for w in find_warnings(parse_spec(SAME, "s", sets), sets)]
+    assert any(
+        "is 4 mm from the target of one: both cannot stand there" in text for text in warnings
+    )
 
 
 @pytest.mark.parametrize(("x", "fits"), [(1419, False), (1420, True)])

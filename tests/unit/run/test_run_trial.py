@@ -69,7 +69,11 @@ def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
         *("stop", "settle", "close", "log.samples", "log.stop"),
     ]
     assert fakes.plant.steered == [(0, 0.1), (PERIOD, 0.0)]
-    assert [seen.sampled_ns for seen in fakes.controller.seen] == [0, PERIOD, 2 * PERIOD]
+    assert [observation.sampled_ns for observation in fakes.controller.seen] == [
+        0,
+        PERIOD,
+        2 * PERIOD,
+    ]
     log = fakes.observers[0]
     assert [(step.k, step.command.sent_ns) for step in log.steps] == [(0, 0), (1, PERIOD)]
     assert [step.observation for step in log.steps] == fakes.controller.seen[:2]
@@ -393,13 +397,13 @@ def test_after_an_overrun_the_steps_keep_their_distance(slow):
 def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     """They are in the log then, should the program be killed before the first step."""
     fakes = bench(steps=1, simulated=False)
-    told = threading.Event()
-    fakes.happenings.actions["log.samples", 1] = told.set
+    reported = threading.Event()
+    fakes.happenings.actions["log.samples", 1] = reported.set
     plan = fakes.controller.plan
 
-    def slow(*seen):
-        assert told.wait(60), "nothing was reported before the plan was there"
-        return plan(*seen)
+    def slow(*arguments):
+        assert reported.wait(60), "nothing was reported before the plan was there"
+        return plan(*arguments)
 
     fakes.controller.plan = slow
     assert fakes.run().outcome is Outcome.SEQUENCE_COMPLETED

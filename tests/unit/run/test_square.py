@@ -41,12 +41,12 @@ def test_the_square_ends_where_it_began(angle):
 
 
 def test_directions_turn_by_quarters_and_end_at_the_start_heading():
-    found = list(directions(np.array([3.0, 3.0 + 2 * math.pi])))
-    assert len(found) == 4
-    assert all(abs(direction) <= math.pi for direction in found)
-    turns = [math.remainder(b - a, 2 * math.pi) for a, b in itertools.pairwise(found)]
+    sides = list(directions(np.array([3.0, 3.0 + 2 * math.pi])))
+    assert len(sides) == 4
+    assert all(abs(direction) <= math.pi for direction in sides)
+    turns = [math.remainder(b - a, 2 * math.pi) for a, b in itertools.pairwise(sides)]
     assert turns == pytest.approx([math.pi / 2] * 3)
-    assert found[-1] == pytest.approx(3.0)
+    assert sides[-1] == pytest.approx(3.0)
 
 
 WIDE = {"left": -4000, "bottom": -4000, "width": 9000, "height": 9000}
@@ -77,27 +77,27 @@ def test_a_square_that_cannot_be_driven_is_refused(spec, message):
 
 
 def test_limits_say_what_a_trial_can_do_at_most():
-    found = limits(experiment(controller={"time_limit": 2, "first_plan": SQUARE}))
-    assert found["duration of a trial"].startswith("at most 2 s")
-    assert found["path of a robot"] == "at most 400 mm"
-    assert found["before step 0"] == "a square of 8 s"
+    stated = limits(experiment(controller={"time_limit": 2, "first_plan": SQUARE}))
+    assert stated["duration of a trial"].startswith("at most 2 s")
+    assert stated["path of a robot"] == "at most 400 mm"
+    assert stated["before step 0"] == "a square of 8 s"
 
 
 def test_a_dry_run_in_the_lab_says_where_it_would_go_and_what_ends_it():
     slow = [f"lab.actuator.robots.{i}.limit=20" for i in range(3)]
     spec = ROOT / "experiments" / "three_m3pi_lab.yaml"
-    found = limits(on_plant(load_spec(spec, slow), "lab").experiment)
-    assert found["cameras"] == "192.168.1.10:1510, multicast"
-    assert found["radio"] == "/dev/ttyUSB0, 40 commands per second"
-    assert found["wheel counts"] == "at most 20 of 127"
-    assert found["all robots stop"].startswith("0.1 s")
+    stated = limits(on_plant(load_spec(spec, slow), "lab").experiment)
+    assert stated["cameras"] == "192.168.1.10:1510, multicast"
+    assert stated["radio"] == "/dev/ttyUSB0, 40 commands per second"
+    assert stated["wheel counts"] == "at most 20 of 127"
+    assert stated["all robots stop"].startswith("0.1 s")
     assert "cameras" not in limits(load_spec(spec).experiment)
 
 
 def test_the_gap_of_the_square_is_not_believed_to_be_motion(tmp_path):
     """The robots are back at their start after 6 s: the way between is 0, the speed is not."""
     square = ("first_plan.type=square", "first_plan.side=1.5", "estimate=true")
-    sets = [f"controller.{one}" for one in square]
+    sets = [f"controller.{setting}" for setting in square]
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", sets)
     result = run_trial(spec, tmp_path)
     assert result.total_error < 1

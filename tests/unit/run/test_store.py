@@ -19,15 +19,17 @@ def log(folder, index, outcome=Outcome.ARRIVED, **fields):
 
 
 def trials_to_run(experiment, folder, resume):
-    found = Store.of_batch(folder, experiment)
-    found.read(resume)
-    return found.lacking
+    store = Store.of_batch(folder, experiment)
+    store.read(resume)
+    return store.lacking
 
 
 def spec(count=4, seed=None, **fields):
-    found = made.trial(1, steps=2, frames=2, **fields).experiment
-    trials = found.trials.model_copy(update={"count": count} | ({"seed": seed} if seed else {}))
-    return found.model_copy(update={"trials": trials})
+    experiment_of_trial = made.trial(1, steps=2, frames=2, **fields).experiment
+    trials = experiment_of_trial.trials.model_copy(
+        update={"count": count} | ({"seed": seed} if seed else {})
+    )
+    return experiment_of_trial.model_copy(update={"trials": trials})
 
 
 def test_a_new_folder_lacks_every_trial(tmp_path):
@@ -61,8 +63,8 @@ def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):
     path.write_bytes(b"whole")
     set_aside(tmp_path, 3)
     set_aside(tmp_path, 3)  # nothing left
-    kept = {left.name: left.read_bytes() for left in tmp_path.iterdir()}
-    assert kept == {
+    contents = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert contents == {
         "trial-003.attempt-1.mcap.part": b"one",
         "trial-003.attempt-2.mcap.part": b"two",
         "trial-003.attempt-3.mcap.part": b"three",
@@ -76,7 +78,7 @@ def test_a_recovered_log_is_set_aside_with_its_source(tmp_path):
     path.with_name(path.name + ".part").write_bytes(b"torn")
     path.with_name("trial-003.recovered.mcap").write_bytes(b"saved")
     set_aside(tmp_path, 3)
-    assert {left.name for left in tmp_path.iterdir()} == {
+    assert {path.name for path in tmp_path.iterdir()} == {
         "trial-003.attempt-1.mcap.part",
         "trial-003.attempt-1.recovered.mcap",
     }
@@ -93,15 +95,15 @@ def test_a_folder_is_made_with_its_parents(tmp_path):
 
 
 def records(folder, identity="spec 1"):
-    kept = RecordStore(folder, identity, ("day", "ended"))
-    with kept.opened():
-        return kept.records
+    records = RecordStore(folder, identity, ("day", "ended"))
+    with records.opened():
+        return records.records
 
 
 def keep(folder, number):
-    kept = RecordStore(folder, "spec 1", ("day", "ended"))
-    with kept.opened():
-        kept.add(number, {"day": number, "ended": "arrived"})
+    records = RecordStore(folder, "spec 1", ("day", "ended"))
+    with records.opened():
+        records.add(number, {"day": number, "ended": "arrived"})
 
 
 def test_records_are_kept_from_one_command_to_the_next(tmp_path):

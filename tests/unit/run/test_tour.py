@@ -60,18 +60,18 @@ def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp
     assert TIME_INSIDE.of_trial(cut) == {"inside_one": None}
     assert verify(path).problems == ()
     contents = scan(path)
-    (at,) = (i for i, entry in enumerate(contents.entries) if entry.topic == RESULT)
+    (place,) = (i for i, entry in enumerate(contents.entries) if entry.topic == RESULT)
     for field in ("inside", "passed"):
-        forged = with_entry(contents, tmp_path / f"{field}.mcap", at, (field, 0))
-        assert [one.field for one in verify(forged).problems] == [f"/result[0].{field}.0"]
+        forged = with_entry(contents, tmp_path / f"{field}.mcap", place, (field, 0))
+        assert [problem.field for problem in verify(forged).problems] == [f"/result[0].{field}.0"]
 
 
 def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
     def frame(number, x, valid=True, truth=None):
         poses = Poses(np.array([x]), np.zeros(1), np.zeros(1))
-        seen = Observation(number, number, number, poses, np.array([valid]))
+        observation = Observation(number, number, number, poses, np.array([valid]))
         true = None if truth is None else Poses(np.array([truth]), np.zeros(1), np.zeros(1))
-        return Sample(seen, true)
+        return Sample(observation, true)
 
     legs = np.array([[[5.0, 0.0]], [[0.0, 0.0]]])
     measure = TourMeasure(legs, HoldTask(1.0, 9.0), None, np.ones(1))
@@ -97,9 +97,9 @@ def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
     ],
 )  # fmt: skip
 def test_a_tour_that_cannot_be_is_refused(old, new, said):
-    with pytest.raises(SpecError) as found:
+    with pytest.raises(SpecError) as raised:
         parse_spec(ONE.replace(old, new), "one.yaml")
-    assert said in str(found.value)
+    assert said in str(raised.value)
 
 
 @pytest.mark.long

@@ -25,11 +25,11 @@ def test_a_trial_runs_with_the_robots_that_the_rule_of_a_package_finds(tmp_path,
     assert spec.experiment.open
     assert spec.experiment.asked == MarkedRobots(marks=((600, 600), (600, 2000)))
     run_trial(spec, tmp_path)
-    found = read_trial(tmp_path / "trial-000.mcap").experiment
-    assert [robot.start for robot in found.robots] == [(600, 600), (600, 2000)]
-    assert not found.open
-    assert found.asked == spec.experiment.asked
-    assert Experiment.model_validate(found.model_dump()) == found
+    experiment = read_trial(tmp_path / "trial-000.mcap").experiment
+    assert [robot.start for robot in experiment.robots] == [(600, 600), (600, 2000)]
+    assert not experiment.open
+    assert experiment.asked == spec.experiment.asked
+    assert Experiment.model_validate(experiment.model_dump()) == experiment
 
 
 def test_a_mapping_without_a_key_of_any_rule_is_read_as_the_first(monkeypatch):

@@ -26,9 +26,9 @@ PATHS = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), min_size=4, 
 @given(REGIONS, PATHS)
 def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
     x, y = np.array(points).T.copy()
-    found = np.empty((region.count, len(x)))
-    clearance.gaps(region.rows, region.walls, x, y, found)
-    assert np.array_equal(found, region.distances(x, y))
+    distances = np.empty((region.count, len(x)))
+    clearance.gaps(region.rows, region.walls, x, y, distances)
+    assert np.array_equal(distances, region.distances(x, y))
 
 
 @given(PATHS)

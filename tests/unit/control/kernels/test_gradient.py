@@ -86,16 +86,16 @@ def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     toward = rng.normal(size=length)
     step = 1e-6
     robot = int(rng.integers(robots))
-    at = int(last * (length - 1))
+    place = int(last * (length - 1))
     east, north = rng.normal(size=2)
     rows = np.zeros((1, length))
-    backward(traced(problem, signals).gradients, robot, at, east, north, rows[0])
+    backward(traced(problem, signals).gradients, robot, place, east, north, rows[0])
     ahead, behind = (
-        predict(problem, signals + sign * step * toward)[at + 1, robot, :2] for sign in (1, -1)
+        predict(problem, signals + sign * step * toward)[place + 1, robot, :2] for sign in (1, -1)
     )
     numeric = float((ahead - behind) @ [east, north]) / (2 * step)
     assert float(rows[0] @ toward) == pytest.approx(numeric, rel=1e-5, abs=1e-4)
-    assert not rows[0, at + 1 :].any()
+    assert not rows[0, place + 1 :].any()
 
 
 @pytest.mark.parametrize("heading", [0.0, 1e-9, math.pi - 1e-9, -math.pi])
@@ -113,5 +113,5 @@ def test_costs_of_many_sequences_know_how_robots_turn():
         np.random.default_rng(7),
     )
     signals = rng.uniform(-math.pi, math.pi, (12, 16))
-    found = compiled_costs(problem, 16)(signals)
-    assert found == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)
+    costs = compiled_costs(problem, 16)(signals)
+    assert costs == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)

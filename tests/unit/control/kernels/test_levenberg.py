@@ -32,13 +32,13 @@ class Polished(NamedTuple):
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    found = kernel.workspace.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
-    found.begin(start[None])
+    workspace = kernel.workspace.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
+    workspace.begin(start[None])
     laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
     limits = TOLERANCE, SLACK, PATIENCE, max(budget, 1) + 1, 0
-    kernel.search(*laid, np.uint64(0), np.empty(0), 0, *limits, found)
-    merits = found.merits[: found.counts[kernel.ITERATIONS] + 1].copy()
-    return Polished(found.signals, merits, found.counts[kernel.EVALUATIONS] - 1)
+    kernel.search(*laid, np.uint64(0), np.empty(0), 0, *limits, workspace)
+    merits = workspace.merits[: workspace.counts[kernel.ITERATIONS] + 1].copy()
+    return Polished(workspace.signals, merits, workspace.counts[kernel.EVALUATIONS] - 1)
 
 
 def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):
@@ -74,11 +74,11 @@ def test_the_jacobian_and_the_residuals_slope_as_what_they_are_made_of(seed, sep
     signals = random_start(seed, 12)
     step = 1e-5
     toward = np.random.default_rng(seed).normal(size=12)
-    found = slopes(lay_out_polish(problem, 12), signals) @ toward
+    slope = slopes(lay_out_polish(problem, 12), signals) @ toward
     ahead, behind = (
         merit(problem, signals + way * step * toward, DEPTH_WEIGHT**2, SLACK) for way in (1, -1)
     )
-    assert found == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-2)
+    assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-2)
 
 
 @given(
@@ -92,9 +92,9 @@ def test_the_jacobian_and_the_residuals_slope_as_what_they_are_made_of(seed, sep
 def test_the_history_is_that_of_the_merit(seed, robots, obstacles, length, motion, separation):
     problem = problems.problem(problems.world(seed, robots, obstacles, motion), separation)
     start = random_start(seed, length)
-    found = compiled(problem, start, 5)
-    expected = [merit(problem, start), merit(problem, found.signals)]
-    assert found.history[[0, -1]] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    polished = compiled(problem, start, 5)
+    expected = [merit(problem, start), merit(problem, polished.signals)]
+    assert polished.history[[0, -1]] == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
 @pytest.mark.parametrize("motion", ["euler", "arc", "exact"])
@@ -103,8 +103,8 @@ def test_most_starts_come_near_their_targets_within_few_steps(motion):
     near = 0
     for seed in range(20):
         problem = problems.problem(problems.world(seed, 1, 0, motion))
-        found = compiled(problem, random_start(seed, 40), 20)
-        near += found.history[-1] < 0.01 * found.history[0]
+        polished = compiled(problem, random_start(seed, 40), 20)
+        near += polished.history[-1] < 0.01 * polished.history[0]
     assert near > 10, near
 
 
@@ -120,18 +120,21 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
 ):
     problem = problems.problem(problems.world(seed, 2, obstacles, motion))
     start = random_start(seed, length)
-    kept = random_start(seed, length)
-    found = compiled(problem, start, 20, budget)
-    assert np.array_equal(start, kept)
-    assert np.all(np.diff(found.history) <= 0)
-    then = found.history
-    before = found.history[PATIENCE - 1 :]
-    now = found.history[PATIENCE:]
+    start_before = random_start(seed, length)
+    polished = compiled(problem, start, 20, budget)
+    assert np.array_equal(start, start_before)
+    assert np.all(np.diff(polished.history) <= 0)
+    then = polished.history
+    before = polished.history[PATIENCE - 1 :]
+    now = polished.history[PATIENCE:]
     for z in range(len(now) - 1):  # all but the last
         assert now[z] == before[z] or now[z] <= PROGRESS * then[z]
-    assert len(found.history) <= 21
-    assert found.evaluations <= budget
-    assert evaluate(problem, found.signals[None]).target[0] <= found.history[-1] * (1 + 1e-9) + 1e-9
+    assert len(polished.history) <= 21
+    assert polished.evaluations <= budget
+    assert (
+        evaluate(problem, polished.signals[None]).target[0]
+        <= polished.history[-1] * (1 + 1e-9) + 1e-9
+    )
 
 
 def test_no_signal_changes_by_more_than_the_largest_step_in_an_iteration():

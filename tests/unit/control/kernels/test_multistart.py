@@ -45,15 +45,15 @@ def searched(
     count, length = starts.shape
     laid = lay_out_polish(problem, length), lay_out(problem, particles)
     sizes = max(count, best), particles, knots, length, STEPS, rounds
-    found = kernel.workspace.__wrapped__(0, *sizes)
-    found.begin(starts)
+    workspace = kernel.workspace.__wrapped__(0, *sizes)
+    workspace.begin(starts)
     limits = (tolerance, SLACK, PATIENCE, budget, look)
     how = kernel.UNDER_WAY
     while how == kernel.UNDER_WAY:
-        how = kernel.search(*laid, np.uint64(key), warm, rounds, *limits, found)
+        how = kernel.search(*laid, np.uint64(key), warm, rounds, *limits, workspace)
         if look < 0:
             break
-    return how, found
+    return how, workspace
 
 
 def starts_of(seed, count, length):
@@ -65,15 +65,15 @@ def starts_of(seed, count, length):
 def test_each_start_is_polished_alike_whatever_the_looks_and_costs_j(model, look):
     problem = problems.problem(problems.world(4, 3, 2, model))
     for start in starts_of(1, 3, 20):
-        how, found = searched(problem, start[None], look=look)
+        how, result = searched(problem, start[None], look=look)
         _, alone = searched(problem, start[None])
         assert how == kernel.OVER
-        assert (found.signals == alone.signals).all()
-        assert found.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS]
-        merits = found.merits[: found.counts[kernel.ITERATIONS] + 1]
+        assert (result.signals == alone.signals).all()
+        assert result.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS]
+        merits = result.merits[: result.counts[kernel.ITERATIONS] + 1]
         assert merits[-1] < merits[0]
-        cost = evaluate(problem, found.signals[None]).total[0]
-        assert found.costs == pytest.approx([cost, cost], rel=1e-9)
+        cost = evaluate(problem, result.signals[None]).total[0]
+        assert result.costs == pytest.approx([cost, cost], rel=1e-9)
 
 
 @pytest.mark.parametrize("look", [0, 1, 3])
@@ -81,35 +81,37 @@ def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look)
     problem = problems.problem(problems.world(4, 3, 2, "exact"))
     starts = starts_of(1, 3, 20)
     alone = [searched(problem, start[None])[1] for start in starts]
-    costs = [float(one.costs[0]) for one in alone]
-    how, found = searched(problem, starts, look=look)
+    costs = [float(result.costs[0]) for result in alone]
+    how, together = searched(problem, starts, look=look)
     assert how == kernel.OVER
-    assert found.costs[0] == pytest.approx(min(costs), rel=1e-6)
-    assert found.best == pytest.approx(alone[int(np.argmin(costs))].signals, abs=1e-6)
-    history = found.history[: found.counts[kernel.HISTORY_ENTRIES]]
-    assert history[-1] == found.costs[0]
+    assert together.costs[0] == pytest.approx(min(costs), rel=1e-6)
+    assert together.best == pytest.approx(alone[int(np.argmin(costs))].signals, abs=1e-6)
+    history = together.history[: together.counts[kernel.HISTORY_ENTRIES]]
+    assert history[-1] == together.costs[0]
     assert (np.diff(history[-2:]) <= 0).all()
-    assert found.counts[kernel.EVALUATIONS] == sum(one.counts[kernel.EVALUATIONS] for one in alone)
+    assert together.counts[kernel.EVALUATIONS] == sum(
+        result.counts[kernel.EVALUATIONS] for result in alone
+    )
 
 
 def test_a_start_is_ended_as_it_is():
     problem = problems.problem(problems.world(4, 3, 2, "exact"))
     starts = starts_of(1, 3, 20)
-    _, found = searched(problem, starts, look=-1)
-    assert found.counts[kernel.STARTS_DONE] == 1
-    assert found.signals == pytest.approx(starts[0])
-    assert found.costs[1] == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
+    _, result = searched(problem, starts, look=-1)
+    assert result.counts[kernel.STARTS_DONE] == 1
+    assert result.signals == pytest.approx(starts[0])
+    assert result.costs[1] == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
 
 
 def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
     problem = problems.problem(problems.world(4, 3, 2, "exact"))
     starts = starts_of(1, 1, 20)
     _, alone = searched(problem, starts)
-    _, found = searched(problem, starts, tolerance=1e9, warm=starts[0])
-    assert found.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
-    assert found.counts[kernel.EVALUATIONS] == 3  # its cost, then one merit and the cost again
-    _, found = searched(problem, starts, warm=starts[0])
-    assert found.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS] + 1
+    _, result = searched(problem, starts, tolerance=1e9, warm=starts[0])
+    assert result.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
+    assert result.counts[kernel.EVALUATIONS] == 3  # its cost, then one merit and the cost again
+    _, result = searched(problem, starts, warm=starts[0])
+    assert result.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS] + 1
 
 
 @given(
@@ -125,21 +127,21 @@ def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, wa
     knots = min(knots, length)
     warm = starts_of(seed, 1, length)[0] if warmed else NONE
     none = np.empty((0, length))
-    of = {"rounds": 1, "best": best, "particles": particles, "knots": knots, "key": seed}
-    _, found = searched(problem, none, budget=1, warm=warm, **of)
+    sizes = {"rounds": 1, "best": best, "particles": particles, "knots": knots, "key": seed}
+    _, result = searched(problem, none, budget=1, warm=warm, **sizes)
     draws = 2 * uniform(mix(seed, 0), 0, knots * particles).reshape(knots, particles) - 1
     curve = interpolate(draws, length)
     expected = bearing(problem) + math.pi * curve
     if warmed:
         expected[:, ::2] = warm[:, None] + WARM * curve[:, ::2]
-    assert np.abs(wrap(found.scattered - expected)).max() < 1e-9
-    assert np.abs(found.scattered).max() <= math.pi + 1e-9
-    assert found.scattered_costs == pytest.approx(
-        evaluate(problem, found.scattered.T).total, rel=1e-9
+    assert np.abs(wrap(result.scattered - expected)).max() < 1e-9
+    assert np.abs(result.scattered).max() <= math.pi + 1e-9
+    assert result.scattered_costs == pytest.approx(
+        evaluate(problem, result.scattered.T).total, rel=1e-9
     )
-    order = np.argsort(found.scattered_costs, kind="stable")[:best]
-    assert (found.starts == found.scattered[:, order].T).all()
-    assert found.history[0] == found.scattered_costs.min()
+    order = np.argsort(result.scattered_costs, kind="stable")[:best]
+    assert (result.starts == result.scattered[:, order].T).all()
+    assert result.history[0] == result.scattered_costs.min()
 
 
 def test_the_first_that_is_good_enough_is_the_last():
@@ -147,18 +149,18 @@ def test_the_first_that_is_good_enough_is_the_last():
     starts = starts_of(2, 4, 20)
     costs = [float(searched(problem, start[None])[1].costs[0]) for start in starts]
     least = int(np.argmin(costs))
-    how, found = searched(problem, starts, costs[least] * (1 + 1e-9))
-    assert (how, found.counts[kernel.STARTS_DONE]) == (kernel.GOOD, least + 1)
-    assert found.costs[0] == pytest.approx(costs[least], rel=1e-6)
+    how, result = searched(problem, starts, costs[least] * (1 + 1e-9))
+    assert (how, result.counts[kernel.STARTS_DONE]) == (kernel.GOOD, least + 1)
+    assert result.costs[0] == pytest.approx(costs[least], rel=1e-6)
 
 
 @given(st.integers(0, 600))
 def test_a_search_keeps_its_budget(budget):
     problem = problems.problem(problems.world(4, 2, 1, "exact"))
     starts = starts_of(3, 4, 12)
-    how, found = searched(problem, starts, budget=budget, rounds=1, particles=40)
-    spent = int(found.counts[kernel.EVALUATIONS])
+    how, result = searched(problem, starts, budget=budget, rounds=1, particles=40)
+    spent = int(result.counts[kernel.EVALUATIONS])
     assert spent <= budget
     assert how == kernel.OVER or budget - spent < (
-        40 if found.counts[kernel.STARTS_DONE] == 4 else 2
+        40 if result.counts[kernel.STARTS_DONE] == 4 else 2
     )

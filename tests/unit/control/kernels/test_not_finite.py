@@ -63,10 +63,10 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
     times = 0.04 * np.arange(6.0)[:, None]
     poses = np.zeros((6, 1, 3))
     poses[:, 0, 0] = times[:, 0]
-    seen = np.arange(6)[:, None] > 3
+    is_seen = np.arange(6)[:, None] > 3
     commands = SentCommands(np.array([0.0]), np.array([math.pi]))
-    found = follow(bank, model, commands, PoseFrames(times, poses, seen), False, 0.0)
-    assert np.isfinite(found).all()
+    ln_likelihoods = follow(bank, model, commands, PoseFrames(times, poses, is_seen), False, 0.0)
+    assert np.isfinite(ln_likelihoods).all()
     cov = bank.cov[0, 0, int(bank.ln_weight[0, 0].argmax())]
     assert np.linalg.eigvalsh(cov).min() > -1e-9 * np.trace(cov)
 
@@ -87,9 +87,9 @@ def test_the_filter_ends(odd, place):
     numbers = {"tau": bank.dead_time_s, "when": when, "time": time, "pose": poses, "direction": u}
     numbers |= {"state": bank.state, "until": bank.until_s, "parameters": model.parameters}
     numbers[place][-1:] = odd
-    seen = np.ones((3, 1), dtype=np.bool_)
+    is_seen = np.ones((3, 1), dtype=np.bool_)
     commands = SentCommands(when, u)
-    frames = PoseFrames(time, poses, seen)
+    frames = PoseFrames(time, poses, is_seen)
     assert ends(lambda: follow(bank, model, commands, frames, False, 0.0))
 
 

@@ -76,10 +76,10 @@ def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     walls = Obstacles.of(shapes, margin, Bounds(50, 50, 750, 750))
     problem = replace(problems.problem(world), obstacles=walls)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (20, 12))
-    for one in signals[:3]:
-        assert compiled_foresee(problem, one).obstacle == foresee(problem, one).obstacle
-    found = compiled_costs(problem, 20)(np.ascontiguousarray(signals.T))
-    assert found == pytest.approx(evaluate(problem, signals).total, rel=1e-9)
+    for sequence in signals[:3]:
+        assert compiled_foresee(problem, sequence).obstacle == foresee(problem, sequence).obstacle
+    costs = compiled_costs(problem, 20)(np.ascontiguousarray(signals.T))
+    assert costs == pytest.approx(evaluate(problem, signals).total, rel=1e-9)
     assert evaluate(problem, signals).obstacle.max() > 3
 
 
@@ -119,17 +119,17 @@ def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
     steps = 4
     seconds = 0.4
     path = compiled_foresee(problem, signals).path
-    of = flat(problem)
+    flattened = flat(problem)
     branches = []
     for j, u in enumerate(signals):
         held = replace(problem, poses=Poses.of(path[j]), first_period=0.1, period=0.1)
         branches.append(predict(held, np.full(steps, u)))
     x, y = np.moveaxis(np.stack(branches)[..., :2], -1, 0)  # (L, steps + 1, N)
-    one, other = np.triu_indices(robots, 1)
-    meets = (np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other]) < apart).any()
+    first, second = np.triu_indices(robots, 1)
+    meets = (np.hypot(x[..., first] - x[..., second], y[..., first] - y[..., second]) < apart).any()
 
     def clear(obstacles):
-        motion = of.parameters, of.drift, seconds / steps, steps, of.rest
+        motion = flattened.parameters, flattened.drift, seconds / steps, steps, flattened.rest
         return unheard(signals, *motion, path, obstacles.rows, obstacles.walls, apart)
 
     ends = x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]
@@ -148,14 +148,14 @@ def test_each_robot_drives_towards_its_own_direction_or_stands(seed, robots, dri
     towards = rng.uniform(-3, 3, robots)
     seconds = np.array([0.0, 0.07, 0.9])
     towards[0] = np.nan if seed % 2 else towards[0]
-    found = compiled_drive(problem, towards, seconds)
+    path = compiled_drive(problem, towards, seconds)
     for m, t in enumerate(seconds.tolist()):
         for i, u in enumerate(towards.tolist()):
             expected = problem.poses.array()[i]
             if u == u and t > 0:
                 held = replace(problem, first_period=t, period=t)
                 expected = predict(held, np.array([u]))[1, i]
-            assert found[m, i] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+            assert path[m, i] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @given(seed=st.integers(0, 2**32), robots=st.integers(1, 4), drifts=st.booleans())
@@ -169,8 +169,8 @@ def test_branches_are_the_readable_predictions_of_their_directions(seed, robots,
     path = compiled_branches(problem, start, towards, turns, 0.1)
     for b in range(2):
         poses = Poses.of(start[b])
-        each = replace(problem, poses=poses, first_period=0.1, period=0.1)
-        expected = foresee(each, towards[b] + turns).path
+        moved = replace(problem, poses=poses, first_period=0.1, period=0.1)
+        expected = foresee(moved, towards[b] + turns).path
         assert path[:, b] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

@@ -29,8 +29,8 @@ def reference_problem():
 def test_the_reference_problem_is_solved_from_any_seed():
     problem = reference_problem()
     spec = Multistart()
-    found = [spec.search(problem, 44, None, key, Limits()) for key in range(20)]
-    assert [search.stopped for search in found] == ["target"] * 20
+    searches = [spec.search(problem, 44, None, key, Limits()) for key in range(20)]
+    assert [search.stopped for search in searches] == ["target"] * 20
 
 
 def test_a_solved_problem_costs_one_look():
@@ -57,27 +57,27 @@ def test_a_warm_start_through_the_obstacle_is_led_out_of_it():
         speed=problem.speed[1:2] / 2,
     )
     assert evaluate(robot, start[None]).obstacle[0] > 0
-    found = spec.search(robot, 44, start, 1, Limits())
-    assert evaluate(robot, found.signals[None]).obstacle[0] == 0
+    result = spec.search(robot, 44, start, 1, Limits())
+    assert evaluate(robot, result.signals[None]).obstacle[0] == 0
 
 
 def test_what_is_out_of_reach_is_given_up_after_one_round():
     problem = reference_problem()
     spec = Multistart(rounds=1000)
-    found = spec.search(problem, 3, None, 1, Limits())
-    assert found.stopped == "iterations"
-    assert found.evaluations < 3000
+    result = spec.search(problem, 3, None, 1, Limits())
+    assert result.stopped == "iterations"
+    assert result.evaluations < 3000
 
 
 def test_a_deadline_ends_the_search_with_the_best_so_far():
     problem = reference_problem()
     spec = Multistart(tolerance=1e-300)
     looks = iter([False, False, False])
-    found = spec.search(problem, 30, None, 1, Limits(expired=lambda _: next(looks, True)))
-    assert found.stopped == "deadline"
-    assert found.cost == pytest.approx(evaluate(problem, found.signals[None]).total[0], rel=1e-9)
-    again = spec.search(problem, 30, None, 1, Limits(found.evaluations))
-    assert np.array_equal(again.signals, found.signals)
+    result = spec.search(problem, 30, None, 1, Limits(expired=lambda _: next(looks, True)))
+    assert result.stopped == "deadline"
+    assert result.cost == pytest.approx(evaluate(problem, result.signals[None]).total[0], rel=1e-9)
+    again = spec.search(problem, 30, None, 1, Limits(result.evaluations))
+    assert np.array_equal(again.signals, result.signals)
 
 
 @given(
@@ -92,13 +92,13 @@ def test_looks_at_the_deadline_change_no_bit(steps, seed, length, warmed):
     problem = problems.problem(problems.world(seed, 2, 1, "exact"))
     spec = Multistart(rounds=2)
     warm = np.random.default_rng(seed).uniform(-3, 3, length) if warmed else None
-    found = spec.search(problem, length, warm, seed, Limits())
+    result = spec.search(problem, length, warm, seed, Limits())
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("tetractl.control.kernels.multistart.BETWEEN_LOOKS", steps)
         looked = spec.search(problem, length, warm, seed, Limits(expired=lambda _: False))
-    assert looked.history.tobytes() == found.history.tobytes()
-    assert looked.signals.tobytes() == found.signals.tobytes()
-    assert (looked.evaluations, looked.stopped) == (found.evaluations, found.stopped)
+    assert looked.history.tobytes() == result.history.tobytes()
+    assert looked.signals.tobytes() == result.signals.tobytes()
+    assert (looked.evaluations, looked.stopped) == (result.evaluations, result.stopped)
 
 
 @given(
@@ -117,12 +117,12 @@ def test_a_search_that_was_cut_short_comes_out_again(tolerance, looks, seed, war
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("tetractl.control.kernels.multistart.BETWEEN_LOOKS", 500)
         late = Limits(expired=lambda _: next(answers, True))
-        found = spec.search(problem, 20, warm, seed, late)
-        most = found.evaluations if found.stopped == "deadline" else math.inf
+        result = spec.search(problem, 20, warm, seed, late)
+        most = result.evaluations if result.stopped == "deadline" else math.inf
         again = spec.search(problem, 20, warm, seed, Limits(expired=lambda spent: spent >= most))
-    assert again.history.tobytes() == found.history.tobytes()
-    assert again.signals.tobytes() == found.signals.tobytes()
-    assert (again.evaluations, again.stopped) == (found.evaluations, found.stopped)
+    assert again.history.tobytes() == result.history.tobytes()
+    assert again.signals.tobytes() == result.signals.tobytes()
+    assert (again.evaluations, again.stopped) == (result.evaluations, result.stopped)
 
 
 @given(st.floats(-1e4, 1e4))
@@ -154,7 +154,7 @@ def test_eight_robots_are_led_to_their_targets():
         obstacle_weight=1000.0,
         swept=False,
     )
-    found = [
+    searches = [
         Multistart(grows=grows).search(problem, 120, None, 1, Limits()) for grows in (False, True)
     ]
-    assert [search.cost <= 1 for search in found] == [False, True]
+    assert [search.cost <= 1 for search in searches] == [False, True]

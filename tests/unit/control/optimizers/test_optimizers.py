@@ -40,8 +40,8 @@ SOLVED = {"cem": (CrossEntropy(), 150.0), "mppi": (Mppi(), 100.0)}
 def test_the_reference_problem_is_solved_to_a_stated_cost_from_any_seed(optimizer, cost):
     experiment = load_spec(EXPERIMENT).experiment
     problem = experiment.controller.problem(experiment.setup)
-    found = [optimizer.search(problem, 44, None, key, Limits()) for key in range(8)]
-    assert max(search.cost for search in found) <= cost
+    searches = [optimizer.search(problem, 44, None, key, Limits()) for key in range(8)]
+    assert max(search.cost for search in searches) <= cost
     straight = np.full((1, 44), bearing(problem))
     assert cost < 0.1 * evaluate(problem, straight).total[0]
 
@@ -62,29 +62,31 @@ def test_what_is_found_is_what_it_is_said_to_be(
 ):
     problem = problems.problem(problems.world(seed, robots, 3, model, swept))
     start = optimizer.search(problem, length, None, seed + 1, Limits()).signals if warm else None
-    found = optimizer.search(problem, length, start, seed, Limits(budget))
-    assert found.signals.shape == (length,)
-    assert np.all(np.abs(found.signals) <= math.pi)
-    again = evaluate(problem, found.signals[None]).total[0]
-    assert found.cost == pytest.approx(again, rel=1e-6, abs=1e-6)
-    assert found.signals.dtype == found.history.dtype == np.float64
-    assert found.history[-1] == found.cost
-    assert np.all(np.diff(found.history) <= 0)
+    result = optimizer.search(problem, length, start, seed, Limits(budget))
+    assert result.signals.shape == (length,)
+    assert np.all(np.abs(result.signals) <= math.pi)
+    again = evaluate(problem, result.signals[None]).total[0]
+    assert result.cost == pytest.approx(again, rel=1e-6, abs=1e-6)
+    assert result.signals.dtype == result.history.dtype == np.float64
+    assert result.history[-1] == result.cost
+    assert np.all(np.diff(result.history) <= 0)
     good_enough = getattr(optimizer, "tolerance", 0.0)
-    assert (found.cost <= good_enough) == (found.stopped is StopReason.TARGET)
-    assert budget is None or found.evaluations <= budget
+    assert (result.cost <= good_enough) == (result.stopped is StopReason.TARGET)
+    assert budget is None or result.evaluations <= budget
     if start is not None:
-        assert found.cost <= evaluate(problem, start[None]).total[0] * (1 + 1e-6) + 1e-6
+        assert result.cost <= evaluate(problem, start[None]).total[0] * (1 + 1e-6) + 1e-6
 
 
 @OPTIMIZERS
 def test_the_key_alone_decides_and_the_problem_is_left_alone(optimizer):
     problem = problems.problem(problems.world(1))
     before = pickle.dumps(problem)
-    one, two, other = (optimizer.search(problem, 9, None, key, Limits()) for key in (1, 1, 2))
-    assert one.history.tobytes() == two.history.tobytes()
-    assert one.signals.tobytes() == two.signals.tobytes()
-    assert one.signals.tobytes() != other.signals.tobytes()
+    first, again, with_other_key = (
+        optimizer.search(problem, 9, None, key, Limits()) for key in (1, 1, 2)
+    )
+    assert first.history.tobytes() == again.history.tobytes()
+    assert first.signals.tobytes() == again.signals.tobytes()
+    assert first.signals.tobytes() != with_other_key.signals.tobytes()
     assert pickle.dumps(problem) == before
 
 
@@ -92,27 +94,27 @@ def test_the_key_alone_decides_and_the_problem_is_left_alone(optimizer):
 def test_a_warm_start_is_left_alone_and_better_than_none(optimizer):
     problem = problems.problem(problems.world(2, obstacles=0))
     warm = optimizer.model_copy(update={"iterations": 60}).search(problem, 20, None, 1, Limits())
-    kept = warm.signals.copy()
-    found = optimizer.search(problem, 20, warm.signals, 2, Limits())
-    assert warm.signals.tolist() == kept.tolist()
-    assert found.cost <= warm.cost * (1 + 1e-12)
-    assert found.cost < optimizer.search(problem, 20, None, 2, Limits()).cost
+    before = warm.signals.copy()
+    result = optimizer.search(problem, 20, warm.signals, 2, Limits())
+    assert warm.signals.tolist() == before.tolist()
+    assert result.cost <= warm.cost * (1 + 1e-12)
+    assert result.cost < optimizer.search(problem, 20, None, 2, Limits()).cost
 
 
 @SAMPLING
 def test_a_deadline_or_a_budget_ends_a_search_with_the_best_so_far(optimizer):
     problem = problems.problem(problems.world(3))
-    whole = None
+    longest = None
     for looks in (1, 3):
         late = iter([False] * looks)
-        found = optimizer.search(problem, 15, None, 1, Limits(expired=lambda _: next(late, True)))  # noqa: B023
-        assert found.stopped is StopReason.DEADLINE
-        assert found.evaluations == 12 * (looks + 1)
-        same = optimizer.search(problem, 15, None, 1, Limits(evaluations=found.evaluations + 11))
+        result = optimizer.search(problem, 15, None, 1, Limits(expired=lambda _: next(late, True)))  # noqa: B023
+        assert result.stopped is StopReason.DEADLINE
+        assert result.evaluations == 12 * (looks + 1)
+        same = optimizer.search(problem, 15, None, 1, Limits(evaluations=result.evaluations + 11))
         assert same.stopped is StopReason.EVALUATIONS
-        assert same.signals.tobytes() == found.signals.tobytes()
-        assert whole is None or len(found.history) > len(whole.history)
-        whole = found
+        assert same.signals.tobytes() == result.signals.tobytes()
+        assert longest is None or len(result.history) > len(longest.history)
+        longest = result
 
 
 @OPTIMIZERS
@@ -140,6 +142,6 @@ def test_progress_keeps_the_best_and_counts():
     progress.add(np.array([[0.0], [0.0]]), np.array([6.0]))
     assert progress.limit_before(2) is None
     progress.ended = progress.limit_before(3)
-    found = progress.search()
-    assert (found.signals.tolist(), found.cost, found.evaluations) == ([2.0, 4.0], 5.0, 3)
-    assert (found.history.tolist(), found.stopped) == ([5.0, 5.0], StopReason.EVALUATIONS)
+    result = progress.search()
+    assert (result.signals.tolist(), result.cost, result.evaluations) == ([2.0, 4.0], 5.0, 3)
+    assert (result.history.tolist(), result.stopped) == ([5.0, 5.0], StopReason.EVALUATIONS)

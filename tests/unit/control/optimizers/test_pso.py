@@ -57,12 +57,12 @@ def test_line_5_takes_a_bad_warm_start_and_19_then_drops_it():
     problem = problems.problem(world)
     x, y, _, target_x, target_y, *_ = world.robots[0]
     away = np.full(8, math.atan2(y - target_y, x - target_x))
-    found = search(problem, 8, away, swarm(30, 5), 11)
-    assert found.history[0] == pytest.approx(evaluate(problem, away[None]).total[0], rel=1e-12)
+    result = search(problem, 8, away, swarm(30, 5), 11)
+    assert result.history[0] == pytest.approx(evaluate(problem, away[None]).total[0], rel=1e-12)
     scattered = swarm(30, 5).swarm(problem, 8, away, 11)
     best = evaluate(problem, scattered.u_lb.T).total.min()
-    assert found.history[0] > best  # taken without comparing it with the swarm
-    assert found.history[1] <= best * (1 + 1e-12)
+    assert result.history[0] > best  # taken without comparing it with the swarm
+    assert result.history[1] <= best * (1 + 1e-12)
 
 
 def test_a_warm_start_nobody_beats_is_returned_as_it_was():
@@ -71,25 +71,25 @@ def test_a_warm_start_nobody_beats_is_returned_as_it_was():
     straight = (x + 8 * 0.2 * v * math.cos(theta), y + 8 * 0.2 * v * math.sin(theta))
     world.robots[0] = (x, y, theta, *straight, a, v)
     warm = np.full(8, math.remainder(theta, 2 * math.pi))
-    kept = warm.copy()
-    found = search(problems.problem(world), 8, warm, swarm(5, 3), 1)
-    assert found.signals.tolist() == kept.tolist()
-    assert found.cost == pytest.approx(0, abs=1e-9)
-    assert warm.tolist() == kept.tolist()  # the caller's array is left alone
-    assert found.signals is not warm
+    before = warm.copy()
+    result = search(problems.problem(world), 8, warm, swarm(5, 3), 1)
+    assert result.signals.tolist() == before.tolist()
+    assert result.cost == pytest.approx(0, abs=1e-9)
+    assert warm.tolist() == before.tolist()  # the caller's array is left alone
+    assert result.signals is not warm
 
 
 @pytest.mark.parametrize("warm", [False, True])
 def test_a_budget_ends_a_search_with_the_best_so_far(warm):
     problem = problems.problem(problems.world(6))
     start = np.zeros(5) if warm else None
-    whole = search(problem, 5, start, swarm(10, 20), 3)
+    unlimited = search(problem, 5, start, swarm(10, 20), 3)
     for budget in (1, 10, 20 + warm, 29 + warm, 57, 210 + warm, 10_000):
-        found = search(problem, 5, start, swarm(10, 20), 3, budget)
+        limited = search(problem, 5, start, swarm(10, 20), 3, budget)
         done = max(0, min(20, (budget - 10 - warm) // 10))
-        assert found.history.tolist() == whole.history[: done + 1].tolist()
-        assert found.evaluations == 10 * (done + 1) + warm
-        assert found.stopped == ("iterations" if done == 20 else "evaluations")
+        assert limited.history.tolist() == unlimited.history[: done + 1].tolist()
+        assert limited.evaluations == 10 * (done + 1) + warm
+        assert limited.stopped == ("iterations" if done == 20 else "evaluations")
 
 
 def test_the_paper_stop_ends_a_search_at_a_standstill():
@@ -97,19 +97,19 @@ def test_the_paper_stop_ends_a_search_at_a_standstill():
     world = problems.world(2, robots=1, obstacles=0)
     x, y, theta, *_, a, v = world.robots[0]
     world.robots[0] = (x, y, theta, x + 0.2 * v * math.cos(theta) + 1, y, a, v)
-    found = search(problems.problem(world), 1, np.zeros(1), swarm(1, 100, {"type": "paper"}), 1)
-    assert (len(found.history) - 1, found.stopped) == (11, "criterion")
+    result = search(problems.problem(world), 1, np.zeros(1), swarm(1, 100, {"type": "paper"}), 1)
+    assert (len(result.history) - 1, result.stopped) == (11, "criterion")
 
 
 def test_a_target_ends_a_search_as_soon_as_it_is_met():
     problem = problems.problem(problems.world(6))
-    whole = search(problem, 5, None, swarm(10, 20), 3)
+    unlimited = search(problem, 5, None, swarm(10, 20), 3)
     for z in (1, 4, 12):
-        stop = {"type": "target", "cost": float(whole.history[z])}
-        found = search(problem, 5, None, swarm(10, 20, stop), 3)
-        first = max(1, int(np.argmax(whole.history <= whole.history[z])))
-        assert found.history.tolist() == whole.history[: first + 1].tolist()
-        assert found.stopped == "target"
+        stop = {"type": "target", "cost": float(unlimited.history[z])}
+        limited = search(problem, 5, None, swarm(10, 20, stop), 3)
+        first = max(1, int(np.argmax(unlimited.history <= unlimited.history[z])))
+        assert limited.history.tolist() == unlimited.history[: first + 1].tolist()
+        assert limited.stopped == "target"
 
 
 def test_the_swarm_is_scattered_over_its_whole_search_space():

@@ -104,14 +104,14 @@ def test_compiling_and_loading_give_the_same_bits(tmp_path, script, kernels):
     experiments = ROOT / "experiments"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", script, str(experiments)]
-    found = [
+    files = [
         subprocess.run(
             command, env=environment, capture_output=True, text=True, check=True
         ).stdout.split()
         for _ in range(2)
     ]
-    assert [int(hits) for hits, _ in found] == [0, kernels]
-    assert found[0][1] == found[1][1]
+    assert [int(hits) for hits, _ in files] == [0, kernels]
+    assert files[0][1] == files[1][1]
 
 
 SMALL = """
@@ -185,9 +185,9 @@ def test_a_cache_that_others_can_write_to_is_never_read(tmp_path):
 def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
     (tmp_path / "file").write_text("")
     nowhere = str(tmp_path / "file" / "below")
-    found = small(tmp_path, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere)
-    assert found[0][:2] == ["42", "0"]
-    assert "Not a directory" in found[1]
+    process_result = small(tmp_path, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere)
+    assert process_result[0][:2] == ["42", "0"]
+    assert "Not a directory" in process_result[1]
 
 
 @pytest.mark.long

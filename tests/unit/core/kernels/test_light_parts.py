@@ -44,7 +44,9 @@ def test_a_kernel_computes_the_same_bits_and_its_parts_get_no_machine_code():
     (ours, part) = kernels(LATEST)
     (usual, compiled_part) = kernels("0.1")
     assert ours(VALUES).hex() == usual(VALUES).hex()
-    assert [has_machine_code(one) for one in (ours, part, compiled_part)] == [True, False, True]
+    assert [
+        has_machine_code(compiled_function) for compiled_function in (ours, part, compiled_part)
+    ] == [True, False, True]
 
 
 def _calling(part):
@@ -52,12 +54,12 @@ def _calling(part):
 
 
 def test_a_part_can_be_called_by_kernels_of_others_too():
-    found = []
+    printed = []
     for version in (LATEST, "0.1"):
         ours, part = kernels(version)
         ours(VALUES)
-        found.append(njit(_calling(part))(1.0))
-    assert found[0] == pytest.approx(found[1], rel=1e-12)
+        printed.append(njit(_calling(part))(1.0))
+    assert printed[0] == pytest.approx(printed[1], rel=1e-12)
 
 
 @pytest.mark.parametrize("version", ["0.60.1", "0.69.0", "0.70.0dev0+1", "1.0", "unknown"])

@@ -102,7 +102,7 @@ def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):
     from tetractl.core.cache import file_digest
 
     monkeypatch.syspath_prepend(str(tmp_path))
-    found = []
+    digests = []
     for text in ("STEP = 1", "STEP = 2"):
         (tmp_path / "stranger_lanes.py").write_text(text)
         file_digest.cache_clear()
@@ -110,6 +110,6 @@ def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):
         importlib.import_module("stranger_lanes")
         lanes = namedtuple("Lanes", "a b", module="stranger_lanes")
         kind = types.NamedTuple([float64, float64], lanes)
-        found.append(digest(lambda lanes: lanes, (types.Tuple([kind]),)))
+        digests.append(digest(lambda lanes: lanes, (types.Tuple([kind]),)))
     sys.modules.pop("stranger_lanes")
-    assert found[0] != found[1]
+    assert digests[0] != digests[1]

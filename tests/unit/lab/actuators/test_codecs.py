@@ -38,7 +38,7 @@ CODECS = [
     (broadcast.encode_command, broadcast.decode_command, robots),
     (packed_reply, broadcast.decode_reply, robot_replies),
 ]
-each = pytest.mark.parametrize(("encode", "decode", "messages"), CODECS)
+for_each_codec = pytest.mark.parametrize(("encode", "decode", "messages"), CODECS)
 
 
 def test_crc_check_value():
@@ -74,13 +74,13 @@ def test_the_documented_bytes_are_those_sent():
     assert len(frame) == 14
 
 
-@each
+@for_each_codec
 @given(data=st.data())
 def test_messages_round_trip_and_every_bit_error_is_detected(encode, decode, messages, data):
     check_round_trip(encode, decode, data.draw(messages))
 
 
-@each
+@for_each_codec
 @given(raw=ANY_BYTES)
 def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
     check_any_bytes(encode, decode, raw)
@@ -132,8 +132,8 @@ def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
         for start, stop in itertools.pairwise(edges)
         for frame in splitter.feed(stream[start:stop])
     ]
-    found = [broadcast.decode_reply(frame) for frame in frames[len(frames) - len(sent) :]]
-    assert found == sent
+    replies = [broadcast.decode_reply(frame) for frame in frames[len(frames) - len(sent) :]]
+    assert replies == sent
 
 
 def test_headings_are_predicted_over_a_tenth_of_a_second_at_most():

@@ -66,11 +66,11 @@ def test_a_reply_with_the_sequence_of_another_command_is_not_believed():
 
 
 def test_a_robot_is_believed_at_its_own_port_alone():
-    both = {
+    replies_of_two = {
         "a": lambda sequence: [reply_of(0, sequence)],
         "b": lambda sequence: [reply_of(0, sequence, FORGED_MV), reply_of(1, sequence)],
     }
-    link, _ = linked(["a", "b"], both)
+    link, _ = linked(["a", "b"], replies_of_two)
     assert link.poll(1.0) == [reply_of(0, 1), reply_of(1, 1)]
 
 

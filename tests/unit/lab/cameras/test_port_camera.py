@@ -56,13 +56,13 @@ def camera(port, make=OneRobot):
 def test_a_frame_was_exposed_the_latency_before_its_message_came():
     port = Port([b"7", b"no number", b"8"])
     with camera(port) as opened:
-        one, two = opened.frames()
+        first, second = opened.frames()
         assert opened.frames() == []
     assert port.sent == [ASKED] and port.closed
-    assert (one.poses, one.sampled_ns, one.received_ns) == (
+    assert (first.poses, first.sampled_ns, first.received_ns) == (
         (Pose(7.0, 0.0, 0.0),), 980_000_000, 1_000_000_000,
     )  # fmt: skip
-    assert (two.number, opened.damaged) == (2, 1)
+    assert (second.number, opened.damaged) == (2, 1)
 
 
 def test_a_port_that_fails_is_a_frame_whose_fault_aborts_the_trial():
@@ -109,7 +109,7 @@ def test_times_on_the_cameras_own_clock_say_which_frames_came_late():
 
 def test_a_client_that_fails_is_said_and_released():
     ended = []
-    took = []
+    taken = []
 
     class Client(ClientPort):
         def connect(self):
@@ -121,15 +121,15 @@ def test_a_client_that_fails_is_said_and_released():
         def disconnect(self):
             ended.append(True)
 
-    given = "there", 0, "the camera", VirtualClock(), lambda *data: took.append(data[0]), ""
-    Client(*given).close()
-    port = Client(*given)
+    settings = "there", 0, "the camera", VirtualClock(), lambda *data: taken.append(data[0]), ""
+    Client(*settings).close()
+    port = Client(*settings)
     port.open()
     port._thread.join()
     port.close()
     with pytest.raises(AbortError, match="the camera: server gone"):
         port.write(b"")
-    assert (ended, took) == ([True], [b"there", b""])
+    assert (ended, taken) == ([True], [b"there", b""])
 
 
 class Named(OneRobot):

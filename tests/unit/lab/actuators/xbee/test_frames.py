@@ -62,27 +62,27 @@ def test_answers_to_requests():
 @given(st.lists(st.tuples(quiet, contents), max_size=5), st.lists(st.integers(0, 1000), max_size=9))
 def test_garbage_between_frames_is_dropped_and_counted(parts, cuts):
     decoder = Decoder()
-    found = []
+    decoded = []
     stream = b"".join(garbage + encode(content) for garbage, content in parts)
     edges = sorted({0, len(stream), *(cut % (len(stream) + 1) for cut in cuts)})
     for start, stop in itertools.pairwise(edges):
-        found += decoder.feed(stream[start:stop])
-    assert found == [content for _, content in parts]
+        decoded += decoder.feed(stream[start:stop])
+    assert decoded == [content for _, content in parts]
     assert decoder.dropped_bytes == sum(len(garbage) for garbage, _ in parts)
 
 
 @given(st.lists(st.tuples(st.binary(max_size=60), contents), max_size=4))
 def test_frames_are_found_behind_any_garbage(parts):
-    found = Decoder().feed(b"".join(garbage + encode(content) for garbage, content in parts))
-    rest = iter(found)  # garbage may happen to be a frame as well
+    decoded = Decoder().feed(b"".join(garbage + encode(content) for garbage, content in parts))
+    rest = iter(decoded)  # garbage may happen to be a frame as well
     assert all(content in rest for _, content in parts)
 
 
-@given(content=contents, at=st.integers(1, 1000), bit=st.integers(0, 7))
-def test_a_flipped_bit_never_gives_a_wrong_frame(content, at, bit):
+@given(content=contents, place=st.integers(1, 1000), bit=st.integers(0, 7))
+def test_a_flipped_bit_never_gives_a_wrong_frame(content, place, bit):
     raw = bytearray(encode(content))
-    at = max(3, at % len(raw))  # content or checksum: a length may cut a shorter frame out
-    raw[at] ^= 1 << bit
+    place = max(3, place % len(raw))  # content or checksum: a length may cut a shorter frame out
+    raw[place] ^= 1 << bit
     assert content not in Decoder().feed(bytes(raw))
 
 

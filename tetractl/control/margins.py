@@ -13,10 +13,10 @@ centres of two robots keep a distance of the spec's separation plus twice that d
 An adaptive margin does not always fit. If a robot or a target is nearer to an obstacle than that,
 no plan could keep it, and it is reduced to a little less (REDUCED) than the gap:
 
-    nearest to the obstacle           margin
-    none within the full margin       the full margin
-    a robot within the full margin    REDUCED times the robot's gap, but at least its radius
-    a target within a radius          REDUCED times the target's gap may be less than the radius
+    least gap of a robot or target    margin
+    more than the full margin         the full margin
+    less than that                    REDUCED times the gap, but at least the radius; if a target is
+                                      nearer than a radius, at least REDUCED times the target's gap
 
 A robot whose body touches something keeps the margin of a radius: its plan leads outward first. The
 separation is reduced in the same way, and to less than two radii only if two robots or targets are
@@ -25,7 +25,7 @@ nearer already.
 Four questions are asked of a way that robots may go; bodies are discs of the radius:
 
     Margins.enters           does a body touch something along a path, whatever the margins are?
-    Margins.enters_if_held   does it, if robots follow their present directions for some time?
+    Margins.enters_if_held   does it, if robots follow the same directions for some time?
     Silence.keeps_clear      do robots keep clear if they receive nothing after a signal of a plan?
     Margins.least_clearance  how far are bodies from everything, in some places?
 """
@@ -55,8 +55,7 @@ HELD_MOMENTS = np.linspace(0, 1, 5)
 """Moments at which `enters_if_held` looks, as fractions of the time: it also tests the straight
 lines between them."""
 SILENCE_STEP_S = 0.15
-"""Longest time step of the paths of robots that receive nothing [s]: half a control period of
-wheels."""
+"""Longest time step of the paths of robots that receive nothing [s]; chosen."""
 
 
 def off_course(

@@ -5,6 +5,7 @@ viewers drop a whole message for one NaN.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -72,6 +73,21 @@ def decode_note(message: Log, start_ns: int) -> Note:
     return Note(unix_ns - start_ns, level, message.message)
 
 
+BODY_OF_ARENA = 0.03
+"""Size of a robot without wheels, over the arena's shorter side."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PlanParts:
+    """What all plans of a robot have in common: the `entity` without its time, and the line
+    `before` and `after` its points; serialised.
+    """
+
+    entity: bytes
+    before: bytes
+    after: bytes
+
+
 class Scene:
     """Composes the messages that draw one experiment, from lengths in the experiment's unit.
 
@@ -80,15 +96,18 @@ class Scene:
     """
 
     def __init__(self, setup: Setup, exact: bool = False) -> None:
-        self._setup, self._rounded = setup, np.asarray if exact else drawn
+        self._setup = setup
+        self._rounded = np.asarray if exact else drawn
         self._metres = setup.metres
         self._colors = [_color(text) for text in robot_colors(setup.names, setup.colors)]
-        radius, arena = setup.wheel_radius, setup.arena
-        body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
+        body = BODY_OF_ARENA * min(setup.arena.width, setup.arena.height)
+        if setup.wheel_radius:
+            body = 2 * setup.wheel_radius
         self._body = body * self._metres
         # What the messages of a robot have in common: the frames of its transforms; the entity of
         # its plan; that entity's line before and after the points.
-        self._frame_ids, self._plans = list[bytes](), list[tuple[bytes, bytes, bytes]]()
+        self._frame_ids: list[bytes] = []
+        self._plans: list[_PlanParts] = []
         point = _point(self._metres, self._metres).SerializeToString()
         for name, color in zip(setup.names, self._colors, strict=True):
             ids = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame_of(name))
@@ -96,7 +115,7 @@ class Scene:
             entity = self._entity(f"plan/{name}", 0).SerializeToString().removeprefix(_time(0))
             line = self._line(np.ones((1, 2)), color).SerializeToString()
             before, _, after = line.partition(point)
-            self._plans.append((entity, before, after))
+            self._plans.append(_PlanParts(entity, before, after))
 
     def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[bytes]:
         """Serialise the poses in each part of camera frames as FrameTransforms; the trial began at
@@ -107,30 +126,36 @@ class Scene:
         frames = Frames.joined(parts)
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
         times = [_time(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
-        number, (robots, at) = FrameTransforms.TRANSFORMS_FIELD_NUMBER, np.nonzero(known.T)
-        x, y, heading = frames.poses[at, robots].T
-        rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
-        poses = _filled(_pose, self._rounded(np.transpose(rows)))
-        part_of = [p for p, part in enumerate(parts) for _ in part.numbers]
-        made: list[list[bytes]] = [[] for _ in parts]
-        for i, k, one in zip(robots.tolist(), at.tolist(), poses, strict=True):
-            made[part_of[k]].append(_nested(number, times[k] + self._frame_ids[i] + one))
-        return [b"".join(each) for each in made]
+        robots, rows = np.nonzero(known.T)
+        x, y, heading = frames.poses[rows, robots].T
+        half_turn = heading / 2
+        numbers = (x * self._metres, y * self._metres, np.sin(half_turn), np.cos(half_turn))
+        poses = _filled(_pose, self._rounded(np.transpose(numbers)))
+        part_of_row = [index for index, part in enumerate(parts) for _ in part.numbers]
+        transforms: list[list[bytes]] = [[] for _ in parts]
+        field = FrameTransforms.TRANSFORMS_FIELD_NUMBER
+        for robot, row, pose in zip(robots.tolist(), rows.tolist(), poses, strict=True):
+            transform = times[row] + self._frame_ids[robot] + pose
+            transforms[part_of_row[row]].append(_nested(field, transform))
+        return [b"".join(of_part) for of_part in transforms]
 
     def plan(self, path: Floats, unix_ns: int) -> bytes:
         """Serialise a line along each robot's predicted path (length + 1, N, 3), shown until the
         next plan, as SceneUpdate.
         """
-        time, made = _time(unix_ns), list[bytes]()
+        time = _time(unix_ns)
         known = (np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])).T
         xy = path[..., :2].swapaxes(0, 1)[known]
         points = _filled(_point, self._rounded(xy * self._metres))
-        ends = known.sum(axis=1).cumsum().tolist()
-        for (entity, before, after), begin, end in zip(self._plans, [0, *ends], ends, strict=False):
-            line = b"".join((before, *points[begin:end], after))
-            drawn = time + entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
-            made.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, drawn))
-        return b"".join(made)
+        entities: list[bytes] = []
+        begin = 0
+        for parts, count in zip(self._plans, known.sum(axis=1).tolist(), strict=True):
+            of_robot = points[begin : begin + count]
+            line = b"".join((parts.before, *of_robot, parts.after))
+            entity = time + parts.entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
+            entities.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, entity))
+            begin += count
+        return b"".join(entities)
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""
@@ -232,10 +257,12 @@ def _filled(make: Callable[..., Message], rows: Floats) -> list[bytes]:
     if not rows.all():
         return [make(*row).SerializeToString() for row in rows.tolist()]
     template = _template(make, rows.shape[1])
-    pairs, size = np.repeat(template, len(rows), axis=0), template.nbytes
-    pairs["one"], pairs["two"] = rows[:, ::2], rows[:, 1::2]
+    pairs = np.repeat(template, len(rows), axis=0)
+    pairs["one"] = rows[:, ::2]
+    pairs["two"] = rows[:, 1::2]
     data = pairs.tobytes()
-    return [data[at : at + size] for at in range(0, len(data), size)]
+    size = template.nbytes
+    return [data[start : start + size] for start in range(0, len(data), size)]
 
 
 @lru_cache
@@ -257,7 +284,8 @@ def _nested(field: int, data: bytes) -> bytes:
 def _head(field: int, size: int) -> bytes:
     head = bytes([field << 3 | 2])
     while size > 127:
-        head, size = head + bytes([size & 127 | 128]), size >> 7
+        head += bytes([size & 127 | 128])
+        size >>= 7
     return head + bytes([size])
 
 
@@ -272,15 +300,14 @@ def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
     The outline is simple and anticlockwise; the triangles are anticlockwise seen from outside.
     """
     count = len(outline)
-    low, high = np.zeros((count, 1)), np.full((count, 1), height)
-    corners = np.vstack([np.hstack([outline, low]), np.hstack([outline, high])])
-    at, after = np.arange(count), np.roll(np.arange(count), -1)
-    walls = np.vstack(
-        [
-            np.column_stack([at, after, after + count]),
-            np.column_stack([at, after + count, at + count]),
-        ]
-    )
+    bottom = np.hstack([outline, np.zeros((count, 1))])
+    top = np.hstack([outline, np.full((count, 1), height)])
+    corners = np.vstack([bottom, top])
+    corner = np.arange(count)
+    following = np.roll(corner, -1)
+    lower = np.column_stack([corner, following, following + count])
+    upper = np.column_stack([corner, following + count, corner + count])
+    walls = np.vstack([lower, upper])
     return corners, np.vstack([walls, triangulate(outline) + count])
 
 
@@ -289,24 +316,29 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
 
     An ear is a corner that turns left and whose triangle contains no other corner.
     """
-    left = list(range(len(outline)))
+    corners = list(range(len(outline)))  # those not cut yet
     triangles = []
-    while len(left) > 3:
-        ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
+    while len(corners) > 3:
+        ears = (place for place in range(len(corners)) if _is_ear(outline, corners, place))
         # rounding may leave no ear among nearly collinear corners: any corner may then be cut
-        i = next(ears, 0)
-        triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
-        del left[i]
-    return np.array([*triangles, left], dtype=np.int64)
+        place = next(ears, 0)
+        triangles.append(_triangle(corners, place))
+        del corners[place]
+    return np.array([*triangles, corners], dtype=np.int64)
 
 
-def _is_ear(outline: Floats, left: list[int], i: int) -> bool:
-    corner = [left[i - 1], left[i], left[i + 1 - len(left)]]
-    a, b, c = outline[corner]
+def _triangle(corners: list[int], place: int) -> list[int]:
+    """Return the corner at a place, between the two next to it."""
+    return [corners[place - 1], corners[place], corners[(place + 1) % len(corners)]]
+
+
+def _is_ear(outline: Floats, corners: list[int], place: int) -> bool:
+    triangle = _triangle(corners, place)
+    a, b, c = outline[triangle]
     if _turn(a, b, c) <= 0:
         return False
-    others = outline[[k for k in left if k not in corner]]
-    inside = (_turn(a, b, others) >= 0) & (_turn(b, c, others) >= 0) & (_turn(c, a, others) >= 0)
+    rest = outline[[corner for corner in corners if corner not in triangle]]
+    inside = (_turn(a, b, rest) >= 0) & (_turn(b, c, rest) >= 0) & (_turn(c, a, rest) >= 0)
     return not inside.any()
 
 

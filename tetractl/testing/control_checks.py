@@ -29,8 +29,6 @@ CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "now", "utcnow", 
 
 def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
     """Check that an optimiser's search records are consistent, and that its searches repeat."""
-    from tetractl.control.evaluate import compiled_costs
-
     problem = Problem(
         poses=setup.starts, targets=setup.targets, a=setup.a, speed=setup.speed, motion="exact",
         period=0.2, first_period=0.2, obstacles=Obstacles.of(setup.obstacles),
@@ -38,30 +36,42 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
     )  # fmt: skip
     rng = np.random.default_rng(SEED)
     for length in (1, 12):
-        for warm in (None, rng.uniform(-math.pi, math.pi, length)):
-            kept, what = None if warm is None else warm.copy(), f"{length} signals: "
-            found = optimizer.search(problem, length, warm, SEED, Limits())
-            again = optimizer.search(problem, length, warm, SEED, Limits())
-            if warm is not None:
-                what = f"{length} signals, warm start: "
-                yield same(f"{what}not changed", [warm], [kept])
-            shape = np.shape(found.signals)
-            if shape != (length,):
-                yield Finding(f"{what}signals", f"have shape {shape}, not ({length},)")
-                return
-            pair = [(one.signals, one.history, one.evaluations) for one in (found, again)]
-            yield same(f"{what}same search for the same key", *pair)
-            cost = float(compiled_costs(problem, 1)(found.signals[:, None])[0])
-            yield near(f"{what}cost: equals J of signals", found.cost, cost, max(abs(cost), 1e-9))
-            yield near(f"{what}history: ends with cost", found.history[-1], found.cost, 1 + cost)
-            yield true(f"{what}history: never rises", np.diff(found.history) <= 0, "it rises")
-            yield true(f"{what}evaluations: at least 1", found.evaluations >= 1, "there are none")
-            if (most := optimizer.evaluations_max) is not None:
-                text = f"{what}evaluations: at most evaluations_max"
-                yield true(text, found.evaluations <= most, str(found.evaluations))
-            budget = optimizer.evaluations_min + 5
-            spent = optimizer.search(problem, length, warm, SEED, Limits(budget)).evaluations
-            yield true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
+        for start in (None, rng.uniform(-math.pi, math.pi, length)):
+            yield from _check_search(optimizer, problem, length, start)
+
+
+def _check_search(
+    optimizer: OptimizerSection, problem: Problem, length: int, start: Floats | None
+) -> Findings:
+    """Check the search for `length` signals, with a warm `start` if it is given."""
+    from tetractl.control.evaluate import compiled_costs
+
+    what = f"{length} signals: "
+    before = None if start is None else start.copy()
+    search = optimizer.search(problem, length, start, SEED, Limits())
+    again = optimizer.search(problem, length, start, SEED, Limits())
+    if start is not None:
+        what = f"{length} signals, warm start: "
+        yield same(f"{what}not changed", [start], [before])
+    shape = np.shape(search.signals)
+    if shape != (length,):
+        yield Finding(f"{what}signals", f"have shape {shape}, not ({length},)")
+        return
+    record = (search.signals, search.history, search.evaluations)
+    record_again = (again.signals, again.history, again.evaluations)
+    yield same(f"{what}same search for the same key", record, record_again)
+    cost = float(compiled_costs(problem, 1)(search.signals[:, None])[0])
+    yield near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
+    yield near(f"{what}history: ends with cost", search.history[-1], search.cost, 1 + cost)
+    yield true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
+    yield true(f"{what}evaluations: at least 1", search.evaluations >= 1, "there are none")
+    most = optimizer.evaluations_max
+    if most is not None:
+        text = f"{what}evaluations: at most evaluations_max"
+        yield true(text, search.evaluations <= most, str(search.evaluations))
+    budget = optimizer.evaluations_min + 5
+    spent = optimizer.search(problem, length, start, SEED, Limits(budget)).evaluations
+    yield true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
 
 class Play:
@@ -70,7 +80,8 @@ class Play:
     def __init__(self, section: ControllerSection, setup: Setup) -> None:
         self.decisions: list[Any] = []
         self.first = setup.starts.array()  # the poses first observed
-        self.wrong, self.wrapped = "", False  # a decision that is refused; whether `wrap` is used
+        self.wrong = ""  # what is wrong with a decision that is refused
+        self.wrapped = False  # whether `wrap` is used
         self.clocks: set[str] = set()
         self._package = type(section).__module__.partition(".")[0]
         sys.setprofile(self._called)
@@ -78,21 +89,24 @@ class Play:
             self._drive(section, setup)
         finally:
             sys.setprofile(None)
-        self.plans = [one for one in self.decisions if isinstance(one, Plan)]
-        self.numbers = [_numbers(one) for one in self.plans]
+        self.plans = [decision for decision in self.decisions if isinstance(decision, Plan)]
+        self.numbers = [_numbers(plan) for plan in self.plans]
 
     def _drive(self, section: ControllerSection, setup: Setup) -> None:
-        clock, timer = VirtualClock(), count(step=SECOND // 1000)
+        clock = VirtualClock()
+        timer = count(step=SECOND // 1000)
         plant = SimSection().build(setup, clock, np.random.SeedSequence(SEED), LabSupervision())
         host = Host(self._wrap, lambda: next(timer))
         controller = CheckedController(section, setup, SEED, host)
         plant.open()
-        command, earlier = None, list[Observation]()
+        command = None
+        earlier: list[Observation] = []
         for k in range(STEPS_MAX + 2):
-            seen = plant.observe()
-            self.first = seen.poses.array() if k == 0 else self.first
+            observation = plant.observe()
+            if k == 0:
+                self.first = observation.poses.array()
             try:
-                decision = controller.plan(seen, command, earlier)
+                decision = controller.plan(observation, command, earlier)
             except WrongValueError as error:
                 self.wrong = error.what
                 return
@@ -125,40 +139,55 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     setup = replace(setup, period_s=section.period, time_limit_s=limit_s)
     section.warm_up(setup)
     with random_watched() as used:
-        play, again = Play(section, setup), Play(section, setup)
-    plans, decisions, robots = play.plans, play.decisions, len(setup.names)
+        play = Play(section, setup)
+        again = Play(section, setup)
     yield Finding("plan: a Plan, an Outcome or an End that can be sent and logged", play.wrong)
     if play.wrong:
         return
-    yield true("plan: path is finite", [np.isfinite(one.path).all() for one in plans])
-    inside = [np.abs(one.signals).max(initial=0.0) <= math.pi + 1e-12 for one in plans]
-    yield true("plan: signals from -pi to pi", inside)
-    yield true("plan: signals of the chosen search", [_chosen(one) for one in plans])
-    consistent = [_consistent(search) for one in plans for search in one.searches]
-    yield true("searches: signals, history and cost fit together", consistent)
-    if plans:
-        path, size = plans[0].path, max(plans[0].target_cost, 1e-9)
-        yield near("plan: path from the observed poses", path[0], play.first, 1.0)
-        ends = np.hypot(*(path[-1, :, :2] - setup.targets).T).sum()
-        yield near("plan: target_cost of the path's end", plans[0].target_cost, ends, size)
-    off = [section.switches_field or not isinstance(one.instead, FieldOff) for one in plans]
-    yield true("plan: FieldOff only with switches_field", off)
-    in_time = len(plans) < len(decisions) and len(plans) <= STEPS_MAX + 1
-    if len(plans) == STEPS_MAX + 1:
-        in_time &= decisions[-1] is Outcome.TIME_LIMIT
-    yield true("time_limit: ends the trial", in_time)
-    for share, arrived in ((0.95, True), (1.05, False)):
-        off = np.array([share * section.arrival_tolerance, 0.0])
-        there = Poses.of(np.column_stack([setup.targets + off, np.ones(robots)]))
-        seen = Observation(0, 0, 0, there, np.ones(robots, dtype=np.bool_))
-        ended = section.build(setup, SEED).plan(seen) is Outcome.ARRIVED
-        what = "ends the trial" if arrived else "a robot further off has not arrived"
-        yield true(f"arrival_tolerance: {what}", ended == arrived)
-    searches = any(isinstance(one, OptimizerSection) for _, one in section)
+    yield from _check_plans(play.plans, section, setup, play.first)
+    yield from _check_ends(play, section, setup)
+    searches = any(isinstance(value, OptimizerSection) for _, value in section)
     yield true("wrap: gets the optimiser", play.wrapped or not searches)
     yield same("key: same key, same decisions", play.numbers, again.numbers)
     yield Finding("random numbers: from the key", " and ".join(used))
     yield Finding("clock: only timer", ", ".join(sorted(play.clocks)))
+
+
+def _check_plans(
+    plans: list[Plan], section: ControllerSection, setup: Setup, first: Floats
+) -> Findings:
+    """Check each plan, and that the first one begins at the poses `first` (N, 3)."""
+    yield true("plan: path is finite", [np.isfinite(plan.path).all() for plan in plans])
+    inside = [np.abs(plan.signals).max(initial=0.0) <= math.pi + 1e-12 for plan in plans]
+    yield true("plan: signals from -pi to pi", inside)
+    yield true("plan: signals of the chosen search", [_chosen(plan) for plan in plans])
+    consistent = [_consistent(search) for plan in plans for search in plan.searches]
+    yield true("searches: signals, history and cost fit together", consistent)
+    if plans:
+        path = plans[0].path
+        size = max(plans[0].target_cost, 1e-9)
+        yield near("plan: path from the observed poses", path[0], first, 1.0)
+        ends = np.hypot(*(path[-1, :, :2] - setup.targets).T).sum()
+        yield near("plan: target_cost of the path's end", plans[0].target_cost, ends, size)
+    fields = [section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans]
+    yield true("plan: FieldOff only with switches_field", fields)
+
+
+def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> Findings:
+    """Check that a trial ends at its time limit, and where all robots are at their targets."""
+    count_of_plans = len(play.plans)
+    in_time = count_of_plans < len(play.decisions) and count_of_plans <= STEPS_MAX + 1
+    if count_of_plans == STEPS_MAX + 1:
+        in_time = in_time and play.decisions[-1] is Outcome.TIME_LIMIT
+    yield true("time_limit: ends the trial", in_time)
+    robots = len(setup.names)
+    for share, arrived in ((0.95, True), (1.05, False)):
+        aside = np.array([share * section.arrival_tolerance, 0.0])
+        poses = Poses.of(np.column_stack([setup.targets + aside, np.ones(robots)]))
+        observation = Observation(0, 0, 0, poses, np.ones(robots, dtype=np.bool_))
+        ended = section.build(setup, SEED).plan(observation) is Outcome.ARRIVED
+        what = "ends the trial" if arrived else "a robot further off has not arrived"
+        yield true(f"arrival_tolerance: {what}", ended == arrived)
 
 
 def _chosen(plan: Plan) -> bool:

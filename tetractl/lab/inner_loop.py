@@ -172,7 +172,7 @@ class InnerLoop:
         `stop` was called, None if none could be sent."""
         first = self._stops.first
         for _ in range(STOPS):
-            with suppress(Exception):
+            with suppress(Exception, SystemExit):
                 sent = self._actuator.stop(emergency=self.guard.emergency)
                 first = first or sent
             self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)

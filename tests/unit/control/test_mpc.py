@@ -86,6 +86,20 @@ def step(controller, poses=STARTS, now=PERIOD_NS):
     return controller.plan(seen(poses, now=now))
 
 
+def good_from(shortest, cost):
+    """The costs of plans by their lengths: BAD of those shorter than `shortest` signals, and `cost`
+    of the others."""
+    bad = dict.fromkeys(range(shortest), BAD)
+    good = dict.fromkeys(range(shortest, 200), cost)
+    return bad | good
+
+
+def first_plan(search):
+    """The first plan of a controller that has time for long plans, found by `search`."""
+    controller = mpc(spec(horizon_max=100, time_limit=80.2), 99, search)
+    return controller.plan(seen())
+
+
 def near(total):
     """Poses at the targets, but for green, which is `total` [mm] short of its own."""
     poses = TARGETS.copy()
@@ -215,9 +229,7 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, the
     assert rest.state is State.RESTING
     assert rest.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
     controller.estimator.sent(Command(Stop(), 300_000_000, HEARD))
-    controller.optimizer = Scripted(
-        dict.fromkeys(range(18), BAD) | dict.fromkeys(range(18, 100), 0.0)
-    )
+    controller.optimizer = Scripted(good_from(18, 0.0))
     decision = step(controller, near(total), now=1_000_000_000)
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
@@ -275,8 +287,8 @@ def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(l
     """Two signals of the plan under way, which may become one longer; of a new plan, two signals
     longer or more, all but the last two. A plan of two signals has none to test."""
     tested_by_length = asked_margins(left).tested
-    shortest_asked = dict(sorted(tested_by_length.items())[: len(tested)])
-    assert shortest_asked == tested
+    shortest_asked = sorted(tested_by_length)[: len(tested)]
+    assert {length: tested_by_length[length] for length in shortest_asked} == tested
 
 
 @pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, 0.6 + PERIOD_S), (0.5, 0.5)])
@@ -379,10 +391,8 @@ def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
 def test_the_first_plan_is_the_shortest_that_is_good_enough(shortest):
     """Red has the longest way: 894 mm at 150 mm/s are 29.8 signals, so that no shorter plan than of
     30 is searched. The first one searched is longer, 39 = SPREAD times that."""
-    search = Scripted(
-        dict.fromkeys(range(shortest), BAD) | dict.fromkeys(range(shortest, 200), 0.5)
-    )
-    plan = mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
+    search = Scripted(good_from(shortest, 0.5))
+    plan = first_plan(search)
     lengths_asked = [length for length, *_ in search.asked]
     assert lengths_asked[0] == round(SPREAD * 30)
     assert plan.search.length == max(30, shortest)
@@ -400,21 +410,23 @@ class Lucky(Scripted):
 
 def test_a_length_that_failed_is_searched_again_with_other_random_numbers():
     search = Lucky()
-    plan = mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
+    plan = first_plan(search)
     assert plan.search.length == 34
     keys = [key for length, _, key, _ in search.asked if length == 34]
-    assert len(keys) >= 2 and len(set(keys)) == len(keys)
+    assert len(keys) >= 2
+    assert len(set(keys)) == len(keys)
 
 
 def test_searches_for_a_shorter_plan_end_after_vain_ones():
-    search = Scripted(dict.fromkeys(range(39), BAD) | dict.fromkeys(range(39, 200), 0.5))
-    mpc(spec(horizon_max=100, time_limit=80.2), 99, search).plan(seen())
+    search = Scripted(good_from(39, 0.5))
+    first_plan(search)
     assert len(search.asked) == 1 + VAIN  # the first is good, and no shorter one is
 
 
 def test_spread_lengths_end_with_the_horizon():
     search = Scripted()
-    mpc(spec(horizon_max=40), 99, search).plan(seen())
+    controller = mpc(spec(horizon_max=40), 99, search)
+    controller.plan(seen())
     lengths_asked = [length for length, *_ in search.asked]
     assert lengths_asked[:2] == [39, 40]
     assert max(lengths_asked) == 40  # also of those that are searched thoroughly then

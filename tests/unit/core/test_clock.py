@@ -46,7 +46,8 @@ def test_monotonic_time_starts_at_0_and_sleeps_to_the_end(host):
 @pytest.mark.skipif(sys.platform != "linux", reason="the name of Linux's clock")
 def test_the_hosts_clock_goes_on_while_the_computer_sleeps(monkeypatch):
     """The kernel's CLOCK_MONOTONIC stands meanwhile, and pictures that waited seemed new."""
-    clock, slept = MonotonicClock(), 5 * SECOND
+    clock = MonotonicClock()
+    slept = 5 * SECOND
     true = time.clock_gettime_ns
     boot = time.CLOCK_BOOTTIME
     monkeypatch.setattr(time, "clock_gettime_ns", lambda c: true(c) + slept * (c == boot))

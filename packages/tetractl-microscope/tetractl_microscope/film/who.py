@@ -211,14 +211,13 @@ def _uncertain(rows: list[TrackRow]) -> Iterator[tuple[list[TrackRow], int, int 
     """Yield each part of a track in which its name is uncertain, the name before, and the one
     after, None if the track ends; but no part whose name is the same before and after.
     """
-    # a run has successive pictures, for which `at` minus the index of the row is the same
-    runs = groupby(enumerate(rows), lambda each: (each[1].at - each[0], each[1].likely > PASSED_ON))
+    runs = groupby(rows, lambda row: row.likely > PASSED_ON)
     before = None
-    for run, later in pairwise([*([row for _, row in run] for _, run in runs), list[TrackRow]()]):
+    for run, later in pairwise([*(list(run) for _, run in runs), list[TrackRow]()]):
         if run[0].likely > PASSED_ON:
             before = run[-1].name
             continue
-        after = later[0].name if later and later[0].at == run[-1].at + 1 else None
+        after = later[0].name if later else None
         if before is not None and before != after:
             yield run, before, after
 

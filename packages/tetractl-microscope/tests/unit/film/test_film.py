@@ -413,6 +413,20 @@ def test_an_uncertain_part_has_one_name_of_its_own_though_its_cell_meets_others_
     assert [row.name for row in where.tracks[7]] == [3, 3, 3, 4, 4, 4, 4, 4, 4, 4]
 
 
+@pytest.mark.parametrize(
+    ("likely", "names"),
+    [
+        ([1.0, 0.4, 0.4, None, 0.4, 0.4], [3, 4, 4, 4, 4]),
+        ([1.0, 0.4, 0.4, None, 1.0, 1.0], [3, 3, 3, 3, 3]),  # the same number before and after
+    ],
+)
+def test_an_uncertain_part_goes_on_after_a_picture_that_does_not_show_its_track(likely, names):
+    pictures = [{} if p is None else {7: seen_cell(3, 0.0, 0.0, 7, p)} for p in likely]
+    where = recorded(pictures, np.arange(6) / 2.0)
+    where.split()
+    assert [row.name for row in where.tracks[7]] == names
+
+
 def test_a_track_goes_on_with_a_likely_number_that_is_not_called_sure():
     cells = [
         seen_cell(3 if k < 60 else 4, 4.0 * k, 0.0, 7, 1.0 if k < 30 else 0.95) for k in range(90)

@@ -283,11 +283,10 @@ class Names:
     def finish(self, seconds: float) -> None:
         """End all meetings and questions: there are no pictures after this time [s]."""
         for meeting in list(self._meetings):
-            if len(meeting.tracks) > 1:
-                likely = self.probabilities(meeting.tracks)
-                for track, probability in zip(list(meeting.tracks), likely, strict=True):
-                    if track.together_s < seconds:
-                        self._doubt(track, probability)
+            shares = self._own_shares(meeting).tolist()
+            for track, share in zip(meeting.tracks, shares, strict=True):
+                if len(meeting.tracks) > 1 and track.together_s < seconds:
+                    self._doubt(track, share)
             self._forget(meeting)
         for question in list(self._questions):
             self._end(question)

@@ -130,6 +130,16 @@ def test_a_cell_is_uncertain_where_something_unknown_is_likelier():
     assert dish.names.probabilities([track])[0] < 0.5
 
 
+def test_the_end_of_a_film_says_nothing_new_of_who_is_who():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 530.0)]
+    tracks[0].certainty = 0.95
+    dish.names.meet(tracks, 1.0, False)
+    before = dish.names.probabilities(tracks)
+    dish.names.finish(2.0)
+    assert [track.certainty for track in tracks] == pytest.approx(before)
+
+
 def test_each_meeting_lowers_the_certainty_of_who_is_who():
     dish = Dish()
     tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]

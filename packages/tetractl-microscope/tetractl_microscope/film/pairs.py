@@ -11,7 +11,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.names import LIKELIER
-from tetractl_microscope.film.who import TrackRow, Whereabouts, row_from
+from tetractl_microscope.film.who import Parting, TrackRow, Whereabouts, row_from
 
 APART_S = 0.5  # time after a parting whose blobs give the two cells' sizes
 SEEN = 3  # successive blobs that are too large for one cell
@@ -39,28 +39,26 @@ def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
     larger = max(LARGE, math.exp(SPREAD * spread))
     names = where.new_names()
     return {
-        track
-        for first, track, other_track in where.partings
-        if _fill(where, first, track, other_track, larger, APART * body_um, names)
+        parting.track
+        for parting in where.partings
+        if _fill(where, parting, larger, APART * body_um, names)
     }
 
 
 def _fill(
     where: Whereabouts,
-    first: int,
-    track: int,
-    other_track: int,
+    parting: Parting,
     larger: float,
     apart_um: float,
     names: Iterator[int],
 ) -> bool:
-    """Add a cell on a `track` to the pictures before its `first` one; return whether it was. A blob
-    that is `larger` than one cell shows two; nearer than `apart_um` [um] to its middle they cannot
-    be distinguished.
+    """Add a cell to the pictures before its parting; return whether it was. A blob that is `larger`
+    than one cell shows two; nearer than `apart_um` [um] to its middle they cannot be distinguished.
     """
+    first = parting.at
     times = where.times
-    news = where.tracks[track]
-    olds = where.tracks[other_track]
+    news = where.tracks[parting.track]
+    olds = where.tracks[parting.near]
     i = row_from(news, first)
     j = row_from(olds, first)
     if [row.at for row in olds[max(j - 1, 0) : j + 1]] != [first - 1, first]:
@@ -110,7 +108,7 @@ def _fill(
             until_s = now_s
         hidden = not clear or (hidden and not begins)
         joint = replace(cell, axis=axis, merged=True, measured=None)
-        added_cell = replace(joint, x=x + half[0], y=y + half[1], track=track)
+        added_cell = replace(joint, x=x + half[0], y=y + half[1], track=parting.track)
         added.append(TrackRow(row.at, added_cell, named[0], LIKELIER))
         row.cell = replace(joint, x=x - half[0], y=y - half[1])
         row.name = named[1]

@@ -1,7 +1,11 @@
 """Who is where in a film: the one record of which cell each track showed in each picture.
 
-What the tracker sees and answers is entered as it comes; at the end each cell's rows are written
-from it.
+A track has a row for each picture that shows it: the number (name) of the cell on it, and the
+probability of that. What the tracker sees and answers is entered as it comes, and an answer changes
+rows that were entered before (`Whereabouts.enter`). At the end a part of a track in which the name
+is uncertain gets a name of its own (`split`), and the rows of each name become a path (`paths`).
+
+K is the number of pictures of a path. Pictures are counted by their index `at` in the record.
 """
 
 import math
@@ -21,12 +25,12 @@ from tetractl_microscope.cells.tracking import STARTED, CellTracker
 from tetractl_microscope.organisms import Organism
 
 SHORTEST_S = 0.35  # least duration of a path that is kept [s]
-# least share of a path's pictures in which its cell has a blob; least way over SHORTEST_S, relative
-# to the way from picture to picture: what jumps to and fro does not swim
-FOUND, STEADY = 0.7, 0.6
+FOUND = 0.7  # least share of a path's pictures in which its cell has a blob
+# least way over SHORTEST_S, relative to that from picture to picture: what jumps does not swim
+STEADY = 0.6
 ROUNDING_S = 1e-6  # error of a time that was converted
-OF_BLOB = POSITION_UM, POSITION_UM, 2 * AXIS  # deviations of a new cell's blob
-UNKNOWN = np.full(STATES, np.nan)
+OF_BLOB = (POSITION_UM, POSITION_UM, 2 * AXIS)  # deviations of a new cell's blob [um, um, rad]
+UNKNOWN = np.full(STATES, np.nan)  # state of a cell before the filter follows it
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,35 @@ class TrackRow:
     likely: float
 
 
+@dataclass(frozen=True, slots=True)
+class Parting:
+    """The cell on a `track` came out of the blob of the track `near` in the picture `at`."""
+
+    at: int
+    track: int
+    near: int
+
+
+@dataclass(frozen=True, slots=True)
+class Division:
+    """A cell has divided in the picture `at`: the tracks of `mother` and `daughter`."""
+
+    at: int
+    mother: int
+    daughter: int
+
+
+@dataclass(frozen=True, slots=True)
+class UncertainPart:
+    """Successive rows of a track in which its name is uncertain, the name before, and the one
+    after, None if the track ends.
+    """
+
+    rows: list[TrackRow]
+    before: int
+    after: int | None
+
+
 def row_from(rows: list[TrackRow], at: int) -> int:
     """Return the index of a track's first row in or after a picture."""
     return bisect_left(rows, at, key=lambda row: row.at)
@@ -68,16 +101,14 @@ class Whereabouts:
     """The rows of each track, in order of time, in pictures at the `times` [s] with the numbers
     `frames`.
 
-    `partings` are, for each cell that came out of another one's blob, the index of its first
-    picture, its track, and the other one's; `divisions` the index, and the tracks of mother and
-    daughter. `doubtful` lists cells that could not be distinguished after they met.
+    `doubtful` lists cells that could not be distinguished after they met.
     """
 
     times: list[float] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
     tracks: dict[int, list[TrackRow]] = field(default_factory=dict)
-    partings: list[tuple[int, int, int]] = field(default_factory=list)
-    divisions: list[tuple[int, int, int]] = field(default_factory=list)
+    partings: list[Parting] = field(default_factory=list)
+    divisions: list[Division] = field(default_factory=list)
     doubtful: list[tuple[int, ...]] = field(default_factory=list)
 
     def enter(self, frame: int, seconds: float, tracker: CellTracker, seen: list[SeenCell]) -> None:
@@ -110,8 +141,12 @@ class Whereabouts:
 
     def picture(self, at: int) -> dict[int, TrackRow]:
         """Return the row of each track in the picture with an index."""
-        found = ((track, rows[row_from(rows, at) :][:1]) for track, rows in self.tracks.items())
-        return {track: row for track, some in found for row in some if row.at == at}
+        shown: dict[int, TrackRow] = {}
+        for track, rows in self.tracks.items():
+            index = row_from(rows, at)
+            if index < len(rows) and rows[index].at == at:
+                shown[track] = rows[index]
+        return shown
 
     def new_names(self) -> Iterator[int]:
         """Yield numbers that no cell has."""
@@ -121,10 +156,10 @@ class Whereabouts:
         """Yield the names of mother and daughter of each division; `pairs` are tracks of cells that
         were in another one's blob before, and have not divided.
         """
-        for at, mother, track in self.divisions:
-            rows = self.picture(at)
-            if track in rows and track not in pairs:
-                yield rows[mother].name, rows[track].name
+        for division in self.divisions:
+            rows = self.picture(division.at)
+            if division.daughter in rows and division.daughter not in pairs:
+                yield rows[division.mother].name, rows[division.daughter].name
 
     def split(self) -> None:
         """Give each part of a track in which the name is uncertain, and which lasts, a name of its
@@ -132,54 +167,63 @@ class Whereabouts:
         the same name before and after, or begins with that part. A brief part has the name before
         until the one after is likelier.
         """
-        found = [part for rows in self.tracks.values() for part in _uncertain(rows)]
+        parts = [part for rows in self.tracks.values() for part in _uncertain_parts(rows)]
+        parts.sort(key=lambda p: (p.rows[-1].at, p.rows[0].at, p.rows[0].cell.track))
         names = self.new_names()
-        found.sort(key=lambda part: (part[0][-1].at, part[0][0].at, part[0][0].cell.track))
-        for rows, before, after in found:
-            name = before
-            merged = True
-            end_s = self.times[rows[-1].at]
-            for row in rows:
-                alone = merged and not row.cell.merged
-                unlike = row.likely < LIKELIER
-                if name == before and (alone or unlike):
-                    lasts = end_s - self.times[row.at] > SHORTEST_S
-                    if lasts:
-                        name = next(names)
-                    elif unlike:
-                        name = after or before
-                row.name = name
-                merged = row.cell.merged
+        for part in parts:
+            self._name_part(part, names)
+
+    def _name_part(self, part: UncertainPart, names: Iterator[int]) -> None:
+        """Give the rows of an uncertain part their names, the next one of `names` if need be."""
+        name = part.before
+        was_merged = True
+        end_s = self.times[part.rows[-1].at]
+        for row in part.rows:
+            is_alone_again = was_merged and not row.cell.merged
+            is_unlikely = row.likely < LIKELIER
+            if name == part.before and (is_alone_again or is_unlikely):
+                if end_s - self.times[row.at] > SHORTEST_S:
+                    name = next(names)
+                elif is_unlikely and part.after is not None:
+                    name = part.after
+            row.name = name
+            was_merged = row.cell.merged
 
     def paths(self, organism: Organism) -> Iterator[CellPath]:
         """Yield the cells in the order of their numbers, except those whose path is too short, that
         move more slowly than the organism for most of the time, or to and fro, or that are hardly
         seen: debris that a cell has touched. A track that swims may have several names in turn.
         """
-        rows = [row for each in self.tracks.values() for row in each]
-        far = {number for number, each in self.tracks.items() if _goes_far(_places(each), organism)}
+        swimming = {
+            track for track, rows in self.tracks.items() if _goes_far(_places(rows), organism)
+        }
+        rows = [row for track_rows in self.tracks.values() for row in track_rows]
         rows.sort(key=lambda row: (row.name, row.at, row.likely, -row.cell.track))
-        for name, those in groupby(rows, key=lambda row: row.name):
+        for name, named in groupby(rows, key=lambda row: row.name):
             # a lost cell that was found again may have its name twice: the likelier one counts
-            kept = list({row.at: row for row in those}.values())
-            at = [row.at for row in kept]
-            seen = (
-                replace(row.cell, identity=name, probability=row.likely, sure=is_sure)
-                for row, is_sure in zip(kept, _sure(kept), strict=True)
-            )
-            times, frames = np.array(self.times)[at], np.array(self.frames)[at]
-            path = CellPath(name, times, frames, tuple(seen))
-            on_far = all(row.cell.track in far for row in kept)
-            if (on_far or _goes_far(path.places, organism)) and _swims(path, organism):
+            likeliest = list({row.at: row for row in named}.values())
+            path = self._path(name, likeliest)
+            on_swimming = all(row.cell.track in swimming for row in likeliest)
+            if (on_swimming or _goes_far(path.places, organism)) and _swims(path, organism):
                 yield path
+
+    def _path(self, name: int, rows: list[TrackRow]) -> CellPath:
+        """Return the path of the cell that has a name in some rows, one for each picture."""
+        at = [row.at for row in rows]
+        seen = [
+            replace(row.cell, identity=name, probability=row.likely, sure=is_sure)
+            for row, is_sure in zip(rows, _sure(rows), strict=True)
+        ]
+        return CellPath(name, np.array(self.times)[at], np.array(self.frames)[at], tuple(seen))
 
     def _begin(self, born: Born) -> None:
         """Enter a newly recognised cell in the earlier pictures in which it was already seen."""
-        path, before = born.path, list[TrackRow]()
+        path = born.path
         way = path[-1, 1:3] - path[0, 1:3]
-        for seconds, x, y, axis, long, wide in path[:-1].tolist():
-            forwards = np.cos(axis) * way[0] + np.sin(axis) * way[1] >= 0
-            axis += 0.0 if forwards else np.pi
+        before = list[TrackRow]()
+        for seconds, x, y, blob_axis, long, wide in path[:-1].tolist():
+            is_forwards = np.cos(blob_axis) * way[0] + np.sin(blob_axis) * way[1] >= 0
+            axis = blob_axis if is_forwards else blob_axis + np.pi
             cell = SeenCell(
                 identity=born.identity,
                 x=x,
@@ -201,15 +245,16 @@ class Whereabouts:
         self.tracks.setdefault(born.track, [])[:0] = before
         first = self.index(path[0, 0])
         if born.near is not None:
-            self.partings.append((first, born.track, born.near))
+            self.partings.append(Parting(first, born.track, born.near))
         if born.divided is not None:
-            mothers = (t for t, row in self.picture(first).items() if row.name == born.divided)
-            self.divisions += [(first, mother, born.track) for mother in mothers]
+            for track, row in self.picture(first).items():
+                if row.name == born.divided:
+                    self.divisions.append(Division(first, track, born.track))
 
 
-def _uncertain(rows: list[TrackRow]) -> Iterator[tuple[list[TrackRow], int, int | None]]:
-    """Yield each part of a track in which its name is uncertain, the name before, and the one
-    after, None if the track ends; but no part whose name is the same before and after.
+def _uncertain_parts(rows: list[TrackRow]) -> Iterator[UncertainPart]:
+    """Yield each part of a track in which its name is uncertain, but no part whose name is the same
+    before and after, nor that with which the track begins.
     """
     runs = groupby(rows, lambda row: row.likely > PASSED_ON)
     before = None
@@ -219,7 +264,7 @@ def _uncertain(rows: list[TrackRow]) -> Iterator[tuple[list[TrackRow], int, int 
             continue
         after = later[0].name if later else None
         if before is not None and before != after:
-            yield run, before, after
+            yield UncertainPart(run, before, after)
 
 
 def _sure(rows: list[TrackRow]) -> list[bool]:
@@ -229,12 +274,13 @@ def _sure(rows: list[TrackRow]) -> list[bool]:
     certain later; nor after the name has gone on from one track to another.
     """
     cells = [row.cell for row in rows]
-    large = np.array([cell.merged and cell.measured is not None for cell in cells])
-    doubtful = large | np.array([row.likely <= ASSERTED for row in rows])
-    certain = np.flatnonzero(~doubtful & [cell.found for cell in cells])
-    doubtful[: certain.max(initial=-1) + 1] = False
-    other = np.array([cell.track != cells[0].track for cell in cells])
-    return (np.cumsum(doubtful | other) == 0).tolist()
+    is_large = np.array([cell.merged and cell.measured is not None for cell in cells])
+    is_doubtful = is_large | np.array([row.likely <= ASSERTED for row in rows])
+    is_certain = ~is_doubtful & np.array([cell.found for cell in cells])
+    last_certain = int(np.flatnonzero(is_certain).max(initial=-1))
+    is_doubtful[: last_certain + 1] = False
+    is_elsewhere = np.array([cell.track != cells[0].track for cell in cells])
+    return (~np.logical_or.accumulate(is_doubtful | is_elsewhere)).tolist()
 
 
 def _places(rows: list[TrackRow]) -> Floats:
@@ -250,12 +296,15 @@ def _goes_far(places: Floats, organism: Organism) -> bool:
 
 def _swims(path: CellPath, organism: Organism) -> bool:
     """Return whether a path lasts, and goes on as fast and as steadily as a cell's."""
-    times, places = path.times, path.places
+    times = path.times
+    places = path.places
     if times[-1] - times[0] < SHORTEST_S:
         return False
+    if np.mean([cell.found for cell in path.seen]) < FOUND:
+        return False
     later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
-    moved = np.linalg.norm(places[later] - places, axis=1)[: later.argmax() + 1]
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times)
-    least = max(organism.slowest_um_s, STEADY * float(np.median(steps))) * SHORTEST_S
-    found = np.mean([cell.found for cell in path.seen])
-    return bool(np.median(moved) >= least and found >= FOUND)
+    starts = slice(0, later.argmax() + 1)  # those from which the path lasts for SHORTEST_S
+    ways_um = np.linalg.norm(places[later] - places, axis=1)[starts]
+    speeds_um_s = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times)
+    least_um_s = max(organism.slowest_um_s, STEADY * float(np.median(speeds_um_s)))
+    return bool(np.median(ways_um) >= least_um_s * SHORTEST_S)

@@ -7,7 +7,7 @@ import pytest
 from support.film_rows import recorded
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.film.pairs import fill_pairs
-from tetractl_microscope.film.who import Whereabouts
+from tetractl_microscope.film.who import Parting, Whereabouts
 
 pytestmark = pytest.mark.slow
 
@@ -57,7 +57,7 @@ def film(apart_um: list[float]) -> list[dict[int, SeenCell]]:
 def filled(shown: list[dict[int, SeenCell]]) -> tuple[set[int], Whereabouts]:
     """Return the tracks of cells that were added to pictures, and the record."""
     where = recorded(shown, TIMES)
-    where.partings = [(APART_AT, 2, 1)]
+    where.partings = [Parting(APART_AT, 2, 1)]
     return fill_pairs(where, BODY_UM), where
 
 

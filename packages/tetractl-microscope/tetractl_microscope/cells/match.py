@@ -1,9 +1,16 @@
 """Assigns the blobs of a picture to tracks, in one assignment of least cost.
 
-Costs are squared deviations: the negative log-likelihood, doubled. A cell may have a blob of its
-own where the filter expects it, one of its size nearby if it has stopped or turned by itself, or a
-place in a blob that covers it together with other cells; a speck has the blob where its last motion
-leads; and each may have none.
+Costs are squared deviations: the negative log-likelihood, doubled. A cell may have
+
+- a blob of its own where the filter expects it, of cost q + s: q is the squared Mahalanobis
+  distance of the place, s that of the logarithms of length and width;
+- a blob of its size nearby, if it has stopped or turned by itself, which costs more than the first;
+- a place in a blob that covers it together with other cells;
+
+a speck has the blob where its last motion leads; and each may have none. The assignment of least
+total cost is found at once for all.
+
+C is the number of cells, S that of specks, B that of blobs; costs are (C, B) or (S, B).
 """
 
 from collections.abc import Sequence
@@ -17,36 +24,45 @@ from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.organisms import Organism
 
 NONE = 100.0  # cost of leaving a cell without a blob
-# cost of leaving a speck without a blob: that of a new one, and the increase with each of its blobs
-NONE_SPECK, NONE_EACH = 30.0, 14.0
-# a blob within this many deviations, or lengths of a cell, of its expected place is near
-GATE, NEAR = 6.0, 0.23
-SIZE_SHARE, SIZE_MOST = 0.15, 20.0  # relative variation of a cell's blob, and its largest cost
+NEVER = 1e6  # cost of what is never assigned
+NONE_SPECK = 30.0  # cost of leaving a new speck without a blob
+NONE_EACH = 14.0  # increase of that cost with each blob that a speck has had
+GATE = 6.0  # standard deviations from its expected place within which a cell's blob is near
+NEAR = 0.23  # distance from its expected place within which a cell's blob is near [lengths]
+GATES_MOST = 4  # largest cost of a near blob's place, in squares of the gate
+SIZE_SHARE = 0.15  # relative variation of a cell's blob
+SIZE_MOST = 20.0  # largest cost of a blob's size
 ALIKE = 0.4  # largest difference of the logarithms of size of a blob away from its expected place
-# cost of a blob of the cell's size at the expected place, and at the largest distance from it
-# [lengths], which grows with the time without a blob [1/s], for Tetrahymena: of a cell that stopped
-STOPPED, STOPPED_FAR, STOPPED_REACH = (50.0, 90.0), 0.86, 3.8
-# cost of a place in a blob that is too large for one cell, or not
-SHARED_LARGE, SHARED = 40.0, 70.0
+STOPPED_LEAST = 50.0  # cost of a blob of the cell's size that has stopped where it was expected
+STOPPED_MOST = 90.0  # the same at the largest distance from there
+STOPPED_FAR = 0.86  # that distance for a cell seen in the picture before [lengths]
+STOPPED_REACH = 3.8  # increase of that distance with the time without a blob [lengths/s]
+NO_REACH = 1e-9  # that distance for a cell not seen for long [lengths]
+SHARED_LARGE = 40.0  # cost of a place in a blob that is too large for one cell
+SHARED = 70.0  # cost of a place in a blob that is not
 COVER = 0.6  # largest distance of a cell from a blob it is in, relative to the cell's width
-# of a speck's blob: least cost; deviation from its expected place, and radius of search there, and
-# for a new one [lengths of Tetrahymena in 1 / USUAL_HZ, as speeds are what differs]
-SPECK, SPECK_SD, REACH, FIRST = 6.0, 0.115, 0.48, 0.77
+SPECK = 6.0  # least cost of a speck's blob
+# of a speck's blob: deviation from its expected place, and radius of search there, and for a new
+# one [lengths of Tetrahymena in 1 / USUAL_HZ, as speeds are what differs]
+SPECK_SD = 0.115
+REACH = 0.48
+FIRST = 0.77
 USUAL_HZ = 30.0
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
-ROUNDS, SAMPLED = 4, 200  # iterations when a blob is divided among cells; pixels that are used
+ROUNDS = 4  # iterations when a blob is divided among cells
+SAMPLED = 200  # most pixels that are used then
 
 
 def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
     """Return x, y (upwards) [um], axis [rad], length and width [um] of B blobs (B, 5), found in a
     picture with `height` rows.
     """
-    found = [
+    places = [
         ((b.x + 0.5) * um_px, (height - 0.5 - b.y) * um_px, -b.axis, b.long * um_px, b.wide * um_px)
         for b in blobs
     ]
-    return np.array(found).reshape(-1, 5)
+    return np.array(places).reshape(-1, 5)
 
 
 def points_of(blob: Blob, um_px: float, height: int) -> Floats:
@@ -84,17 +100,20 @@ def cell_costs(
     body_um = organism.body_um[0]
     away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
     sizes = np.array([(cell.long, cell.wide) for cell in cells]).reshape(-1, 1, 2)
-    ratio = np.abs(np.log(places[None, :, 3:5] / sizes))
-    near = (squared < GATE**2) | (away < NEAR)
-    unlike = np.minimum(np.square(ratio / SIZE_SHARE).sum(-1), SIZE_MOST)
-    cost = np.where(near, np.minimum(squared, 4 * GATE**2) + unlike, NONE)
-    missed = np.array([cell.missed_s for cell in cells])
-    stopped = STOPPED_FAR + STOPPED_REACH * organism.quickness * missed
-    reach = np.where(missed < looked_s, stopped, 1e-9)[:, None]
-    least, most = STOPPED
-    allowed = (away < reach) & (ratio.max(axis=-1, initial=0.0) < ALIKE)
-    loose = np.where(allowed, least + (most - least) * np.square(away / reach), NONE)
-    return np.minimum(cost, loose), loose < cost
+    size_off = np.abs(np.log(places[None, :, 3:5] / sizes))
+
+    is_near = (squared < GATE**2) | (away < NEAR)
+    of_size = np.minimum(np.square(size_off / SIZE_SHARE).sum(-1), SIZE_MOST)
+    of_place = np.minimum(squared, GATES_MOST * GATE**2)
+    cost = np.where(is_near, of_place + of_size, NONE)
+
+    missed_s = np.array([cell.missed_s for cell in cells])
+    stopped = STOPPED_FAR + STOPPED_REACH * organism.quickness * missed_s
+    reach = np.where(missed_s < looked_s, stopped, NO_REACH)[:, None]
+    is_in_reach = (away < reach) & (size_off.max(axis=-1, initial=0.0) < ALIKE)
+    of_distance = STOPPED_LEAST + (STOPPED_MOST - STOPPED_LEAST) * np.square(away / reach)
+    cost_away = np.where(is_in_reach, of_distance, NONE)
+    return np.minimum(cost, cost_away), cost_away < cost
 
 
 def speck_costs(
@@ -111,9 +130,9 @@ def speck_costs(
     reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
     length = organism.body_um[0] * max(1.0, organism.quickness * USUAL_HZ * passed)
     away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / length
-    none = np.array([min(NONE, NONE_SPECK + NONE_EACH * len(speck.path)) for speck in specks])
-    cost = np.minimum(SPECK + np.square(away / SPECK_SD), none[:, None] - 1)
-    return np.where(away < reach[:, None], cost, 1e6), none
+    of_none = np.array([min(NONE, NONE_SPECK + NONE_EACH * len(speck.path)) for speck in specks])
+    cost = np.minimum(SPECK + np.square(away / SPECK_SD), of_none[:, None] - 1)
+    return np.where(away < reach[:, None], cost, NEVER), of_none
 
 
 def shared_costs(
@@ -130,14 +149,15 @@ def shared_costs(
     reach = COVER * np.array([cell.wide for cell in cells]) / um_px
     away = np.linalg.norm(pixels[:, None] - middles, axis=-1) - halves[None] - reach[:, None]
     for j in np.flatnonzero((away < 0).any(axis=0)).tolist():
-        blob, points = blobs[j], blobs[j].pixels
+        blob = blobs[j]
+        blob_um2 = um_px**2 * blob.long * blob.wide
+        points = blob.pixels
         for i in np.flatnonzero(away[:, j] < 0).tolist():
             cell = cells[i]
-            large = um_px**2 * blob.long * blob.wide > LARGE * cell.long * cell.wide
-            if cell.missed_s > 0 and not large:  # the cell was outside this blob before
-                continue
-            if np.linalg.norm(points - pixels[i], axis=1).min() < reach[i]:
-                cost[i, j] = SHARED_LARGE if large else SHARED
+            is_large = blob_um2 > LARGE * cell.long * cell.wide
+            was_outside = cell.missed_s > 0 and not is_large
+            if not was_outside and np.linalg.norm(points - pixels[i], axis=1).min() < reach[i]:
+                cost[i, j] = SHARED_LARGE if is_large else SHARED
     return cost
 
 
@@ -148,21 +168,25 @@ def assigned(own: Floats, shared: Floats, specks: tuple[Floats, Floats]) -> dict
     follow the cells', as by `speck_costs`. Only cells share a blob: a speck in a cell's blob has
     none.
     """
-    (count, blobs), (of_specks, none) = own.shape, specks
-    some = np.flatnonzero((shared < NONE).any(axis=0))
-    places = [np.repeat(some, (shared[:, some] < NONE).sum(axis=0))]
-    column = np.concatenate([np.arange(blobs), *places])
-    cost = np.full((count + len(none), len(column)), 1e6)
-    cost[:count, :blobs], cost[:count, blobs:] = own, shared[:, column[blobs:]]
+    count, blobs = own.shape
+    of_specks, speck_none = specks
+    # a blob has one more column for each cell that may share it
+    may_share = shared < NONE
+    columns = np.concatenate([np.arange(blobs), np.repeat(np.arange(blobs), may_share.sum(axis=0))])
+    cost = np.full((count + len(speck_none), len(columns)), NEVER)
+    cost[:count, :blobs] = own
+    cost[:count, blobs:] = shared[:, columns[blobs:]]
     cost[count:, :blobs] = of_specks
-    none = np.concatenate([np.full(count, NONE), none])
-    cost[cost >= none[:, None]] = 1e6
-    nothing = np.full((len(cost), len(cost)), 1e6)
-    np.fill_diagonal(nothing, none)
-    rows, at = linear_sum_assignment(np.concatenate([cost, nothing], axis=1))
-    found = {int(i): int(column[j]) for i, j in zip(rows, at, strict=True) if j < len(column)}
-    of_cells = {j for i, j in found.items() if i < count}
-    return {i: j for i, j in found.items() if i < count or j not in of_cells}
+    of_none = np.concatenate([np.full(count, NONE), speck_none])
+    cost[cost >= of_none[:, None]] = NEVER
+    nothing = np.full((len(cost), len(cost)), NEVER)  # a column for each track that has no blob
+    np.fill_diagonal(nothing, of_none)
+    rows, chosen = linear_sum_assignment(np.concatenate([cost, nothing], axis=1))
+    blob_of = {
+        int(i): int(columns[j]) for i, j in zip(rows, chosen, strict=True) if j < len(columns)
+    }
+    with_cells = {j for i, j in blob_of.items() if i < count}
+    return {i: j for i, j in blob_of.items() if i < count or j not in with_cells}
 
 
 def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
@@ -174,7 +198,8 @@ def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Flo
     """
     points = points[:: max(1, len(points) // SAMPLED)]
     middles = expected[:, :2].copy()
-    cos, sin = np.cos(expected[:, 2]), np.sin(expected[:, 2])
+    cos = np.cos(expected[:, 2])
+    sin = np.sin(expected[:, 2])
     halves = np.array([(cell.long / 4, cell.wide / 4) for cell in owners])
     for _ in range(ROUNDS):
         away = points[None] - middles[:, None]

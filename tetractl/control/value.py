@@ -17,7 +17,8 @@ The value of a candidate is an error [length unit], the less the better:
 from dataclasses import dataclass
 from typing import ClassVar
 
-PATIENCE_S = 80.0  # time in which `attempt` doubles
+PATIENCE_S = 80.0
+"""Time in which `attempt` doubles [s]; docs/decisions/controller.md has trials with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +39,13 @@ class Worth:
     ) -> float:
         """Return the value of a plan of `length` signals that ends with the total `error`."""
         attempt = 2 ** (self.spent_s / self.patience_s) if new else 0.0
-        time = self.price * self.period_s * length
-        caution = self.touch * touches + self.unheard * unheard
-        return error + self.accept * (attempt + time + caution)
+        price = self.price * self.period_s * length
+        caution = 0.0
+        if touches:
+            caution += self.touch
+        if unheard:
+            caution += self.unheard
+        return error + self.accept * (attempt + price + caution)
 
     def rest(self, length: int, wait_s: float) -> float:
         """Return the value of a rest that ends with a plan of `length` signals in `wait_s`; whether

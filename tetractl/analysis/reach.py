@@ -13,6 +13,7 @@ on the targets.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -24,12 +25,16 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.section_abilities import Modelled
 from tetractl.run.plausibility import OVERSHOOTING
 
-SEQUENCES, LENGTH = 1000, 96
+SEQUENCES = 1000
+LENGTH = 96
 TOLERANCE = 0.01
 """Least spread of a combination that can be reached, over that of the one that moves furthest."""
 CHANCE = 4.0
 """Multiple of the usual spread of a combination beyond which a sequence has moved it by chance."""
-ROUNDS, QUARTILE = 4, 0.6745
+ROUNDS = 4
+"""Rounds in which sequences that moved a combination by chance are found."""
+QUARTILE = 0.6745
+"""Median of the magnitudes of normal numbers, over their standard deviation."""
 NEAR = 3.0
 """Combinations within this factor of TOLERANCE are reached barely, if at all."""
 ROBOTS_MAX = 40
@@ -39,18 +44,28 @@ STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)
 
 
 @dataclass(frozen=True, slots=True)
+class PartedRobot:
+    """A robot of turning rate `a` [rad/s] that would not move like the others of its group at
+    `a_advised`."""
+
+    name: str
+    a: float
+    a_advised: float
+
+
+@dataclass(frozen=True, slots=True)
 class Reach:
     """What the common signal can reach.
 
     `spread` (2N,) are the relative spreads of the combinations of ends, descending. `alike` are
-    groups of robots that move alike, `still` robots that do not move; `parted` has a robot, its a
-    and one with which it would not move like the others of its group.
+    groups of robots that move alike, `still` robots that do not move; `parted` those that another
+    turning rate would part from their group.
     """
 
     spread: Floats
     alike: tuple[tuple[str, ...], ...]
     still: tuple[str, ...]
-    parted: tuple[tuple[str, float, float], ...]
+    parted: tuple[PartedRobot, ...]
 
     @property
     def rank(self) -> int:
@@ -65,21 +80,34 @@ class Reach:
     @property
     def fields(self) -> dict[str, Any]:
         """The items of a JSON object."""
-        parted = [{"robot": name, "a": a, "a_advised": other} for name, a, other in self.parted]
-        found = {"rank": self.rank, "of": len(self.spread), "barely": self.barely}
-        moving = {"alike": list(self.alike), "still": list(self.still), "parted": parted}
-        return found | moving | {"spread": self.spread.tolist()}
+        parted = [
+            {"robot": robot.name, "a": robot.a, "a_advised": robot.a_advised}
+            for robot in self.parted
+        ]
+        return {
+            "rank": self.rank,
+            "of": len(self.spread),
+            "barely": self.barely,
+            "alike": list(self.alike),
+            "still": list(self.still),
+            "parted": parted,
+            "spread": self.spread.tolist(),
+        }
 
     def __str__(self) -> str:
         near = f", {self.barely} of them barely" if self.barely else ""
         text = f"{self.rank} of {len(self.spread)}{near}"
+        parted = {robot.name for robot in self.parted}
         for group in self.alike:
             text += f"; {', '.join(group[:-1])} and {group[-1]} move alike"
-            if not {name for name, *_ in self.parted} & set(group):
+            if parted.isdisjoint(group):
                 text += f" and would at an a that differs by {100 * STEPS[-1]:g} %"
-        for name, a, other in self.parted:
-            text += f"; a of {name} changed from {a:.4g} to {other:.4g} would part them"
-        return text + "".join(f"; {name} has speed 0" for name in self.still)
+        for robot in self.parted:
+            change = f"from {robot.a:.4g} to {robot.a_advised:.4g}"
+            text += f"; a of {robot.name} changed {change} would part them"
+        for name in self.still:
+            text += f"; {name} has speed 0"
+        return text
 
 
 def reach(experiment: Experiment) -> Reach | None:
@@ -88,7 +116,8 @@ def reach(experiment: Experiment) -> Reach | None:
 
     The motions that advance headings by (6) approximate the exact one, which takes their place.
     """
-    setup, control = experiment.setup, experiment.controller
+    setup = experiment.setup
+    control = experiment.controller
     if experiment.open or len(setup.names) > ROBOTS_MAX:
         return None
     motion = control.motion if isinstance(control, Modelled) else "exact"
@@ -97,38 +126,44 @@ def reach(experiment: Experiment) -> Reach | None:
 
 def reach_of(setup: Setup, motion: str) -> Reach:
     """Return what the signal can reach of the robots of a setup under a motion."""
-    count, moves = len(setup.names), setup.speed > 0
-    found = _ends(setup, motion)
-    spread = _spreads(found)
+    moves = setup.speed > 0
+    ends = _ends(setup, motion)
+    spread = _spreads(ends)
     most = max(float(spread[0]), 1e-300)
-    groups = list(_alike(found, moves, TOLERANCE * most))
-    parted = [one for group in groups for one in _parted(setup, motion, group, most)]
+    groups = list(_alike(ends, moves, TOLERANCE * most))
+    parted: list[PartedRobot] = []
+    for group in groups:
+        parted += _parted(setup, motion, group, most)
     return Reach(
         spread=spread / most,
-        alike=tuple(tuple(setup.names[i] for i in group) for group in groups),
-        still=tuple(setup.names[i] for i in range(count) if not moves[i]),
+        alike=tuple(tuple(setup.names[robot] for robot in group) for group in groups),
+        still=tuple(setup.names[robot] for robot in np.flatnonzero(~moves)),
         parted=tuple(parted),
     )
 
 
 def _ends(setup: Setup, motion: str) -> Floats:
     """Return the ends (SEQUENCES, 2N) of random sequences, about their means [s]."""
-    step, speed = MOTIONS.load(motion).step, (setup.speed > 0) * 1.0
-    held = min(float(np.exp(-np.log(setup.a).mean())), setup.time_limit_s / LENGTH)
-    shape = SEQUENCES, len(speed)
-    x, y = np.zeros(shape), np.zeros(shape)
+    step = MOTIONS.load(motion).step
+    speed = np.where(setup.speed > 0, 1.0, 0.0)
+    mean_turn_s = float(np.exp(-np.log(setup.a).mean()))
+    held_s = min(mean_turn_s, setup.time_limit_s / LENGTH)
+    shape = (SEQUENCES, len(speed))
+    x = np.zeros(shape)
+    y = np.zeros(shape)
     heading = np.broadcast_to(setup.starts.heading, shape)
     random = np.random.default_rng(0)
     for _ in range(LENGTH):
         u = random.uniform(-np.pi, np.pi, (SEQUENCES, 1))
-        x, y, heading = step(x, y, heading, u, setup.a, speed, held)
+        x, y, heading = step(x, y, heading, u, setup.a, speed, held_s)
     ends = np.stack([x, y], axis=-1).reshape(SEQUENCES, -1)
     return ends - ends.mean(axis=0)
 
 
 def _spreads(ends: Floats) -> Floats:
     """Return the spreads (M,) of the combinations of ends (SEQUENCES, M) [s], descending."""
-    counted, values = ends, np.zeros(ends.shape[1])
+    counted = ends
+    values = np.zeros(ends.shape[1])
     for _ in range(ROUNDS):
         values, axes = np.linalg.eigh(counted.T @ counted / len(ends))
         moved = ends @ axes
@@ -139,37 +174,33 @@ def _spreads(ends: Floats) -> Floats:
 
 def _alike(ends: Floats, moves: Bools, least: float) -> Iterator[list[int]]:
     """Yield groups of moving robots of which every one moves like another one of the group."""
-    left = set(np.flatnonzero(moves).tolist())
-    while left:
-        group = [min(left)]
-        left.remove(group[0])
-        for i in group:
-            near = [j for j in sorted(left) if _apart(ends, i, j) < least]
-            left -= set(near)
-            group += near
+    ungrouped = set(np.flatnonzero(moves).tolist())
+    while ungrouped:
+        group = [min(ungrouped)]
+        ungrouped.remove(group[0])
+        for robot in group:  # grows while it is gone through
+            like_it = [other for other in sorted(ungrouped) if _apart(ends, robot, other) < least]
+            ungrouped -= set(like_it)
+            group += like_it
         if len(group) > 1:
             yield sorted(group)
 
 
-def _apart(ends: Floats, i: int, j: int) -> float:
+def _apart(ends: Floats, robot: int, other: int) -> float:
     """Return the least spread of a combination of two robots' ends [s]."""
-    return float(_spreads(ends[:, [2 * i, 2 * i + 1, 2 * j, 2 * j + 1]])[-1])
+    columns = [2 * robot, 2 * robot + 1, 2 * other, 2 * other + 1]
+    return float(_spreads(ends[:, columns])[-1])
 
 
-def _parted(
-    setup: Setup, motion: str, group: list[int], most: float
-) -> Iterator[tuple[str, float, float]]:
+def _parted(setup: Setup, motion: str, group: list[int], most: float) -> Iterator[PartedRobot]:
     """Yield the robots of a group but the first with the least other a that parts them from it."""
-    first, a = group[0], setup.a.copy()
+    first = group[0]
+    a = setup.a.copy()
     for step in STEPS:
         a[group[1:]] = setup.a[first] * (1 + step) ** np.arange(1, len(group))
-        some = replace(setup.only(group), a=a[group])
-        found = _ends(some, motion)
-        if all(
-            _apart(found, i, j) > NEAR * TOLERANCE * most
-            for j in range(len(group))
-            for i in range(j)
-        ):
-            for i in group[1:]:
-                yield setup.names[i], float(setup.a[i]), float(a[i])
+        ends = _ends(replace(setup.only(group), a=a[group]), motion)
+        pairs = combinations(range(len(group)), 2)
+        if all(_apart(ends, one, two) > NEAR * TOLERANCE * most for one, two in pairs):
+            for robot in group[1:]:
+                yield PartedRobot(setup.names[robot], float(setup.a[robot]), float(a[robot]))
             return

@@ -26,7 +26,7 @@ def test_robots_alike_are_named_with_what_would_part_them():
     found = reach(of(a=(6, 6, 6)))
     assert found.rank == 2
     assert found.alike == (tuple(robot["name"] for robot in THREE_M3PI["robots"]),)
-    rates = [6.0, *(other for _, _, other in found.parted)]
+    rates = [6.0, *(robot.a_advised for robot in found.parted)]
     assert str(found).startswith("2 of 6; ")
     assert "move alike" in str(found)
     parted = reach(of(a=rates))

@@ -14,6 +14,9 @@ from tetractl.core.errors import Exit, LogError, printable
 from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.log.read.find import find_log, find_logs
 
+LINE_MOST = 240
+"""Characters of a line of `info`."""
+
 if TYPE_CHECKING:
     from tetractl.log.read.overview import ChannelCount, Overview
     from tetractl.replay.verify import Verification
@@ -34,13 +37,13 @@ def info(
     from tetractl.log.read.overview import overview
 
     log = find_log(log)
-    found = overview(log)
+    contents = overview(log)
     if as_json:
-        print(found.as_json())
+        print(contents.as_json())
     else:
-        for line in _lines(found):
-            print(printable(line, 240).rstrip())  # --json prints whole lines
-    return Exit.FAILED if found.damage else Exit.DONE
+        for line in _lines(contents):
+            print(printable(line, LINE_MOST).rstrip())  # --json prints whole lines
+    return Exit.FAILED if contents.damage else Exit.DONE
 
 
 def _channel_lines(channels: "Sequence[ChannelCount]") -> Iterator[str]:
@@ -50,28 +53,33 @@ def _channel_lines(channels: "Sequence[ChannelCount]") -> Iterator[str]:
         yield f"{item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
 
 
-def _lines(found: "Overview") -> Iterator[str]:
-    yield f"{found.log}: {found.size} bytes, {found.chunks} chunks"
-    events = (f"{one.time_s:8.2f} s  {one.level:<7}  {one.text}" for one in found.events)
-    sizes = {name: f"{size} bytes" for name, size in found.attachments.items()}
-    yield from _section("run", _aligned(found.run))
-    yield from _section("result", _aligned(_result(found)))
+def _lines(log: "Overview") -> Iterator[str]:
+    yield f"{log.log}: {log.size} bytes, {log.chunks} chunks"
+    events = [f"{event.time_s:8.2f} s  {event.level:<7}  {event.text}" for event in log.events]
+    sizes = {name: f"{size} bytes" for name, size in log.attachments.items()}
+    yield from _section("run", _aligned(log.run))
+    yield from _section("result", _aligned(_result(log)))
     yield from _section("events", events)
-    yield from _section(f"estimate at step {found.estimate_step}", _aligned(_estimate(found)))
-    yield from _section("channels", _channel_lines(found.channels))
+    yield from _section(f"estimate at step {log.estimate_step}", _aligned(_estimate(log)))
+    yield from _section("channels", _channel_lines(log.channels))
     yield from _section("attachments", _aligned(sizes))
-    yield from _section("host", _aligned(found.host))
-    yield from _section("provenance", _aligned(found.provenance))
-    stated = {} if found.stated_digest is None else {"stated": found.stated_digest}
-    digests = stated | {"computed": found.digest}
-    if found.stated_digest == found.digest:
-        digests = {"stated and computed": found.digest}
-    if found.brief:
-        digests = {"of the whole log": found.digest}
-    yield from _section("content digest", _aligned(digests))
-    if found.damage:
-        lost = (f"lost: {lost}" for lost in found.damage.lost)
-        yield from _section("damage", [*found.damage.problems, *lost])
+    yield from _section("host", _aligned(log.host))
+    yield from _section("provenance", _aligned(log.provenance))
+    yield from _section("content digest", _aligned(_digests(log)))
+    if log.damage:
+        lost = [f"lost: {text}" for text in log.damage.lost]
+        yield from _section("damage", [*log.damage.problems, *lost])
+
+
+def _digests(log: "Overview") -> dict[str, str]:
+    """Return the content digest that the log states and that of its records; one if they agree."""
+    if log.brief:
+        return {"of the whole log": log.digest}
+    if log.stated_digest is None:
+        return {"computed": log.digest}
+    if log.stated_digest == log.digest:
+        return {"stated and computed": log.digest}
+    return {"stated": log.stated_digest, "computed": log.digest}
 
 
 def _section(title: str, lines: Iterable[str]) -> Iterator[str]:
@@ -87,12 +95,15 @@ def _aligned(items: dict[str, str]) -> list[str]:
     return [f"{key:<{width}}  {value}" for key, value in items.items()]
 
 
-def _result(found: "Overview") -> dict[str, str]:
-    result, unit = found.result, found.run.get("unit", "")
+def _result(log: "Overview") -> dict[str, str]:
+    result = log.result
     if result is None:
         return {"outcome": "none: the log breaks off before the end of the trial"}
+    unit = log.run.get("unit", "")
     errors = ", ".join(f"{error:.1f}" for error in result.robot_errors)
-    solve = sorted(result.solve_ns)
+    longest = "-"
+    if result.solve_ns:
+        longest = f"{milliseconds(max(result.solve_ns)):.1f} ms"
     return {
         "outcome": result.outcome.value,
         "reason": result.reason or "-",
@@ -101,34 +112,38 @@ def _result(found: "Overview") -> dict[str, str]:
         "total error": f"{result.total_error:.1f} {unit}",
         "robot errors": f"{errors} {unit}",
         "entered obstacle": "yes" if result.entered_obstacle else "no",
-        "longest solve": f"{milliseconds(solve[-1]):.1f} ms" if solve else "-",
+        "longest solve": longest,
         "deadline misses": str(result.deadline_misses),
     }
 
 
-def _estimate(found: "Overview") -> dict[str, str]:
+def _estimate(log: "Overview") -> dict[str, str]:
     """Return the last estimate, one line per robot, each value with its standard deviation."""
     from tetractl.run.model_news import turning
 
-    estimate, unit = found.estimate, found.run.get("unit", "")
+    estimate = log.estimate
     if estimate is None:
         return {}
-    names = json.loads(found.run["robots"])
-    bias, bias_std = estimate.heading_bias, estimate.heading_bias_std
+    unit = log.run.get("unit", "")
+    names = json.loads(log.run["robots"])
+    bias = estimate.heading_bias
+    bias_std = estimate.heading_bias_std
     lines: dict[str, str] = {}
-    for i, name in enumerate(names):
+    for robot, name in enumerate(names):
         parts = [
-            f"a {_deviating(estimate.a[i], estimate.a_std[i])} rad/s",
-            f"speed {_deviating(estimate.speed[i], estimate.speed_std[i])} {unit}/s",
+            f"a {_deviating(estimate.a[robot], estimate.a_std[robot])} rad/s",
+            f"speed {_deviating(estimate.speed[robot], estimate.speed_std[robot])} {unit}/s",
         ]
         if bias is not None and bias_std is not None:
-            parts.append(f"heading bias {_deviating(bias[i], bias_std[i])} rad")
-        if turns := turning(estimate, i):
+            parts.append(f"heading bias {_deviating(bias[robot], bias_std[robot])} rad")
+        turns = turning(estimate, robot)
+        if turns:
             parts.append(turns)
         lines[name] = ", ".join(parts)
     if estimate.dead_time is not None and estimate.dead_time_std is not None:
         lines["dead time"] = f"{_deviating(estimate.dead_time, estimate.dead_time_std)} s"
-    if unfit := estimate.unfit(names):
+    unfit = estimate.unfit(names)
+    if unfit:
         lines["the model does not fit"] = ", ".join(sorted(unfit))
     return lines
 
@@ -154,20 +169,20 @@ def recover(
     from tetractl.log.read.recover import recover as save
 
     log = find_log(log)
-    done = save(log, out)
+    copy = save(log, out)
     if as_json:
-        print(json.dumps({**asdict(done), "whole": done.whole}, indent=2))
-    elif done.path is None:
+        print(json.dumps({**asdict(copy), "whole": copy.whole}, indent=2))
+    elif copy.path is None:
         print(printable(f"{log}: complete; there is nothing to recover"))
     else:
-        ui.tell(*(f"damaged: {problem}" for problem in done.damage.problems))
-        kept = f"{done.chunks} chunks with {done.messages} messages"
-        print(printable(f"{done.path}: {kept}, {done.attachments} attachments"))
-        for lost in done.damage.lost:
+        ui.tell(*(f"damaged: {problem}" for problem in copy.damage.problems))
+        records = f"{copy.chunks} chunks with {copy.messages} messages"
+        print(printable(f"{copy.path}: {records}, {copy.attachments} attachments"))
+        for lost in copy.damage.lost:
             print(printable(f"lost: {lost}"))
-        if done.whole:
+        if copy.whole:
             print("nothing is lost: the content digest matches")
-    return Exit.DONE if done.whole else Exit.LOSSY
+    return Exit.DONE if copy.whole else Exit.LOSSY
 
 
 def verify(logs: Logs, as_json: AsJson = False) -> int:
@@ -185,40 +200,40 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
     """
     from tetractl.replay.verify import verify as check
 
-    done: list[dict[str, Any]] = []
-    good = True
+    checked: list[dict[str, Any]] = []
     for path in find_logs(logs):
         try:
-            found = check(path)
+            verification = check(path)
         except LogError as error:
-            good = False
-            done.append({"log": str(path), "ok": False, "error": error.message})
-            lines = iter([f"{path}: FAILED: {error.message.removeprefix(f'{path}: ')}"])
+            checked.append({"log": str(path), "ok": False, "error": error.message})
+            lines = [f"{path}: FAILED: {error.message.removeprefix(f'{path}: ')}"]
         else:
-            good &= found.ok
-            done.append({**asdict(found), "ok": found.ok})
-            lines = _verdict(found)
+            checked.append({**asdict(verification), "ok": verification.ok})
+            lines = _verdict(verification)
         if not as_json:
             for line in lines:
                 print(printable(line))
+    all_ok = all(log["ok"] for log in checked)
     if as_json:
-        print(json.dumps({"ok": good, "logs": done}, indent=2))
-    return Exit.DONE if good else Exit.FAILED
+        print(json.dumps({"ok": all_ok, "logs": checked}, indent=2))
+    return Exit.DONE if all_ok else Exit.FAILED
 
 
-def _verdict(found: "Verification") -> "Iterator[str]":
+def _verdict(verification: "Verification") -> "Iterator[str]":
+    """Yield the lines on a log: whether it is ok, by which check, and what is wrong."""
     from tetractl.replay.verify import Method
 
-    verdict = "ok" if found.ok else "FAILED"
-    if found.rewritten:
-        verdict += f", written again by {found.rewritten}"
-        verdict += ": the same messages" * found.ok
-    text = f"{found.checked} of {found.steps} decisions {found.method}"
-    yield f"{found.log}: {verdict}: {text} ({found.seconds:.2f} s)"
-    if found.method is Method.REEVALUATED:
-        yield from (f"  written elsewhere: {line}" for line in found.elsewhere)
-    for problem in found.problems[:LISTED_MAX]:
+    verdict = "ok" if verification.ok else "FAILED"
+    if verification.rewritten:
+        verdict += f", written again by {verification.rewritten}"
+        if verification.ok:
+            verdict += ": the same messages"
+    decisions = f"{verification.checked} of {verification.steps} decisions {verification.method}"
+    yield f"{verification.log}: {verdict}: {decisions} ({verification.seconds:.2f} s)"
+    if verification.method is Method.REEVALUATED:
+        yield from (f"  written elsewhere: {line}" for line in verification.elsewhere)
+    for problem in verification.problems[:LISTED_MAX]:
         yield f"  {problem}"
-    if len(found.problems) > LISTED_MAX:
-        yield f"  and {len(found.problems) - LISTED_MAX} more"
-    yield from (f"  note: {note}" for note in found.notes)
+    if len(verification.problems) > LISTED_MAX:
+        yield f"  and {len(verification.problems) - LISTED_MAX} more"
+    yield from (f"  note: {note}" for note in verification.notes)

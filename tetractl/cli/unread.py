@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 STDOUT = 1
 STDERR = 2
+READERS_LOOK_MS = 200
+"""Time between two looks at whether a run has ended whose readers are watched."""
 LINE_BYTES = 4096
 """Most that is kept of a line that a plug-in has not ended."""
 GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
@@ -127,10 +129,12 @@ def open_streams() -> None:
     encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
     escapes = "backslashreplace"
     if isinstance(sys.stdout, io.TextIOWrapper):
-        own, by_line = sys.stdout.buffer, sys.stdout.line_buffering
+        binary = sys.stdout.buffer
+        by_line = sys.stdout.line_buffering
     else:  # the descriptor was closed
-        own, by_line = os.fdopen(STDOUT, "wb", closefd=False), False
-    sys.stdout = MarkedStream(own, encoding, escapes, line_buffering=by_line)
+        binary = os.fdopen(STDOUT, "wb", closefd=False)
+        by_line = False
+    sys.stdout = MarkedStream(binary, encoding, escapes, line_buffering=by_line)
     sys.stderr = MarkedStream(Messages(), encoding, escapes, line_buffering=True)
 
 
@@ -205,32 +209,46 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
     if not hasattr(select, "poll"):  # Windows, where no robots move
         yield
         return
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None
-    main, ended = threading.get_ident(), threading.Event()
-    poll, left = select.poll(), 0
-    for one in (1, 2) if robots and not unattended else ():
-        mode = os.fstat(one).st_mode
-        if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(one):
-            poll.register(one, 0)  # 0: report errors only
-            left += 1
-
-    def watch(left: int) -> None:
-        while left and not ended.is_set():
-            for one, event in poll.poll(200):
-                if event & GONE:
-                    poll.unregister(one)
-                    left -= 1
-        if not ended.is_set():
-            signal.pthread_kill(main, signal.SIGHUP)
-
-    thread = threading.Thread(target=watch, args=(left,), name="readers", daemon=True)
+    if unattended:
+        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGHUP, before)
+        return
+    streams = [stream for stream in (STDOUT, STDERR) if _has_reader(stream)]
+    if not robots or not streams:
+        yield
+        return
+    main_thread = threading.get_ident()
+    ended = threading.Event()
+    thread = threading.Thread(
+        target=_watch_readers, args=(streams, ended, main_thread), name="readers", daemon=True
+    )
+    thread.start()
     try:
-        if left:
-            thread.start()
         yield
     finally:
         ended.set()
-        if left:
-            thread.join()
-        if before is not None:
-            signal.signal(signal.SIGHUP, before)
+        thread.join()
+
+
+def _has_reader(stream: int) -> bool:
+    """Return whether another process reads a stream as it is written."""
+    mode = os.fstat(stream).st_mode
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(stream)
+
+
+def _watch_readers(streams: list[int], ended: threading.Event, main_thread: int) -> None:
+    """Send SIGHUP to the main thread once no stream has a reader, unless `ended` is set before."""
+    poll = select.poll()
+    for stream in streams:
+        poll.register(stream, 0)  # 0: report errors only
+    read = set(streams)
+    while read and not ended.is_set():
+        for stream, event in poll.poll(READERS_LOOK_MS):
+            if event & GONE:
+                poll.unregister(stream)
+                read.discard(stream)
+    if not ended.is_set():
+        signal.pthread_kill(main_thread, signal.SIGHUP)

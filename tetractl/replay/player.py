@@ -52,8 +52,9 @@ class Moment:
 def first_seen(trail: Floats, starts: Floats) -> Floats:
     """Return the first measured position of each robot in a trail (M, N, 2), (N, 2); that of
     `starts` (N, 2), the spec's, for a robot never seen. Cells start where they are found."""
-    every = np.concatenate([trail, starts[None]])
-    return every[np.isfinite(every[..., 0]).argmax(axis=0), np.arange(len(starts))]
+    positions = np.concatenate([trail, starts[None]])
+    first = np.isfinite(positions[..., 0]).argmax(axis=0)
+    return positions[first, np.arange(len(starts))]
 
 
 def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
@@ -66,17 +67,18 @@ def end_ns(log: TrialLog) -> int:
     its last frames stand. In a lab it ends with the last frame that shows the poses of its result,
     which cells that swim on leave before the last frame.
     """
-    ends = [step.command.sent_ns for step in log.steps[-1:]]
-    after = log.mocap_ns >= max(ends, default=0)
+    last_step_ns = log.steps[-1].command.sent_ns if log.steps else 0
+    after = log.mocap_ns >= last_step_ns
     if log.result and not log.start.plant.simulated and after.any():
-        seen = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:][after, :, :2]
-        gaps = np.abs(seen - log.result.verdict.final.xy).max(axis=(1, 2))
+        shown = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:][after, :, :2]
+        gaps = np.abs(shown - log.result.verdict.final.xy).max(axis=(1, 2))
         return int(log.mocap_ns[after][gaps == gaps.min()][-1])
     if log.stop:
-        return max([*ends, log.stop.sent_ns])
+        return max(last_step_ns, log.stop.sent_ns)
     if log.result:
-        return max([*ends, log.began_ns + round(log.result.duration_s * SECOND)])
-    return max([*ends, *(int(t) for t in log.mocap_ns[-1:])], default=0)
+        return max(last_step_ns, log.began_ns + round(log.result.duration_s * SECOND))
+    last_frame_ns = int(log.mocap_ns[-1]) if len(log.mocap_ns) else 0
+    return max(last_step_ns, last_frame_ns)
 
 
 class Recording:
@@ -90,7 +92,8 @@ class Recording:
         self.log = log
         self.step_ns = np.array([step.command.sent_ns for step in log.steps], dtype=np.int64)
         self.end_ns = end_ns(log)
-        self.began_ns, self.events = log.began_ns, log.events
+        self.began_ns = log.began_ns
+        self.events = log.events
         self._event_s = [event.time_s for event in self.events]
         self.event_ns = np.array(sorted(note.t_ns for note in log.notes), dtype=np.int64)
         self.totals = np.array(
@@ -102,18 +105,18 @@ class Recording:
     def at(self, time_ns: int) -> Moment:
         """Return the state of the trial at a time [ns]."""
         log = self.log
-        seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
-        done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
+        frames = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
+        steps = int(np.searchsorted(self.step_ns, time_ns, side="right"))
         result = log.result if time_ns >= self.end_ns else None
         until_s = self.elapsed_s(time_ns) if result is None else math.inf
         return Moment(
             setup=log.start.setup,
             time_s=self.elapsed_s(time_ns),
             end_s=self.elapsed_s(self.end_ns),
-            poses=self._poses[seen] if result is None else result.verdict.final.array(),
-            trail=self._trail[:seen],
-            step=log.steps[done - 1] if done else None,
-            totals=self.totals[:done],
+            poses=self._poses[frames] if result is None else result.verdict.final.array(),
+            trail=self._trail[:frames],
+            step=log.steps[steps - 1] if steps else None,
+            totals=self.totals[:steps],
             steps_end=len(log.steps),
             result=result,
             events=self.events[: bisect_right(self._event_s, until_s)],
@@ -130,14 +133,17 @@ def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
     pose in `first` (N, 3) if it was not tracked yet.
     """
     poses = np.concatenate([first[None], mocap])
-    seen = np.vstack([np.ones(len(first), dtype=bool), valid])
-    index = np.arange(len(poses))[:, None] * seen
-    newest = np.maximum.accumulate(index, axis=0)
+    tracked_rows = np.vstack([np.ones(len(first), dtype=bool), valid])
+    rows = np.where(tracked_rows, np.arange(len(poses))[:, None], 0)
+    newest = np.maximum.accumulate(rows, axis=0)
     return poses[newest, np.arange(len(first))]
 
 
 SEEK_NS = SECOND
-RATE_MIN, RATE_MAX = 1 / 16, 64.0
+"""How far the arrow keys go."""
+RATE_MIN = 1 / 16
+RATE_MAX = 64.0
+"""Rates that keys reach [s of the trial per s]."""
 
 
 class Playback(StrEnum):
@@ -172,13 +178,14 @@ class Player:
     ) -> None:
         self.start_ns, self.until_ns = span_ns
         self.recording = recording
-        self._steps, self._events = recording.step_ns, recording.event_ns
         self._loop = loop
         self._quit = False
         self.rate = rate  # seconds of the trial per second
-        self._wall, self._paused = wall, paused
+        self._wall = wall
+        self._paused = paused
         # the trial's time at a time of the wall, at the last change of rate, pause or jump
-        self._anchor, self._anchor_wall = self.start_ns, wall.now()
+        self._anchor = self.start_ns
+        self._anchor_wall = wall.now()
 
     @property
     def now(self) -> int:
@@ -217,13 +224,13 @@ class Player:
             case "end":
                 self._pause_at(self.until_ns)
             case ".":
-                self._pause_at(self._after(self._steps, self.until_ns))
+                self._pause_at(self._after(self.recording.step_ns, self.until_ns))
             case ",":
-                self._pause_at(self._before(self._steps, self.start_ns))
+                self._pause_at(self._before(self.recording.step_ns, self.start_ns))
             case "e":
-                self._pause_at(self._after(self._events, self.now))
+                self._pause_at(self._after(self.recording.event_ns, self.now))
             case "E":
-                self._pause_at(self._before(self._events, self.now))
+                self._pause_at(self._before(self.recording.event_ns, self.now))
             case "+":
                 self._set_rate(min(2 * self.rate, max(RATE_MAX, self.rate)))
             case "-":
@@ -252,7 +259,8 @@ class Player:
         self._seek(time_ns)
 
     def _anchor_at(self, time_ns: int) -> None:
-        self._anchor, self._anchor_wall = time_ns, self._wall.now()
+        self._anchor = time_ns
+        self._anchor_wall = self._wall.now()
 
     def _after(self, times: Integers, otherwise: int) -> int:
         """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`."""

@@ -14,8 +14,9 @@ d. In the last step the true error e of the result takes the place of the measur
 rewards of an episode add up to 1 - e/d. A robot in an obstacle or outside the arena ends the trial,
 and e is then the greatest sum of distances that the arena allows, whatever was collected.
 
-An episode is terminated if the robots have arrived or one has failed in that way, and truncated at
-the limit of time, or if the trial is aborted.
+An episode is terminated if the robots have arrived, each within the spec's `arrival_tolerance`, or
+one has failed in that way, and truncated at the limit of time, or if the trial is aborted. The
+shipped benchmarks have no tolerance: give the one that the task needs.
 
 Picture, in the render mode "rgb_array": the arena and the measured ways so far.
 """

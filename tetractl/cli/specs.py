@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,30 +32,35 @@ def example_files(name: str) -> dict[str, str]:
     from tetractl.experiment.yaml.document import parse_document, read_text
     from tetractl.experiment.yaml.problems import did_you_mean
 
-    known = examples()
+    files = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
-    if name not in known:
-        group, first = EXAMPLES.group, name.partition("/")[0]
-        if first not in (one.partition("/")[0] for one in known) and (
-            needs := not_installed(group, first)
-        ):
-            raise UsageError(f"the example '{name}' {needs[0]}", needs[1])
-        folders = sorted({f"{one.partition('/')[0]}/" for one in known if "/" in one})
-        listed = ", ".join([*(one for one in known if "/" not in one), *folders])
+    if name not in files:
+        folders = sorted({f"{file.partition('/')[0]}/" for file in files if "/" in file})
+        group = name.partition("/")[0]
+        missing = not_installed(EXAMPLES.group, group)
+        if missing and f"{group}/" not in folders:
+            problem, hint = missing
+            raise UsageError(f"the example '{name}' {problem}", hint)
+        single = [file for file in files if "/" not in file]
         raise UsageError(
-            f"there is no example '{name}'{did_you_mean(name, list(known))}",
-            f"the examples are {listed}",
+            f"there is no example '{name}'{did_you_mean(name, list(files))}",
+            f"the examples are {', '.join([*single, *folders])}",
         )
-    names = {file.resolve(): one for one, file in known.items()}
-    found: dict[str, str] = {}
-    waiting = [name]
-    while waiting:
-        file = known[inner := waiting.pop()].resolve()
-        found[f"{inner}.yaml"] = text = read_text(file)
+    names = {file.resolve(): other for other, file in files.items()}
+    texts: dict[str, str] = {}
+    to_read = [name]
+    while to_read:
+        example = to_read.pop()
+        file = files[example].resolve()
+        text = read_text(file)
+        texts[f"{example}.yaml"] = text
         data = parse_document(text, str(file)).data
-        named = [names[(file.parent / data[key]).resolve()] for key in NAMED if key in data]
-        waiting += [one for one in named if f"{one}.yaml" not in found]
-    return found
+        for key in NAMED:
+            if key in data:
+                named = names[(file.parent / data[key]).resolve()]
+                if f"{named}.yaml" not in texts:
+                    to_read.append(named)
+    return texts
 
 
 def init(
@@ -172,17 +177,27 @@ def validate(
 
     Example: tetractl validate experiments/*.yaml
     """
-    results = [_check(spec, sets) for spec in specs]
+    checked = [_check(spec, sets) for spec in specs]
     if as_json:
-        print(json_text({"specs": [fields for fields, _ in results]}))
+        print(json_text({"specs": [spec.fields for spec in checked]}))
     else:
-        print("\n".join(line for _, lines in results for line in lines))
-    good = all(fields["ok"] for fields, _ in results)
-    doubtful = any(fields.get("warnings") for fields, _ in results)
-    return Exit.USAGE if not good or (strict and doubtful) else Exit.DONE
+        for spec in checked:
+            print("\n".join(spec.lines))
+    all_ok = all(spec.fields["ok"] for spec in checked)
+    doubtful = any(spec.fields.get("warnings") for spec in checked)
+    return Exit.USAGE if not all_ok or (strict and doubtful) else Exit.DONE
 
 
-def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str]]:
+@dataclass(frozen=True, slots=True)
+class _Checked:
+    """What is known of a checked file: the items of JSON, and lines of text."""
+
+    fields: dict[str, Any]
+    lines: list[str]
+
+
+def _check(path: Path, sets: list[str] | None) -> _Checked:
+    """Check a spec, or a study and the specs of its arms; print its warnings."""
     from tetractl.analysis.reach import reach
     from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError
@@ -197,8 +212,9 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
         loaded = ui.load(path, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
-        return {"path": shown, "ok": False, "problems": problems}, error.lines()
-    experiment, warnings = loaded.experiment, ui.warn(loaded, sets)
+        return _Checked({"path": shown, "ok": False, "problems": problems}, error.lines())
+    experiment = loaded.experiment
+    warnings = ui.warn(loaded, sets)
     summary = {
         "name": experiment.name,
         "robots": len(experiment.robots),
@@ -207,29 +223,48 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
         "plant": experiment.plant.type,
         "trials": experiment.trials.count,
     }
-    line = ", ".join(f"{key} {value}" for key, value in summary.items())
-    fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
-    fields["warnings"] = [asdict(warning) for warning in warnings]
+    line = f"{shown}: ok: {', '.join(f'{key} {value}' for key, value in summary.items())}"
     context = CheckContext(experiment)
-    fields["least_total_error"] = least_total_error(context.setup, context.longest_s)
-    found = reach(experiment)
-    fields["reach"] = found and found.fields
-    return fields, [f"{shown}: ok: {line}" + (f", reach {found}" if found else "")]
+    reached = reach(experiment)
+    if reached:
+        line += f", reach {reached}"
+    fields = {
+        "path": shown,
+        "ok": True,
+        **summary,
+        "hash": spec_hash(experiment),
+        "warnings": [asdict(warning) for warning in warnings],
+        "least_total_error": least_total_error(context.setup, context.longest_s),
+        "reach": reached.fields if reached else None,
+    }
+    return _Checked(fields, [line])
 
 
-def _check_study(path: Path, shown: str) -> tuple[dict[str, Any], list[str]]:
+def _check_study(path: Path, shown: str) -> _Checked:
     """Check a study and the spec of each arm; each warning is printed once."""
     from tetractl.run.plausibility import find_warnings
     from tetractl.study.load_study import load_study
 
     loaded = load_study(path)
-    name, arms, trials = loaded.study.name, len(loaded.arms), loaded.study.trials.count
-    warnings = {str(one): one for arm in loaded.arms for one in find_warnings(arm.spec, arm.sets)}
+    name = loaded.study.name
+    arms = len(loaded.arms)
+    trials = loaded.study.trials.count
+    warnings = {
+        str(warning): warning
+        for arm in loaded.arms
+        for warning in find_warnings(arm.spec, arm.sets)
+    }
     ui.tell(*(f"warning: {text}" for text in warnings))
-    fields = {"path": shown, "ok": True, "name": name, "arms": arms, "trials": trials}
-    found = [asdict(one) for one in warnings.values()]
+    fields = {
+        "path": shown,
+        "ok": True,
+        "name": name,
+        "arms": arms,
+        "trials": trials,
+        "warnings": [asdict(warning) for warning in warnings.values()],
+    }
     line = f"{shown}: ok: study {name}, arms {arms}, trials {trials} each"
-    return fields | {"warnings": found}, [line]
+    return _Checked(fields, [line])
 
 
 def warm(

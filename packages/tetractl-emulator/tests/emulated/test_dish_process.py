@@ -41,8 +41,8 @@ def test_a_microscope_is_served_over_http_and_checked_with_its_driver(tmp_path):
             done = subprocess.run(check, capture_output=True, text=True, timeout=PATIENCE_S)
         finally:
             emulator.terminate()
-    found = json.loads(done.stdout)
-    assert found["facts"]["resolution"] == "440x440"
-    assert found["facts"]["emulated"] == "camera"
-    assert found["facts"]["field_driver_version"] == "1"
-    assert float(found["facts"]["rate"].split()[0]) > 3
+    printed = json.loads(done.stdout)
+    assert printed["facts"]["resolution"] == "440x440"
+    assert printed["facts"]["emulated"] == "camera"
+    assert printed["facts"]["field_driver_version"] == "1"
+    assert float(printed["facts"]["rate"].split()[0]) > 3

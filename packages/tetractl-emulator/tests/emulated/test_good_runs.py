@@ -15,9 +15,9 @@ ROBOTS = "robots: [{name: green}, {name: blue}, {name: red}]"
 
 def free_port():
     """A UDP port that no program uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        return udp.getsockname()[1]
 
 
 def test_robots_that_take_lines_over_udp(tmp_path):

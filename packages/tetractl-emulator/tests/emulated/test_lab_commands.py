@@ -21,14 +21,14 @@ LONGER = ("controller.time_limit=80.2", *LONG[1:])  # than another program takes
 @pytest.fixture
 def lab(tmp_path):
     """Start an emulated lab; returns it and the settings that lead to it."""
-    made = []
+    gathered = []
 
     def start(script="", *options):
         if script:
             (tmp_path / "script.yaml").write_text(script)
             options = (*options, "--script", str(tmp_path / "script.yaml"))
         emulator = Emulator(tmp_path, SMALL, *options)
-        made.append(emulator)
+        gathered.append(emulator)
         ready = emulator.wait_for("ready")
         return emulator, (
             *SMALL,
@@ -37,7 +37,7 @@ def lab(tmp_path):
         )
 
     yield start
-    for emulator in made:
+    for emulator in gathered:
         emulator.close()
 
 

@@ -53,9 +53,9 @@ def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path)
 @needs_compiler
 def test_a_lab_of_multicast_cameras_is_checked_without_a_port_or_an_address(tmp_path):
     done = tetractl(tmp_path, "lab", "check", SPEC, "--plant", "emulated", "--json").ok()
-    found = json.loads(done.stdout)
-    assert found["ready"]
-    assert all(robot["answers"] for robot in found["robots"])
+    printed = json.loads(done.stdout)
+    assert printed["ready"]
+    assert all(robot["answers"] for robot in printed["robots"])
 
 
 @needs_compiler

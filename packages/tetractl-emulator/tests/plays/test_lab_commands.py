@@ -48,16 +48,16 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
     emulated = lab()
     settings = emulated.settings
     done = tetractl(tmp_path, "lab", "check", str(SPEC), "--json", *flags(settings)).ok()
-    found = json.loads(done.stdout)
-    assert found["ready"]
-    assert [robot["name"] for robot in found["robots"]] == ["green", "blue", "red"]
-    for robot in found["robots"]:
+    printed = json.loads(done.stdout)
+    assert printed["ready"]
+    assert [robot["name"] for robot in printed["robots"]] == ["green", "blue", "red"]
+    for robot in printed["robots"]:
         assert robot["tracked"]
         assert robot["answers"]
         assert robot["off_mm"] < 1
         assert 4 < robot["battery_v"] < 6
-    assert 100 < found["camera_rate_hz"] < 140
-    assert 0 < found["latency_ms"]["p50"] <= found["latency_ms"]["max"]
+    assert 100 < printed["camera_rate_hz"] < 140
+    assert 0 < printed["latency_ms"]["p50"] <= printed["latency_ms"]["max"]
     assert emulated.events("run") == []
 
 

@@ -29,8 +29,8 @@ def test_a_sequence_is_driven_and_its_robots_are_identified(tmp_path):
         log = read_trial(next((tmp_path / "driven").glob("*.mcap")))
         assert log.result.outcome.complete
         assert log.result.verdict.entered == (False,) * 3
-        found = json.loads(call("identify", "driven", "--json"))
-        assert found["origin"] == "emulated lab"
-        for robot, a, speed in zip(found["robots"], (6, 4, 3), (180, 200, 150), strict=True):
+        printed = json.loads(call("identify", "driven", "--json"))
+        assert printed["origin"] == "emulated lab"
+        for robot, a, speed in zip(printed["robots"], (6, 4, 3), (180, 200, 150), strict=True):
             assert robot["a"]["value"] == pytest.approx(a, rel=0.3)
             assert robot["speed"]["value"] == pytest.approx(speed, rel=0.05)

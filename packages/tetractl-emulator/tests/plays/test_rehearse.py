@@ -41,8 +41,8 @@ def without_tracking(monkeypatch):
 
 
 def rows(folder):
-    found = [json.loads(file.read_text()) for file in (folder / "days").glob("record-*.json")]
-    return {one["record"]["day"]: one["record"] for one in found}
+    printed = [json.loads(file.read_text()) for file in (folder / "days").glob("record-*.json")]
+    return {one["record"]["day"]: one["record"] for one in printed}
 
 
 @pytest.mark.long
@@ -187,11 +187,11 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [], ""))
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
-    kept = []
+    gathered = []
     check_frame = Guard.check_frame
 
     def keep(watch, frame):
-        kept.append([object() for _ in range(200)])
+        gathered.append([object() for _ in range(200)])
         return check_frame(watch, frame)
 
     monkeypatch.setattr(Guard, "check_frame", keep)

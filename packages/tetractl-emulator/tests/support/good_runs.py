@@ -93,9 +93,9 @@ def check_poses(played, trial):
     accepted = trial.valid.all(axis=1)
     true = np.array([first[number] for number in trial.frames])[accepted]
     assert len(true) > 100
-    seen = trial.mocap[accepted]
-    np.testing.assert_allclose(seen[:, :, :2], true[:, :, :2], atol=0.05)
-    turned = np.vectorize(lambda a: math.remainder(a, math.tau))(seen[:, :, 2] - true[:, :, 2])
+    poses = trial.mocap[accepted]
+    np.testing.assert_allclose(poses[:, :, :2], true[:, :, :2], atol=0.05)
+    turned = np.vectorize(lambda a: math.remainder(a, math.tau))(poses[:, :, 2] - true[:, :, 2])
     np.testing.assert_allclose(turned, 0.0, atol=1e-3)
     steps = np.diff(true[:, :, :2], axis=0)
     assert (np.hypot(steps[..., 0], steps[..., 1]).sum(axis=0) > 50).all()

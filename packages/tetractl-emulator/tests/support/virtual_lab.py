@@ -144,8 +144,8 @@ class VirtualLab:
     def events(self, name=None):
         """Return what truly happened so far, of one kind or of all."""
         self.emulation._record.flush()
-        found = [json.loads(line) for line in self.record.read_text().splitlines()]
-        return [event for event in found if name in (None, event["event"])]
+        printed = [json.loads(line) for line in self.record.read_text().splitlines()]
+        return [event for event in printed if name in (None, event["event"])]
 
 
 @contextlib.contextmanager

@@ -26,8 +26,8 @@ HZ = 10_000_000  # of the server's clock
 
 def script(data: bytes) -> None:
     with only(SpecError, one_line=False):
-        found = parse_script(text(data), "s.yaml")
-        assert all(math.isfinite(fault.at) for fault in found.faults)
+        script = parse_script(text(data), "s.yaml")
+        assert all(math.isfinite(fault.at) for fault in script.faults)
 
 
 def sound(frame: CameraFrame) -> None:
@@ -73,7 +73,7 @@ def natnet_datagrams(data: bytes) -> None:
 
 def datagrams() -> list[bytes]:
     """Conversations with a server of each version, a datagram every half second."""
-    found = []
+    gathered = []
     for i, version in enumerate(VERSIONS):
         body = natnet.RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
         parts = [
@@ -86,9 +86,9 @@ def datagrams() -> list[bytes]:
         for k, number in enumerate((1, 2, 4)):
             exposed = HZ * (2490 + 500 * k) // 1000
             parts.append(pack_answer(natnet.NatNetFrame(number, (body,), 0, exposed), version))
-        found.append(bytes([i]) + b"".join(parts))
-        found += [bytes([i]) + part for part in parts[-2:]]
-    return found
+        gathered.append(bytes([i]) + b"".join(parts))
+        gathered += [bytes([i]) + part for part in parts[-2:]]
+    return gathered
 
 
 TARGETS = {

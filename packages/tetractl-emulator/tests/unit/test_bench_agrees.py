@@ -55,7 +55,7 @@ def dead_time_s(path, setup):
         acting = [(when + q[0] * SECOND, u) for when, u in sent]
         a = setup.a * q[1:4]
         bias = q[4:7] / setup.a
-        found = []
+        gathered = []
         for i in starts:
             now = times[i]
             end = times[i + span]
@@ -67,8 +67,10 @@ def dead_time_s(path, setup):
                 )
                 now = when
                 u = new
-            found.append(np.remainder(heading - poses[i + span, :, 2] + np.pi, 2 * np.pi) - np.pi)
-        return np.concatenate(found)
+            gathered.append(
+                np.remainder(heading - poses[i + span, :, 2] + np.pi, 2 * np.pi) - np.pi
+            )
+        return np.concatenate(gathered)
 
     guess = [0.05, *([1.0] * 3), *([0.0] * 3)]
     return least_squares(misses, guess, diff_step=1e-3, loss="soft_l1", f_scale=0.05).x[0]
@@ -118,10 +120,10 @@ def turned_on_the_spot(plant, clock):
     clock.sleep_until(clock.now() + SECOND // 10)
     plant.observe()
     plant.send(Steer(0.5))
-    found = []
+    gathered = []
     for facing in (None, -0.8, -0.8, None):
         clock.sleep_until(clock.now() + SECOND // 2)
-        found.append(plant.observe().poses)
+        gathered.append(plant.observe().poses)
         action = Stop() if facing is None else Turn(facing)
         assert plant.send(action).action == action
     clock.sleep_until(clock.now() + SECOND // 2)
@@ -132,7 +134,7 @@ def turned_on_the_spot(plant, clock):
     plant.stop()
     plant.close()
     assert verdict.not_at_rest == ""
-    return found[1], after
+    return gathered[1], after
 
 
 def test_robots_of_both_turn_on_the_spot_alike():

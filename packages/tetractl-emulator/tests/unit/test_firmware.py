@@ -53,7 +53,7 @@ def test_every_robot_obeys_its_own_wheels(library):
 def test_core_and_codec_agree_on_what_a_frame_is(library):
     rng = random.Random(2)
     core = RobotCore(0, library)
-    seen = dict.fromkeys(CoreEvent, 0)
+    counts_of_event = dict.fromkeys(CoreEvent, 0)
     for _ in range(30_000):
         frame = damaged(rng)
         expected = None
@@ -62,7 +62,7 @@ def test_core_and_codec_agree_on_what_a_frame_is(library):
         before = core.wheels(0)
         events = core.push(frame + b"\0", 0)
         for event in events:
-            seen[event] += 1
+            counts_of_event[event] += 1
         if expected is None:
             assert events in ([], [CoreEvent.REJECTED], [CoreEvent.FOREIGN])
             assert core.wheels(0) == before
@@ -77,7 +77,10 @@ def test_core_and_codec_agree_on_what_a_frame_is(library):
                 assert core.wheels(0) == before
             if Flag.EMERGENCY_STOP in expected.flags or rng.random() < 0.05:
                 core = RobotCore(0, library)
-    assert min(count for event, count in seen.items() if event is not CoreEvent.NOTHING) > 200
+    assert (
+        min(count for event, count in counts_of_event.items() if event is not CoreEvent.NOTHING)
+        > 200
+    )
 
 
 def damaged(rng):

@@ -46,10 +46,10 @@ def test_tracks_of_others_are_identified(dish, header):
     name = written(folder, "theirs.csv", header, rows)
     words = ("track", name, "--field", "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
     done = tetractl(folder, *words).ok()
-    found = json.loads(done.stdout)["robots"]
-    assert [one["name"] for one in found] == ["cell 7", "cell 8"]
+    printed = json.loads(done.stdout)["robots"]
+    assert [one["name"] for one in printed] == ["cell 7", "cell 8"]
     assert "left out: cell 9" in done.stderr
-    for one, a in zip(found, A, strict=True):
+    for one, a in zip(printed, A, strict=True):
         assert one["a"]["value"] == pytest.approx(a, rel=0.1)
         assert one["speed"]["value"] == pytest.approx(SPEED, rel=0.02)
 
@@ -71,9 +71,9 @@ def test_a_table_of_trackmate_states_its_scale_and_rate(dish):
     spot_of_no_track = "ID0,,1.5,10,10,0.0,0.0,0\n"
     (folder / "spots.csv").write_text("".join([TRACKMATE, spot_of_no_track, *lines]))
     done = tetractl(folder, "track", "spots.csv", "--field", "field.csv", "--json").ok()
-    found = json.loads(done.stdout)["robots"]
-    assert [one["a"]["value"] for one in found] == pytest.approx(A, rel=0.1)
-    assert [one["speed"]["value"] for one in found] == pytest.approx([SPEED, SPEED], rel=0.02)
+    printed = json.loads(done.stdout)["robots"]
+    assert [one["a"]["value"] for one in printed] == pytest.approx(A, rel=0.1)
+    assert [one["speed"]["value"] for one in printed] == pytest.approx([SPEED, SPEED], rel=0.02)
 
 
 @pytest.mark.parametrize("names", [("t", "y", "x"), ("time", "POSITION_Y", "POSITION_X")])
@@ -99,8 +99,8 @@ def test_a_graph_states_its_scale_and_rate(dish, names):
         GeffMetadata(directed=True, axes=axes, node_props_metadata={}, edge_props_metadata={}),
     )
     done = tetractl(folder, "track", path.name, "--field", "field.csv", "--json").ok()
-    found = json.loads(done.stdout)["robots"]
-    assert [one["a"]["value"] for one in found] == pytest.approx(A, rel=0.1)
+    printed = json.loads(done.stdout)["robots"]
+    assert [one["a"]["value"] for one in printed] == pytest.approx(A, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ pytestmark = pytest.mark.slow
 def dish(tmp_path_factory):
     """A folder with a synthetic film and its field."""
     folder = tmp_path_factory.mktemp("dish")
-    made = film(seed=41, side=384, cells=3, crossings=False)
-    video(folder / "dish.avi", made.pictures())
-    rows = "".join(f"{t},{direction}\n" for t, direction in made.turns)
+    synthetic = film(seed=41, side=384, cells=3, crossings=False)
+    video(folder / "dish.avi", synthetic.pictures())
+    rows = "".join(f"{t},{direction}\n" for t, direction in synthetic.turns)
     (folder / "field.csv").write_text(f"time_s,direction_rad\n{rows}")
     return folder
 
@@ -143,26 +143,26 @@ def test_a_division_is_an_edge_from_mother_to_daughter():
 
 def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-    found = pandas.read_csv(tracks[0] / "tracks.csv")
-    assert list(found.columns[:4]) == ["id", "t", "y", "x"]  # napari's
-    assert {"particle", "frame", "x", "y"} <= set(found.columns)  # trackpy's
-    assert found.id.dtype.kind == found.frame.dtype.kind == "i"
-    assert not found.duplicated(["particle", "frame"]).any()
+    table = pandas.read_csv(tracks[0] / "tracks.csv")
+    assert list(table.columns[:4]) == ["id", "t", "y", "x"]  # napari's
+    assert {"particle", "frame", "x", "y"} <= set(table.columns)  # trackpy's
+    assert table.id.dtype.kind == table.frame.dtype.kind == "i"
+    assert not table.duplicated(["particle", "frame"]).any()
     poses = pandas.read_csv(tracks[0] / "poses.csv")
-    assert (poses.cell == found.id).all() and (poses.picture == found.t).all()
-    assert found.x.to_numpy() == pytest.approx(poses.x_um.to_numpy() / 2.3 - 0.5)
-    assert found.y.to_numpy() == pytest.approx(383.5 - poses.y_um.to_numpy() / 2.3)
+    assert (poses.cell == table.id).all() and (poses.picture == table.t).all()
+    assert table.x.to_numpy() == pytest.approx(poses.x_um.to_numpy() / 2.3 - 0.5)
+    assert table.y.to_numpy() == pytest.approx(383.5 - poses.y_um.to_numpy() / 2.3)
 
 
 def test_speeds_have_intervals_in_json_unless_the_scale_is_guessed(dish):
     done = tetractl(dish, "track", "dish.avi", "--scale", UM_PX, "--json").ok()
-    found = json.loads(done.stdout)
-    speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
+    printed = json.loads(done.stdout)
+    speeds = [cell["speed_um_s"] for cell in printed["cells"] if cell["speed_um_s"]]
     assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
     done = tetractl(dish, "track", "dish.avi", "-o", "guessed", "--json").ok()
-    found = json.loads(done.stdout)
-    assert found["scale_guessed"] is True and found["pictures"] == 120
-    speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
+    printed = json.loads(done.stdout)
+    assert printed["scale_guessed"] is True and printed["pictures"] == 120
+    speeds = [cell["speed_um_s"] for cell in printed["cells"] if cell["speed_um_s"]]
     assert speeds and all(isinstance(speed, float) for speed in speeds)
     again = tetractl(dish, "track", "guessed").ok()
     assert "none: the scale is a guess" in again.stdout
@@ -182,8 +182,8 @@ def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
 
 
 def test_times_of_a_folder_are_those_of_the_table(tmp_path):
-    made = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
-    path = folder(tmp_path / "film", np.array(list(made.pictures())))
-    (path / "times.csv").write_text("time_s\n" + "".join(f"{7 + t:.6f}\n" for t in made.times))
+    synthetic = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
+    path = folder(tmp_path / "film", np.array(list(synthetic.pictures())))
+    (path / "times.csv").write_text("time_s\n" + "".join(f"{7 + t:.6f}\n" for t in synthetic.times))
     done = tetractl(tmp_path, "track", "film", "--scale", UM_PX, "--json")
     assert min(cell["since_s"] for cell in json.loads(done.stdout)["cells"]) >= 7

@@ -81,15 +81,15 @@ def slopes(function, m):
 
 def noise(m, model, walled, seconds):
     """The covariance (n, n) that a time adds, but that of turning."""
-    found = np.zeros(STATES)
+    totals = np.zeros(STATES)
     slowest = model[SLOWEST]
-    found[:TURN] = model[:TURN] ** 2
-    found[WAY] = model[X] ** 2
+    totals[:TURN] = model[:TURN] ** 2
+    totals[WAY] = model[X] ** 2
     if m[SPEED] < slowest:
-        found[HEADING] += helix_steps.RESTING_HEADING**2
-        found[SPEED] += (helix_steps.RESTING_SPEED * slowest) ** 2
-    found[HEADING] += helix_steps.WALL_TURN**2 * walled
-    return np.diag(found * seconds)
+        totals[HEADING] += helix_steps.RESTING_HEADING**2
+        totals[SPEED] += (helix_steps.RESTING_SPEED * slowest) ** 2
+    totals[HEADING] += helix_steps.WALL_TURN**2 * walled
+    return np.diag(totals * seconds)
 
 
 def move(m, p, model, walled, seconds, field):

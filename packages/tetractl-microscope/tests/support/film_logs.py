@@ -48,20 +48,20 @@ def samples_of(made, robots: int):
     setup = loaded.experiment.setup
     camera = CellCamera(loaded.experiment.plant.camera, setup, VirtualClock())
     last = setup.starts.array()
-    found = []
+    gathered = []
     for k, picture in enumerate(made.pictures()):
         exposed = round(1e9 * k / made.script.rate)
-        seen = camera._see(picture, exposed)
-        if seen is None:
+        looked = camera._see(picture, exposed)
+        if looked is None:
             continue
         (added,) = camera.additions()
-        valid = np.array([pose is not None for pose in seen.poses])
-        for i, pose in enumerate(seen.poses):
+        valid = np.array([pose is not None for pose in looked.poses])
+        for i, pose in enumerate(looked.poses):
             if pose is not None:
                 last[i] = pose.x, pose.y, pose.heading
         at = Observation(k, exposed, exposed + 9_000_000, Poses.of(last.copy()), valid)
-        found.append(Sample(at, None, added.messages))
-    return loaded, found
+        gathered.append(Sample(at, None, added.messages))
+    return loaded, gathered
 
 
 def write_film(made, path, robots: int = 2):

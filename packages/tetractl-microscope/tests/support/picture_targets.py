@@ -19,12 +19,22 @@ SIDE = 128  # of a picture [px]
 @cache
 def _dish() -> tuple[list, list[bytes]]:
     """The pictures of a small film, and answers of a camera: that film, and absurd pictures."""
-    shown = list(film(seed=3, side=SIDE, cells=2, seconds=0.5).pictures())
+    pictures_shown = list(film(seed=3, side=SIDE, cells=2, seconds=0.5).pictures())
     black = np.zeros((SIDE, SIDE), np.uint8)
     noise = np.random.default_rng(1).integers(0, 2, (64, 64))
     blobs = np.kron(255 * noise, np.ones((2, 2))).astype(np.uint8)
-    absurd = [shown[0], black, black + 255, blobs, shown[1], np.zeros((40, 9), np.uint8), shown[2]]
-    return shown, [b"".join(part(coded(one, 90)) for one in some) for some in (shown, absurd)]
+    absurd = [
+        pictures_shown[0],
+        black,
+        black + 255,
+        blobs,
+        pictures_shown[1],
+        np.zeros((40, 9), np.uint8),
+        pictures_shown[2],
+    ]
+    return pictures_shown, [
+        b"".join(part(coded(one, 90)) for one in some) for some in (pictures_shown, absurd)
+    ]
 
 
 def pictures(data: bytes) -> None:

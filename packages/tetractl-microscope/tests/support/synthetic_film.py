@@ -141,12 +141,12 @@ class SyntheticFilm:
 
 def _turns(random: np.random.Generator, script: FilmScript) -> Floats:
     """Return times and directions of the field, each drawn independently."""
-    found = []
+    gathered = []
     t = 0.0
     while t < script.seconds:
-        found.append((t, random.uniform(-math.pi, math.pi)))
+        gathered.append((t, random.uniform(-math.pi, math.pi)))
         t += round(random.uniform(*script.hold) / STEP_S) * STEP_S
-    return np.array(found)
+    return np.array(gathered)
 
 
 def _swum(

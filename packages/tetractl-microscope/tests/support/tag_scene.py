@@ -50,8 +50,8 @@ def tracker(**changes):
 def look(tracker, renderer, poses=STANDING, times=1):
     """See some pictures of standing robots; return what the last one shows."""
     for _ in range(times):
-        seen = tracker.see(renderer.picture(lambda t_ns: poses, 0))
-    return seen
+        looked = tracker.see(renderer.picture(lambda t_ns: poses, 0))
+    return looked
 
 
 def scattered(rng):

@@ -21,10 +21,10 @@ CELLS = [
 
 
 def test_a_cell_in_pieces_counts_once_and_by_its_time():
-    found = cell_mean(*known_values(CELLS, "speed_um_s"))
-    assert found.n == 3
-    assert found.mean == pytest.approx(np.average([400, 300, 500, 450], weights=[8, 2, 6, 8]))
-    assert found.ci95.low < found.mean < found.ci95.high
+    mean = cell_mean(*known_values(CELLS, "speed_um_s"))
+    assert mean.n == 3
+    assert mean.mean == pytest.approx(np.average([400, 300, 500, 450], weights=[8, 2, 6, 8]))
+    assert mean.ci95.low < mean.mean < mean.ci95.high
     assert cell_mean(CELLS[:1], [400.0]).n == 1 and not cell_mean(CELLS[:1], [400.0]).ci95.known
 
 

@@ -15,21 +15,21 @@ RATES = 2.5, 3.0, 3.5, 4.0, 5.0, 0.0, 4.5  # turning rates a [rad/s]; one cell h
 def paths(direction, mirrored=False, rotated=0.0, seed=1):
     """Positions of cells that turn with the field for 8 s, as a camera sees them every 1/30 s."""
     random = np.random.default_rng(seed)
-    found = []
+    gathered = []
     for a in RATES:
         heading = random.uniform(-3, 3)
         x = 0.0
         y = 0.0
-        seen = []
+        gathered = []
         for k in range(2400):
             heading += a * math.sin(direction(round(k / 300 * SECOND)) - heading) / 300
             x = x + 1.4 * math.cos(heading)
             y = y + 1.4 * math.sin(heading)
             place = (x + 1j * y) * np.exp(1j * rotated) + random.normal() + 1j * random.normal()
             if k % 10 == 0:
-                seen.append((k / 300, -place.real if mirrored else place.real, place.imag))
-        found.append(np.array(seen))
-    return found
+                gathered.append((k / 300, -place.real if mirrored else place.real, place.imag))
+        gathered.append(np.array(gathered))
+    return gathered
 
 
 def field_of(direction):
@@ -41,19 +41,19 @@ def field_of(direction):
 @pytest.mark.parametrize("rotated", [0.0, 0.5, -2.0])
 def test_side_and_rotation_are_found(mirrored, rotated):
     direction = manoeuvre(3.2, 5)
-    found = handedness(paths(direction, mirrored, rotated), field_of(direction))
-    assert found.mirrored is mirrored and found.explained > 0.9
+    turning = handedness(paths(direction, mirrored, rotated), field_of(direction))
+    assert turning.mirrored is mirrored and turning.explained > 0.9
     turned = math.pi - rotated if mirrored else rotated
-    assert abs(math.remainder(found.turned - turned, math.tau)) < 0.05 + 3 * found.turned_sd
-    assert found.turned_sd < 0.1
-    problems, _ = handedness_lines(found)
+    assert abs(math.remainder(turning.turned - turned, math.tau)) < 0.05 + 3 * turning.turned_sd
+    assert turning.turned_sd < 0.1
+    problems, _ = handedness_lines(turning)
     assert len(problems) == (mirrored or rotated != 0.0)
     words = "the picture is mirrored" if mirrored else "rad off the field's"
     assert all(words in problem for problem in problems)
 
 
 def test_cells_that_do_not_follow_the_field_are_a_problem_and_so_are_too_few():
-    found = handedness(paths(manoeuvre(3.2, 6)), field_of(manoeuvre(2.3, 9)))
-    assert handedness_lines(found)[0][0].startswith("the cells do not turn with the field")
+    turning = handedness(paths(manoeuvre(3.2, 6)), field_of(manoeuvre(2.3, 9)))
+    assert handedness_lines(turning)[0][0].startswith("the cells do not turn with the field")
     few = handedness(paths(manoeuvre(3.2, 6))[:2], field_of(manoeuvre(3.2, 6)))
     assert few is None and "fewer than 3 cells" in handedness_lines(few)[0][0]

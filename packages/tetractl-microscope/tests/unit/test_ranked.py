@@ -24,10 +24,10 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
         for i in range(4)
     ]
     counted = []
-    found = ranked(
+    choices = ranked(
         spec.experiment, cells, Noise.of(spec.experiment.plant), 12, lambda *n: counted.append(n)
     )
-    assert not np.isfinite([one.error for one in found]).any()
+    assert not np.isfinite([one.error for one in choices]).any()
     assert len(counted) == 4  # one prediction for each three of four cells
 
 

@@ -143,12 +143,14 @@ def test_a_process_that_is_killed_is_a_fault_in_the_next_frame(library):
         assert camera.frames()
         assert isinstance(camera._port, ProcessPort)
         os.kill(camera._port._process.pid, signal.SIGKILL)
-        seen = []
+        gathered = []
         assert wait_for(
-            clock, lambda: seen.extend(camera.frames()) or (seen[-1:] and seen[-1].fault), 60
+            clock,
+            lambda: gathered.extend(camera.frames()) or (gathered[-1:] and gathered[-1].fault),
+            60,
         )
-        assert seen[-1].fault == "the process of the camera has ended: Killed"
-        assert seen[-1].poses == (None, None)
+        assert gathered[-1].fault == "the process of the camera has ended: Killed"
+        assert gathered[-1].poses == (None, None)
 
 
 @pytest.mark.slow

@@ -125,7 +125,7 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     class Wire(SerialPort):
         def open(self, alone=True): ...
 
-        asked = 0
+        questions = 0
 
         def write(self, data):
             self.asked += encode_notify(10) in data
@@ -178,9 +178,9 @@ def test_events_that_waited_are_passed_on_as_one():
     ],
 )
 def test_a_robot_that_is_two_cubes_or_too_fast_is_an_error_of_its_field(folder, setting, field):
-    found = tetractl(folder, "validate", "cubes.yaml", "--set", setting)
-    assert found.returncode == 2
-    assert field in found.stdout
+    answer = tetractl(folder, "validate", "cubes.yaml", "--set", setting)
+    assert answer.returncode == 2
+    assert field in answer.stdout
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4])
@@ -189,9 +189,9 @@ def test_a_lab_of_cubes_is_checked_though_messages_are_lost(folder, lost):
     script = f"plant.faults={{about: a test, emulation: {{actuator: {{loss: {lost}}}}}}}"
     check = ("lab", "check", "cubes.yaml", "--plant", "emulated", "--json", "--set", script)
     done = tetractl(folder, *check).ok()
-    found = json.loads(done.stdout)
-    assert found["ready"]
-    assert all(robot["answers"] and robot["charge"] == 100 for robot in found["robots"])
+    printed = json.loads(done.stdout)
+    assert printed["ready"]
+    assert all(robot["answers"] and robot["charge"] == 100 for robot in printed["robots"])
 
 
 @pytest.mark.long

@@ -38,11 +38,11 @@ def cubes(tmp_path):
     """An actuator of three cubes, and its ports."""
     tetractl(tmp_path, "init", "cubes", "--lab", "--robots", "toio").ok()
     experiment = load_spec(tmp_path / "cubes.yaml").experiment
-    made = type("Made", (Wire,), {"written": {}, "broken": set()})
+    wire_class = type("Made", (Wire,), {"written": {}, "broken": set()})
     from tetractl_toio.actuator import ToioActuator
 
     clock = VirtualClock()
-    return ToioActuator(experiment.lab.actuator, experiment.setup, clock, made), made
+    return ToioActuator(experiment.lab.actuator, experiment.setup, clock, wire_class), wire_class
 
 
 def motors(wire, name):

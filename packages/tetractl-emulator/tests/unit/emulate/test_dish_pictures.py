@@ -57,17 +57,17 @@ def test_the_same_seed_gives_the_same_film_and_its_pairs_cross():
     first, again = (film(seed=3, side=256, seconds=1.0) for _ in "ab")
     for a, b in zip(first.pictures(), again.pictures(), strict=True):
         assert (a == b).all()
-    made = film(seed=4, side=512, seconds=6.0, cells=6)
+    synthetic = film(seed=4, side=512, seconds=6.0, cells=6)
     for i in (0, 2, 4):
-        gaps = np.linalg.norm(made.body[:, i, :2] - made.body[:, i + 1, :2], axis=1)
+        gaps = np.linalg.norm(synthetic.body[:, i, :2] - synthetic.body[:, i + 1, :2], axis=1)
         assert gaps.min() < 40
 
 
 def test_events_add_a_daughter_and_let_a_cell_rest():
-    made = film(seed=5, events=True)
-    assert made.body.shape[1] == 5
-    half = len(made.times) // 2
-    assert not made.seen[: half - 1, 4].any()
-    rest = (made.times > 0.45 * 4) & (made.times < 0.55 * 4)
-    path = made.body[rest, 3, :2]
+    synthetic = film(seed=5, events=True)
+    assert synthetic.body.shape[1] == 5
+    half = len(synthetic.times) // 2
+    assert not synthetic.seen[: half - 1, 4].any()
+    rest = (synthetic.times > 0.45 * 4) & (synthetic.times < 0.55 * 4)
+    path = synthetic.body[rest, 3, :2]
     assert np.linalg.norm(path[-1] - path[0]) < 10

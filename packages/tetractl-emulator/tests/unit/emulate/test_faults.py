@@ -166,8 +166,8 @@ def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained):
 
 
 def test_a_robot_with_another_number_obeys_that_one(tmp_path):
-    lab, found, device = begun(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
-    found.begin(device)
+    lab, fault, device = begun(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
+    fault.begin(device)
     robot = lab.actuator.robot("green")
     robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, ((10, 10), (20, 20)))))
     assert robot.counts() == (20, 20)
@@ -175,8 +175,8 @@ def test_a_robot_with_another_number_obeys_that_one(tmp_path):
 
 @pytest.mark.slow
 def test_robots_are_put_back_and_restarted(tmp_path):
-    told = []
-    lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: told.append(event))
+    reports = []
+    lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: reports.append(event))
     with lab:
         robot = lab.actuator.robot("green")
         robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
@@ -184,7 +184,7 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
         turn_until(lab, lambda: not lab.camera.tracked[0].tracked)
         assert not robot.powered
-        turn_until(lab, lambda: "placed" in told)
+        turn_until(lab, lambda: "placed" in reports)
         assert (robot.x, robot.y, robot.heading) == (500, 500, 0.5)
         robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
         assert robot.counts() == (60, 60)
@@ -206,18 +206,18 @@ def test_a_fault_is_over_after_its_time(tmp_path):
 
 
 def test_a_fault_is_told_with_the_first_frame_that_was_exposed_during_it():
-    told = []
+    reports = []
     timeline = Timeline(lambda until_ns: None)
     hidden = fault_kind("hidden", "A fault.", lambda *_: lambda: None, Visible.EXPOSED)
     faults = (hidden(fault="hidden", since="start"),)
-    injector = Injector(timeline, faults, lambda _: None, lambda phase, _: told.append(phase))
+    injector = Injector(timeline, faults, lambda _: None, lambda phase, _: reports.append(phase))
     injector.happened("start")
     timeline.run_to(0)
     injector.exposed(7)
     injector.sent(6)  # was under way when the fault began
-    assert told == []
+    assert reports == []
     injector.sent(7)
-    assert told == ["start"]
+    assert reports == ["start"]
 
 
 def test_nothing_is_left_open(tmp_path):

@@ -46,6 +46,6 @@ def test_a_film_gives_the_slope_put_in(monkeypatch):
     monkeypatch.setattr(pichel_2018, "REVERSALS", 2)
     monkeypatch.setattr(pichel_2018, "CELLS", 6)
     monkeypatch.setattr(pichel_2018, "LOOK", replace(pichel_2018.LOOK, width=512, height=512))
-    found = pichel_2018.films(1, 0)
-    assert len(found["slopes"]) >= 3
-    assert np.median(found["slopes"]) == pytest.approx(found["put in"], rel=0.3)
+    film_set = pichel_2018.films(1, 0)
+    assert len(film_set["slopes"]) >= 3
+    assert np.median(film_set["slopes"]) == pytest.approx(film_set["put in"], rel=0.3)

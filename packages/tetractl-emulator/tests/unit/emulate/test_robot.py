@@ -17,10 +17,10 @@ LAG = 0.04
 
 
 def robot():
-    one = EmulatedRobot("green", 0)
-    EmulatedRobots([one], train((5.0, 5.0), (4, 4)), np.array([40.0]), np.array([LAG]))
-    one.place(100.0, 200.0, 0.3)
-    return one
+    robot = EmulatedRobot("green", 0)
+    EmulatedRobots([robot], train((5.0, 5.0), (4, 4)), np.array([40.0]), np.array([LAG]))
+    robot.place(100.0, 200.0, 0.3)
+    return robot
 
 
 def frame(sequence, *wheels, flags=Flag.RUN):

@@ -34,11 +34,11 @@ class Client:
 
     def got(self):
         """Return the messages that came since the last call."""
-        found = []
+        gathered = []
         with suppress(BlockingIOError):
             while True:
-                found.append(parse(self.socket.recvfrom(65_535)[0], self.motive.own_version))
-        return found
+                gathered.append(parse(self.socket.recvfrom(65_535)[0], self.motive.own_version))
+        return gathered
 
     def comes(self, kind):
         """Let time pass until a message of a kind comes; return whether it does."""
@@ -103,6 +103,6 @@ def test_garbage_is_counted_and_survived(client):
 
 @pytest.mark.parametrize("up", UpAxis)
 def test_a_body_that_is_emulated_is_placed_where_it_is(up):
-    seen = View(up, (100.0, -50.0), 0.7).body(1, 500.0, 300.0, 1.1, 60.0)
-    pose = Placement(100.0, -50.0, 0.7, 1000.0).pose(seen, up)
+    body = View(up, (100.0, -50.0), 0.7).body(1, 500.0, 300.0, 1.1, 60.0)
+    pose = Placement(100.0, -50.0, 0.7, 1000.0).pose(body, up)
     assert (pose.x, pose.y, pose.heading, pose.height) == pytest.approx((500, 300, 1.1, 60))

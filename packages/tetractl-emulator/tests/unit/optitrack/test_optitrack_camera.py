@@ -220,9 +220,9 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
     with motive(tmp_path, f"version: {version}") as (_, camera, clock), camera:
         assert camera.stream.model.ids() == {"Green": 1, "blue": 7}
         assert clock.wait(lambda: all(camera.stream.newest.poses))
-        found = camera.check()
-        assert found.problems == ()
-        assert f"protocol {version} is newer than 4.3; it is read as 4.3" in (found.warnings)
+        health = camera.check()
+        assert health.problems == ()
+        assert f"protocol {version} is newer than 4.3; it is read as 4.3" in (health.warnings)
         assert camera.damaged == 0
 
 

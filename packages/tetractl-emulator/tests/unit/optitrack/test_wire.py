@@ -69,8 +69,8 @@ def test_models_are_found_behind_other_data_sets(version):
 )
 def test_an_unknown_data_set_ends_the_reading_and_says_so(version, kind):
     packed = pack_modeldef(natnet.ModelDef((("green", 1),)), version, [(kind, b"?")])
-    found = parse(datagram(natnet.MessageKind.MODELDEF, packed), version)
-    assert found == natnet.ModelDef((), complete=False)
+    parsed = parse(datagram(natnet.MessageKind.MODELDEF, packed), version)
+    assert parsed == natnet.ModelDef((), complete=False)
 
 
 def test_a_skeletons_bones_are_not_robots():
@@ -187,9 +187,9 @@ def test_every_truncation_is_refused(version):
 
 
 def test_a_wrong_size_of_the_section_of_bodies_is_refused():
-    whole = pack_answer(natnet.NatNetFrame(1, (BODY,)), V41)
-    assert parse(whole, V41).number == 1
+    packed_answer = pack_answer(natnet.NatNetFrame(1, (BODY,)), V41)
+    assert parse(packed_answer, V41).number == 1
     stated = struct.pack("<ii", 1, 38)  # one body, and its size
-    assert whole.count(stated) == 1
+    assert packed_answer.count(stated) == 1
     with pytest.raises(WireError, match="the stated size of the rigid bodies is wrong"):
-        parse(whole.replace(stated, struct.pack("<ii", 1, 39)), V41)
+        parse(packed_answer.replace(stated, struct.pack("<ii", 1, 39)), V41)

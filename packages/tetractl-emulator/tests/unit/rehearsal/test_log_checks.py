@@ -17,8 +17,8 @@ def test_steps_of_the_lab_come_in_order(tmp_path):
     before, step = log.steps[1:3]
     back = replace(step, observation=replace(step.observation, frame=before.observation.frame - 1))
     forged = replace(log, steps=(*log.steps[:2], back, *log.steps[3:]))
-    found = {log_difference.field for log_difference in log_differences(forged)}
-    assert "command.sent_ns" in found
+    differences = {log_difference.field for log_difference in log_differences(forged)}
+    assert "command.sent_ns" in differences
 
 
 @pytest.mark.parametrize(
@@ -34,8 +34,8 @@ def test_a_frame_counter_goes_back_only_as_a_trial_aborts(outcome, after, wrong,
     numbers[last + after :] -= 30
     result = replace(log.result, outcome=outcome, reason="red is lost")
     changed = replace(log, frames=numbers, steps=steps, result=result)
-    found = log_differences(changed)
-    assert ("mocap.frames" in {one.field for one in found}) == wrong
+    differences = log_differences(changed)
+    assert ("mocap.frames" in {one.field for one in differences}) == wrong
 
 
 @pytest.mark.parametrize("metres", [0.001, 1.0])

@@ -20,10 +20,10 @@ NAPS = ("stopped",)  # whose strength is their duration
 
 
 def test_a_day_depends_on_its_number_and_the_seed_alone():
-    one, again = (plan_of_day(7, 12, SETUP, LAB) for _ in range(2))
-    assert one == again
-    assert one != plan_of_day(7, 13, SETUP, LAB)
-    assert one != plan_of_day(8, 12, SETUP, LAB)
+    first_plan, again = (plan_of_day(7, 12, SETUP, LAB) for _ in range(2))
+    assert first_plan == again
+    assert first_plan != plan_of_day(7, 13, SETUP, LAB)
+    assert first_plan != plan_of_day(8, 12, SETUP, LAB)
 
 
 def test_a_day_without_faults_is_as_the_spec_allows():

@@ -120,9 +120,11 @@ def test_a_robot_that_is_lifted_is_not_shown_though_it_is_tracked(height, at_s, 
 def test_no_robot_is_driven_without_a_direction(sent_s, whole, wrong):
     """Regression: what a log that a full disk broke off no longer has counted as not sent."""
     truth = day(GOOD)
-    known = dict.fromkeys(TrialLog.__dataclass_fields__)
+    log_fields = dict.fromkeys(TrialLog.__dataclass_fields__)
     result = SimpleNamespace() if whole else None
-    vars(truth)["log"] = TrialLog(**known | {"steps": [step(sent_s, sent_s)], "result": result})
+    vars(truth)["log"] = TrialLog(
+        **log_fields | {"steps": [step(sent_s, sent_s)], "result": result}
+    )
     assert names_of(0, truth) == ({"driven blind"} if wrong else set())
 
 
@@ -196,9 +198,9 @@ def with_log(accepted, **fields):
     fault = fields.pop("fault", FREEZES)
     truth = day([*RUN, truth_at(2.2, 180.0), truth_at(2.3, 180.0), END], fault=fault)
     truth.day.events.append(starts(2.1))
-    known = dict.fromkeys(TrialLog.__dataclass_fields__)
+    log_fields = dict.fromkeys(TrialLog.__dataclass_fields__)
     mm = SETUP.metres * 1000
-    known |= {
+    log_fields |= {
         "frames": np.array([264]),
         "mocap_ns": np.array([2_200_000_000]),
         "exposed_ns": np.array([[2_200_000_000] * 3]),
@@ -207,7 +209,7 @@ def with_log(accepted, **fields):
         "steps": (),
         "result": SimpleNamespace(outcome=Outcome.ABORTED, reason=ERROR, lost=()),
     }
-    vars(truth)["log"] = TrialLog(**known | fields)
+    vars(truth)["log"] = TrialLog(**log_fields | fields)
     return truth
 
 
@@ -316,8 +318,8 @@ def complete(fault=LOST, events=(), steps=()):
     truth = day([*RUN, *DRIVES, *events, at(2.31, "guard", state="ready", reason=""), END], fault)
     truth = replace(truth, day=replace(truth.day, exit=0, said=""))
     result = SimpleNamespace(outcome=Outcome.ARRIVED, reason="")
-    known = dict.fromkeys(TrialLog.__dataclass_fields__) | {"result": result, "steps": steps}
-    vars(truth)["log"] = TrialLog(**known)
+    log_fields = dict.fromkeys(TrialLog.__dataclass_fields__) | {"result": result, "steps": steps}
+    vars(truth)["log"] = TrialLog(**log_fields)
     return truth
 
 

@@ -54,11 +54,11 @@ def test_the_micropython_program_passes_the_vectors_in_python():
 @needs_compiler
 @pytest.mark.parametrize("target", ["test", "sanitize"])
 def test_the_core_passes_the_vectors_on_this_computer(tmp_path, target):
-    made = subprocess.run(
+    compiled = subprocess.run(
         ["make", "-s", target, f"BUILD={tmp_path}"], cwd=FOLDER, capture_output=True, text=True
     )
-    assert made.returncode == 0, made.stdout + made.stderr
-    assert "76 checks, 0 failures" in made.stdout
+    assert compiled.returncode == 0, compiled.stdout + compiled.stderr
+    assert "76 checks, 0 failures" in compiled.stdout
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +66,9 @@ def everywhere(tmp_path_factory):
     """What `make everywhere` prints."""
     build = tmp_path_factory.mktemp("firmware")
     command = ["make", "-s", "everywhere", f"BUILD={build}"]
-    made = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True)
-    assert made.returncode == 0, made.stdout + made.stderr
-    return made.stdout
+    compiled = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True)
+    assert compiled.returncode == 0, compiled.stdout + compiled.stderr
+    return compiled.stdout
 
 
 @pytest.mark.system
@@ -115,7 +115,7 @@ def damaged(rng):
 def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
     rng = random.Random(3)
     library = firmware.load("twist", tmp_path)
-    seen = dict.fromkeys(CoreEvent, 0)
+    counts_of_event = dict.fromkeys(CoreEvent, 0)
     with programs():
         from twist import Twist
 
@@ -126,7 +126,7 @@ def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
             events = core.push(line + b"\n", 0)
             robot.push(line + b"\n", 0)
             for event in events:
-                seen[event] += 1
+                counts_of_event[event] += 1
             assert core.wheels(0) == robot.wheels(0)
             assert core.status(0) == robot.status(0)
             assert (robot.received, robot.rejected) == (
@@ -139,8 +139,8 @@ def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
                 assert CoreEvent.ACCEPTED not in events, line
             else:
                 assert events == [CoreEvent.ACCEPTED], line
-    assert all(seen[event] > 100 for event in (CoreEvent.ACCEPTED, CoreEvent.REJECTED))
-    assert seen[CoreEvent.FOREIGN] > 20
+    assert all(counts_of_event[event] > 100 for event in (CoreEvent.ACCEPTED, CoreEvent.REJECTED))
+    assert counts_of_event[CoreEvent.FOREIGN] > 20
 
 
 class Bench:

@@ -146,9 +146,9 @@ def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warn
     renderer = rendered(facing=facing)
     for name, value in shown.items():
         setattr(renderer, name, value)
-    found, warnings = checked(tmp_path, renderer, **changes)
-    assert len(found) == len(problems)
-    assert all(line.startswith(start) for line, start in zip(found, problems, strict=True))
+    problems_found, warnings = checked(tmp_path, renderer, **changes)
+    assert len(problems_found) == len(problems)
+    assert all(line.startswith(start) for line, start in zip(problems_found, problems, strict=True))
     assert any(line.startswith(warning) for line in warnings) or not warning
 
 

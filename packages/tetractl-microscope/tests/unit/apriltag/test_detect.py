@@ -34,10 +34,10 @@ def test_tags_are_drawn_as_the_apriltag_project_prints_them(number):
 def test_the_first_corner_is_the_top_left_one_of_the_tag_read_upright(turns):
     square = np.kron(published(CODES[1]), np.ones((9, 9), np.uint8))
     upright = np.pad(square, 30, constant_values=255)
-    (found,) = Detector().find(np.ascontiguousarray(np.rot90(upright, turns)))
+    (sighting,) = Detector().find(np.ascontiguousarray(np.rot90(upright, turns)))
     corners = np.array([(29.5, 29.5), (101.5, 29.5), (101.5, 101.5), (29.5, 101.5)])
-    assert found.tag == 1
-    assert found.corners == pytest.approx(np.roll(corners, turns, axis=0), abs=0.3)
+    assert sighting.tag == 1
+    assert sighting.corners == pytest.approx(np.roll(corners, turns, axis=0), abs=0.3)
 
 
 def truth(renderer, i):
@@ -60,8 +60,8 @@ def test_corners_are_found_within_a_fraction_of_a_pixel(size, bound):
 
 @pytest.mark.parametrize("blur", [0.7, 1.2])
 def test_blur_is_measured(blur):
-    found = Detector().find(rendered(LARGE, blur_px=blur).picture(lambda t: STANDING, 0))
-    assert np.median([each.blur_px for each in found]) == pytest.approx(blur, abs=0.25)
+    sightings = Detector().find(rendered(LARGE, blur_px=blur).picture(lambda t: STANDING, 0))
+    assert np.median([each.blur_px for each in sightings]) == pytest.approx(blur, abs=0.25)
 
 
 def test_noise_and_plain_pictures_show_no_tags():

@@ -28,9 +28,9 @@ def test_the_printed_tags_are_found(tmp_path, monkeypatch):
     exec(block("python"), {})
     for path in tmp_path.glob("*.png"):
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        (found,) = Detector().find(picture)
-        assert path.name == f"tag-{found.tag}.png"
-        assert found.side_px == pytest.approx(0.8 * picture.shape[0], abs=1)
+        (sighting,) = Detector().find(picture)
+        assert path.name == f"tag-{sighting.tag}.png"
+        assert sighting.side_px == pytest.approx(0.8 * picture.shape[0], abs=1)
 
 
 def test_every_setting_is_in_the_table():

@@ -42,15 +42,15 @@ def test_a_flat_tag_is_flat_at_its_height(height, at):
 @pytest.mark.parametrize("tilt", [0.7, 0.9, 1.2])
 @pytest.mark.parametrize("about", [0.0, 1.0, 2.0, 3.0])
 def test_a_tilted_tag_does_not_look_flat(tilt, about):
-    _, found = plane().stance(corners(0.1, tilt, about), SIDE)
-    assert 0.5 < found <= tilt + 1e-3
+    _, height = plane().stance(corners(0.1, tilt, about), SIDE)
+    assert 0.5 < height <= tilt + 1e-3
 
 
 @pytest.mark.parametrize("higher_mm", [0, 80, 250])
 def test_pictures_show_the_height_of_a_tag(higher_mm):
     lifted = [r.model_copy(update={"height_mm": r.height_mm + higher_mm}) for r in ROBOTS]
     before = rendered(LARGE)
-    seen = look(tracker(), Renderer(lifted, FLOOR, MM, before.optics))
-    for pose, robot in zip(seen.poses, lifted, strict=True):
+    looked = look(tracker(), Renderer(lifted, FLOOR, MM, before.optics))
+    for pose, robot in zip(looked.poses, lifted, strict=True):
         assert pose.height == pytest.approx(robot.height_mm, abs=12.0)
         assert pose.tilt < 0.1

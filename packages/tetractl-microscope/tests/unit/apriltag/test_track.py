@@ -62,8 +62,8 @@ def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
     distances = []
     for k in range(10):
         at = k * 33_000_000
-        seen = mine.see(renderer.picture(moving, at))
-        distances += [off(seen, i, moving(at)) for i in range(3)]
+        looked = mine.see(renderer.picture(moving, at))
+        distances += [off(looked, i, moving(at)) for i in range(3)]
     assert np.median(distances) < 1.0
     assert max(distances) < 3.0
 
@@ -80,13 +80,13 @@ def test_straight_down_a_known_focal_length_is_needed():
     renderer = rendered(LARGE, facing=OVERHEAD)
     lens = {"focal_px": renderer.optics.focal_px}
     blind = tracker()
-    known = tracker(lens=lens)
+    own_tracker = tracker(lens=lens)
     guessed, _, _ = errors(blind, renderer, pictures=5)
-    right, _, _ = errors(known, renderer, pictures=5)
+    right, _, _ = errors(own_tracker, renderer, pictures=5)
     assert np.median(right) < 0.3
     assert np.median(guessed) > 1.0
     assert blind.floor.plane.doubt_mm > guessed.max()
-    assert known.floor.plane.doubt_mm == 0.0
+    assert own_tracker.floor.plane.doubt_mm == 0.0
 
 
 def test_tilted_the_focal_length_is_found():
@@ -129,9 +129,9 @@ def test_nothing_is_tracked_before_all_floor_tags_were_seen_at_once():
     renderer.hidden = set()
     assert None not in look(mine, renderer).poses
     renderer.hidden = {100, 101, 102, 103}
-    seen = look(mine, renderer)
-    assert None not in seen.poses
-    assert off(seen) < 2.0
+    looked = look(mine, renderer)
+    assert None not in looked.poses
+    assert off(looked) < 2.0
 
 
 def test_a_camera_that_is_moved_is_calibrated_again_but_not_by_part_of_the_floor():
@@ -158,11 +158,11 @@ def test_a_number_seen_twice_is_no_robot_and_no_stranger():
     mine = tracker()
     renderer = rendered()
     renderer.strays = [FloorTag(tag=0, at=(1900, 900), size_mm=100)]
-    seen = look(mine, renderer)
-    assert seen.poses[0] is None
-    assert seen.poses[1] is not None
-    assert seen.strangers == ()
-    assert seen.tags.count(0) == 2
+    looked = look(mine, renderer)
+    assert looked.poses[0] is None
+    assert looked.poses[1] is not None
+    assert looked.strangers == ()
+    assert looked.tags.count(0) == 2
 
 
 def test_unknown_tags_are_strangers():
@@ -176,10 +176,10 @@ def test_unknown_tags_are_strangers():
 
 def test_a_tag_of_another_size_is_not_believed():
     big = (ROBOTS[0].model_copy(update={"size_mm": 110.0}), *ROBOTS[1:])
-    seen = look(tracker(robots=big), rendered())
-    assert seen.poses[0] is None
-    assert seen.sizes[0] == pytest.approx(80 / 110, abs=0.03)
-    assert seen.sizes[1] == pytest.approx(1.0, abs=0.03)
+    looked = look(tracker(robots=big), rendered())
+    assert looked.poses[0] is None
+    assert looked.sizes[0] == pytest.approx(80 / 110, abs=0.03)
+    assert looked.sizes[1] == pytest.approx(1.0, abs=0.03)
 
 
 def test_lengths_are_in_the_unit_of_the_spec():

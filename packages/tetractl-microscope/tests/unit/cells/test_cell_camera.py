@@ -46,29 +46,29 @@ lab:
 
 def dish(folder, picture=lambda each: each):
     """A film of two cells and a file of it."""
-    made = film(seed=52, side=512, cells=2, crossings=False, seconds=3.0)
-    path = video(folder / "dish.avi", map(picture, made.pictures()))
-    return made, path
+    synthetic = film(seed=52, side=512, cells=2, crossings=False, seconds=3.0)
+    path = video(folder / "dish.avi", map(picture, synthetic.pictures()))
+    return synthetic, path
 
 
 def camera(path, starts, extra="", clock=None):
     text = SPEC.format(*np.round(starts, 1).ravel(), path, extra)
     experiment = parse_spec(text, "dish").experiment
-    made = experiment.lab.camera.build(experiment.setup, clock or VirtualClock(), lambda: None)
-    return experiment, made
+    camera = experiment.lab.camera.build(experiment.setup, clock or VirtualClock(), lambda: None)
+    return experiment, camera
 
 
 def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path):
-    made, path = dish(tmp_path)
-    starts = made.body[25, [1, 0], :2]  # the other way round
+    synthetic, path = dish(tmp_path)
+    starts = synthetic.body[25, [1, 0], :2]  # the other way round
     _, cells = camera(path, starts)
     with cells:
         assert cells._wait(lambda: bool(cells._ended), 120.0)
-        found = cells.frames()
+        frames = cells.frames()
         health = cells.check()
     checked = 0
-    for frame in found:
-        truth = made.body[frame.number - 1]
+    for frame in frames:
+        truth = synthetic.body[frame.number - 1]
         for pose, cell in zip(frame.poses, (1, 0), strict=True):
             if pose is not None:
                 assert math.dist((pose.x, pose.y), truth[cell, :2]) < 15
@@ -82,17 +82,20 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
 def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     """From picture 50 on all that is seen is shifted, and a rim is new; what is still tells."""
     count, (down, right) = iter(range(1000)), (6, 12)
-    made, path = dish(
+    synthetic, path = dish(
         tmp_path,
         lambda each: np.roll(each, (down, right), (0, 1)) if next(count) >= 50 else each,
     )
-    _, cells = camera(path, made.body[25, :, :2])
+    _, cells = camera(path, synthetic.body[25, :, :2])
     with cells:
         assert cells._wait(lambda: bool(cells._ended), 120.0)
-        found = cells.frames()
+        frames = cells.frames()
     off = [
-        (pose.x - made.body[frame.number - 1, i, 0], pose.y - made.body[frame.number - 1, i, 1])
-        for frame in found
+        (
+            pose.x - synthetic.body[frame.number - 1, i, 0],
+            pose.y - synthetic.body[frame.number - 1, i, 1],
+        )
+        for frame in frames
         if frame.number > 55
         for i, pose in enumerate(frame.poses)
         if pose is not None
@@ -104,10 +107,18 @@ def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
 
 def test_a_picture_that_comes_again_is_no_frame(tmp_path):
     """A camera's noise never repeats; black pictures are all alike, and are reported as black."""
-    made, path = dish(tmp_path)
-    shown = list(made.pictures())[:40]
-    _, cells = camera(path, made.body[25, :, :2])
-    for k, grey in enumerate([*shown, shown[-1], shown[-1], 0 * shown[0], 0 * shown[0]]):
+    synthetic, path = dish(tmp_path)
+    pictures_shown = list(synthetic.pictures())[:40]
+    _, cells = camera(path, synthetic.body[25, :, :2])
+    for k, grey in enumerate(
+        [
+            *pictures_shown,
+            pictures_shown[-1],
+            pictures_shown[-1],
+            0 * pictures_shown[0],
+            0 * pictures_shown[0],
+        ]
+    ):
         cells._search(k, Picture(grey, (k + 2) * 33_333_333))
     assert [frame.number for frame in cells.frames()][-4:] == [38, 39, 42, 43]
     assert cells.damaged == 0

@@ -76,9 +76,9 @@ def cells_at(k, count=8):
 
 
 def finder(dish, **options):
-    found = BlobFinder(90, 2800, **options)
-    found.learn([dish.picture(cells_at(k)) for k in range(15)])
-    return found
+    blob_finder = BlobFinder(90, 2800, **options)
+    blob_finder.learn([dish.picture(cells_at(k)) for k in range(15)])
+    return blob_finder
 
 
 def matched(blobs, cells, shift=(0.0, 0.0)):
@@ -93,17 +93,17 @@ def matched(blobs, cells, shift=(0.0, 0.0)):
 @pytest.mark.parametrize("contrast", [-0.17, 0.17, -0.035])
 def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     dish = Dish(contrast)
-    found = finder(dish)
+    blob_finder = finder(dish)
     shifts = []
     missed = 0
     for k in range(15, 45):
         shift = (6.0, -5.0) if k >= 30 else (0.0, 0.0)
-        blobs = found.find(dish.picture(cells_at(k), shift))
-        found.follow([])
-        shifts.append(found.light.shift_px)
+        blobs = blob_finder.find(dish.picture(cells_at(k), shift))
+        blob_finder.follow([])
+        shifts.append(blob_finder.light.shift_px)
         missed += matched(blobs, cells_at(k), shift).count(None)
     assert missed <= 0.02 * 30 * 8
-    assert found.bright is (contrast > 0)
+    assert blob_finder.bright is (contrast > 0)
     assert shifts[15] == pytest.approx((6.0, -5.0), abs=0.5)
     assert [shift for k, shift in enumerate(shifts) if k != 15] == [(0.0, 0.0)] * 29
 
@@ -111,21 +111,21 @@ def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
 def test_a_small_knock_is_seen_by_little_debris():
     dish = Dish(noise=3.0, bubble=0.0)
     dish.specks = dish.specks[:5]
-    found = finder(dish)
+    blob_finder = finder(dish)
     for k in range(15, 18):
-        found.find(dish.picture(cells_at(k)))
-    found.find(dish.picture(cells_at(18), (3.0, -2.0)))
-    assert found.light.shift_px == pytest.approx((3.0, -2.0), abs=0.5)
+        blob_finder.find(dish.picture(cells_at(k)))
+    blob_finder.find(dish.picture(cells_at(18), (3.0, -2.0)))
+    assert blob_finder.light.shift_px == pytest.approx((3.0, -2.0), abs=0.5)
 
 
 @pytest.mark.parametrize(("contrast", "rim"), [(0.2, -0.3), (-0.2, 0.3), (0.05, -0.35)])
 def test_a_body_and_its_rim_are_one_blob(contrast, rim):
     dish = Dish(contrast, noise=4.0, rim=rim)
-    found = finder(dish)
+    blob_finder = finder(dish)
     off = []
     turned = []
     for k in range(15, 30):
-        blobs = found.find(dish.picture(cells_at(k)))
+        blobs = blob_finder.find(dish.picture(cells_at(k)))
         cells = cells_at(k)
         for (x, y, axis), blob in zip(cells, matched(blobs, cells), strict=True):
             assert blob is not None
@@ -138,12 +138,12 @@ def test_a_body_and_its_rim_are_one_blob(contrast, rim):
 
 def test_positions_are_finer_than_pixels():
     dish = Dish(-0.4, noise=3.0)
-    found = finder(dish)
+    blob_finder = finder(dish)
     off = []
     turned = []
     for k in range(15, 30):
         cells = cells_at(k)
-        pairs = matched(found.find(dish.picture(cells)), cells)
+        pairs = matched(blob_finder.find(dish.picture(cells)), cells)
         for (x, y, axis), blob in zip(cells, pairs, strict=True):
             off.append(math.dist((blob.x, blob.y), (x, y)))
             turned.append((blob.axis - axis + math.pi / 2) % math.pi - math.pi / 2)
@@ -153,44 +153,46 @@ def test_positions_are_finer_than_pixels():
 
 def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
     dish = Dish(-0.4, noise=3.0)
-    found = BlobFinder(90, 2800)
+    blob_finder = BlobFinder(90, 2800)
     rested = (160.0, 160.0, 0.4)
     gone = (260.0, 160.0, 0.4)
-    found.learn([dish.picture([rested])] * 9)
-    found.find(dish.picture([gone]))
-    blobs = found.find(dish.picture([gone]))
+    blob_finder.learn([dish.picture([rested])] * 9)
+    blob_finder.find(dish.picture([gone]))
+    blobs = blob_finder.find(dish.picture([gone]))
     assert [math.dist((b.x, b.y), gone[:2]) < 1 for b in blobs] == [True]
-    assert len(found.find(dish.picture([rested]))) == 1  # it is not in the background any more
+    assert (
+        len(blob_finder.find(dish.picture([rested]))) == 1
+    )  # it is not in the background any more
 
 
 def test_a_cell_that_rests_stays_as_long_as_it_is_kept():
     dish = Dish(-0.4, noise=3.0)
-    found = finder(dish)
+    blob_finder = finder(dish)
     rests = (200.0, 100.0, 0.4)
     for _ in range(150):
-        found.find(dish.picture([rests]))
-        found.follow([(180, 80, 220, 120)])
-    assert matched(found.find(dish.picture([rests])), [rests]) != [None]
-    found.find(dish.picture([]))
-    assert len(found.find(dish.picture([]))) == 0
+        blob_finder.find(dish.picture([rests]))
+        blob_finder.follow([(180, 80, 220, 120)])
+    assert matched(blob_finder.find(dish.picture([rests])), [rests]) != [None]
+    blob_finder.find(dish.picture([]))
+    assert len(blob_finder.find(dish.picture([]))) == 0
 
 
 def test_a_dish_that_was_exchanged_is_learned_again():
     dish = Dish(-0.4, noise=3.0)
-    other = Dish(-0.4, noise=3.0)
-    found = finder(dish)
-    shade = np.where(other.across > 150, 0.5, 1.0)
+    other_dish = Dish(-0.4, noise=3.0)
+    blob_finder = finder(dish)
+    shade = np.where(other_dish.across > 150, 0.5, 1.0)
 
     def turned(k):
-        return (other.picture(cells_at(k)).T * shade).astype(np.uint8)
+        return (other_dish.picture(cells_at(k)).T * shade).astype(np.uint8)
 
     lost = []
     for k in range(15, 75):
-        found.find(turned(k))
-        found.follow([])
-        lost.append(found.light.lost)
+        blob_finder.find(turned(k))
+        blob_finder.follow([])
+        lost.append(blob_finder.light.lost)
     assert lost[0] and not lost[-1]
-    blobs = found.find(turned(75))
+    blobs = blob_finder.find(turned(75))
     places = [(y, x, 0.0) for x, y, _ in cells_at(75)]
     assert matched(blobs, places).count(None) <= 1
 
@@ -198,8 +200,8 @@ def test_a_dish_that_was_exchanged_is_learned_again():
 @pytest.mark.parametrize("size", [(2, 2), (3, 900), (40, 40), (900, 12)])
 def test_pictures_of_any_size_are_searched(size):
     random = np.random.default_rng(2)
-    found = BlobFinder(2, 50)
-    found.learn([random.integers(90, 110, size).astype(np.uint8) for _ in range(3)])
+    blob_finder = BlobFinder(2, 50)
+    blob_finder.learn([random.integers(90, 110, size).astype(np.uint8) for _ in range(3)])
     picture = cv2.GaussianBlur(random.integers(0, 255, size).astype(np.uint8), (0, 0), 2)
-    assert all(math.isfinite(blob.x + blob.axis) for blob in found.find(picture))
-    found.follow([(0, 0, 5, 5)])
+    assert all(math.isfinite(blob.x + blob.axis) for blob in blob_finder.find(picture))
+    blob_finder.follow([(0, 0, 5, 5)])

@@ -42,22 +42,26 @@ AXIS = 0.03
 
 def followed(seed, known=True, seconds=6.0, cells=8):
     """A filter after a film of which positions and axes are known but for noise."""
-    made = film(seed=seed, seconds=seconds, cells=cells)
+    synthetic = film(seed=seed, seconds=seconds, cells=cells)
     random = np.random.default_rng(seed)
-    seen = made.body + random.normal(0, 1, made.body.shape) * (POSITION, POSITION, AXIS)
+    measured = synthetic.body + random.normal(0, 1, synthetic.body.shape) * (
+        POSITION,
+        POSITION,
+        AXIS,
+    )
     bank = HelixFilter(known)
-    field = record(made).pieces
+    field = record(synthetic).pieces
     rows = []
     for i in range(cells):
-        vx, vy = np.polyfit(made.times[:6], seen[:6, i, :2], 1)[0]
-        rows.append(bank.add(*seen[5, i, :2], math.atan2(vy, vx), math.hypot(vx, vy)))
+        vx, vy = np.polyfit(synthetic.times[:6], measured[:6, i, :2], 1)[0]
+        rows.append(bank.add(*measured[5, i, :2], math.atan2(vy, vx), math.hypot(vx, vy)))
     rows = np.array(rows)
     deviation = np.tile((POSITION, POSITION, AXIS), (cells, 1))
-    for k in range(6, len(made.times)):
-        step = (made.times[k - 1], made.times[k])
+    for k in range(6, len(synthetic.times)):
+        step = (synthetic.times[k - 1], synthetic.times[k])
         bank.predict(field(*step) if known else [(step[1] - step[0], 0.0, 0.0)])
-        bank.update(rows, seen[k], deviation)
-    return made, bank, rows
+        bank.update(rows, measured[k], deviation)
+    return synthetic, bank, rows
 
 
 def wrapped(angle):
@@ -69,9 +73,9 @@ def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(known):
     off = []
     sway = []
     for seed in range(3):
-        made, bank, rows = followed(seed, known)
-        off.append(wrapped(bank.mean[rows, HEADING] - made.heading[-1]))
-        sway.append(wrapped(made.body[..., 2] - made.heading).std())
+        synthetic, bank, rows = followed(seed, known)
+        off.append(wrapped(bank.mean[rows, HEADING] - synthetic.heading[-1]))
+        sway.append(wrapped(synthetic.body[..., 2] - synthetic.heading).std())
     assert np.mean(sway) > 0.15
     assert np.sqrt(np.mean(np.square(off))) < (0.05 if known else 0.12)
 
@@ -79,9 +83,9 @@ def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(known):
 def test_turning_rates_and_speeds_are_within_their_intervals():
     errors = []
     for seed in range(4):
-        made, bank, rows = followed(seed)
+        synthetic, bank, rows = followed(seed)
         deviation = np.sqrt(np.diagonal(bank.covariance[rows], axis1=1, axis2=2))
-        for state, truth in ((A, made.cells.a), (SPEED, made.cells.speed)):
+        for state, truth in ((A, synthetic.cells.a), (SPEED, synthetic.cells.speed)):
             errors.append((bank.mean[rows, state] - truth) / deviation[:, state])
             assert np.all(deviation[:, state] < 0.1 * np.abs(truth))
     assert np.mean(np.abs(errors) < 1.96) >= 0.92
@@ -147,8 +151,8 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
                 cells.swim((ux, uy), 1 / 240, random, walls=Bounds(-1e6, -1e6, 0.0, 1e6))
             bank.predict([(1 / 30, ux, uy)])
             body = bodies(cells)
-            seen = np.column_stack([body.x, body.y, body.axis])
-            bank.update(rows, seen + random.normal(0, 1, seen.shape) * deviation, deviation)
+            measured = np.column_stack([body.x, body.y, body.axis])
+            bank.update(rows, measured + random.normal(0, 1, measured.shape) * deviation, deviation)
         return (bank.mean[rows, A] - cells.a) / np.sqrt(bank.covariance[rows, A, A])
 
     assert np.abs(learned(open_water)).max() > 5
@@ -164,7 +168,7 @@ def test_a_heading_that_walks_does_not_lower_a():
     count = 24
     sd = np.array((0.1, 0.1, 0.012))
     cells = Swimmers.drawn(random, count)
-    seen = []
+    gathered = []
     cells.walk[:] = 0.15
     mean, start, model = new_cell(TETRAHYMENA, field_known=True)
     model[[X, Y, C, S]] = 0.2
@@ -178,15 +182,15 @@ def test_a_heading_that_walks_does_not_lower_a():
             cells.swim(field, 1 / 120, random)
         body = bodies(cells)
         pose = np.column_stack([body.x, body.y, body.axis])
-        seen.append(pose + random.normal(0, sd, (count, 3)))
+        gathered.append(pose + random.normal(0, sd, (count, 3)))
     ratios = []
     pictures = np.arange(len(angles) + 1)
     for i in range(count):
         m = mean.copy()
-        states = np.empty((len(seen), STATES))
+        states = np.empty((len(gathered), STATES))
         m[[HEADING, SPEED]] = first.heading[i], first.speed[i]
-        given = np.array(seen)[:, i], np.tile(sd, (len(seen), 1)), pieces, pictures
-        smooth(m, start, model, *given, states, np.empty((len(seen), 3)))
+        given = np.array(gathered)[:, i], np.tile(sd, (len(gathered), 1)), pieces, pictures
+        smooth(m, start, model, *given, states, np.empty((len(gathered), 3)))
         ratios.append(m[A] / cells.a[i])
     assert np.median(ratios) == pytest.approx(1.0, abs=0.015)  # 0.98 with noise after steps only
 
@@ -232,11 +236,11 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
         bank.covariance[row] = p
         measured = oracle.body(m, model[SLOWEST]) + np.array([near, 0.5, 0.1])
         deviation = np.array([1.0, 1.0, 0.05])
-        *found, likelihood, distance = oracle.correct(m, p, model, measured, deviation)
+        *corrected, likelihood, distance = oracle.correct(m, p, model, measured, deviation)
         ours = bank.update(np.array([row]), measured[None], deviation[None])
         assert np.ravel(ours) == pytest.approx([likelihood, distance], rel=1e-6)
-        assert bank.mean[row] == pytest.approx(found[0], rel=1e-6, abs=1e-6)
-        assert bank.covariance[row] == pytest.approx(found[1], rel=1e-5, abs=1e-4)
+        assert bank.mean[row] == pytest.approx(corrected[0], rel=1e-6, abs=1e-6)
+        assert bank.covariance[row] == pytest.approx(corrected[1], rel=1e-5, abs=1e-4)
 
 
 def test_the_smoother_is_that_of_rauch_tung_and_striebel():
@@ -259,13 +263,13 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     deviation = np.tile((POSITION, POSITION, AXIS), (count, 1))
     measured[12:16] = np.nan
     wanted = oracle.smooth(m, p, model, measured, deviation, pieces)
-    found = np.empty((count, STATES))
+    states = np.empty((count, STATES))
     first = np.maximum(np.arange(count + 1) - 1, 0)
     bodies = np.empty((count, 3))
-    smooth(m.copy(), p, model, measured, deviation, np.array(pieces), first, found, bodies)
-    assert bodies[3] == pytest.approx(oracle.body(found[3], model[SLOWEST]))
-    assert found[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
-    assert found[:, A] == pytest.approx(wanted[:, A], abs=2e-3)
+    smooth(m.copy(), p, model, measured, deviation, np.array(pieces), first, states, bodies)
+    assert bodies[3] == pytest.approx(oracle.body(states[3], model[SLOWEST]))
+    assert states[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
+    assert states[:, A] == pytest.approx(wanted[:, A], abs=2e-3)
 
 
 def test_a_row_may_be_any_of_several():

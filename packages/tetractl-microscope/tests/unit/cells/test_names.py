@@ -144,17 +144,17 @@ def test_each_meeting_lowers_the_certainty_of_who_is_who():
     dish = Dish()
     tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
     places = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
-    found = []
+    gathered = []
     for seconds in (20.0, 40.0):
         for track in tracks:
             dish.bank.mean[track.row, [X, Y, C]] = 501.0, 500.0, 0.0
         dish.names.meet(tracks, seconds, False)
         dish.names.part(places, [], seconds + 0.1)
         dish.names.answer(seconds + 12.0)
-        found += [answer.probability for answer in dish.names.answers]
+        gathered += [answer.probability for answer in dish.names.answers]
         dish.names.answers = []
-    assert max(found) < ASSERTED
-    assert tracks[0].certainty == tracks[1].certainty == pytest.approx(math.prod(found))
+    assert max(gathered) < ASSERTED
+    assert tracks[0].certainty == tracks[1].certainty == pytest.approx(math.prod(gathered))
 
 
 def test_cells_of_other_sizes_are_distinguished_by_them():

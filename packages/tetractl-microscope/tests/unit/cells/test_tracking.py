@@ -24,37 +24,37 @@ pytestmark = pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
 def test_poses_of_swimming_cells(seed, known):
-    made = film(seed=seed, side=512, cells=5)
-    found = Score().add(made, followed(made, known))
-    assert found.f1 > 0.98
-    assert np.percentile(np.abs(found.position), 95) < 1.5
-    assert np.median(np.abs(found.axis)) < 0.03
-    assert np.median(np.abs(found.heading)) < 0.05
+    synthetic = film(seed=seed, side=512, cells=5)
+    score = Score().add(synthetic, followed(synthetic, known))
+    assert score.f1 > 0.98
+    assert np.percentile(np.abs(score.position), 95) < 1.5
+    assert np.median(np.abs(score.axis)) < 0.03
+    assert np.median(np.abs(score.heading)) < 0.05
 
 
 def test_cells_are_followed_at_ten_pictures_a_second():
-    made = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
-    assert Score().add(made, followed(made)).f1 > 0.98
+    synthetic = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
+    assert Score().add(synthetic, followed(synthetic)).f1 > 0.98
 
 
 @pytest.mark.long
 def test_a_slow_organism_is_followed_at_a_low_rate():
     """A film at 30 Hz is played eight times more slowly, every second picture of it."""
-    made = film(seed=44, side=512, cells=8, crossings=False)
+    synthetic = film(seed=44, side=512, cells=8, crossings=False)
     slow = replace(
         TETRAHYMENA,
         name="slow",
         speed_um_s=tuple(speed / 8 for speed in TETRAHYMENA.speed_um_s),
         helix_hz=tuple(turns / 8 for turns in TETRAHYMENA.helix_hz),
     )
-    reel = Reel(made, list(made.pictures())[::2], PictureTimes(30.0 / 8 / 2))
-    shown = follow(reel, made.look.um_px, None, slow)
-    half = copy(made)
-    half.times = made.times[::2]
-    half.body = made.body[::2]
-    half.heading = made.heading[::2]
-    half.seen = made.seen[::2]
-    assert Score().add(half, shown).f1 > 0.96
+    reel = Reel(synthetic, list(synthetic.pictures())[::2], PictureTimes(30.0 / 8 / 2))
+    tracked = follow(reel, synthetic.look.um_px, None, slow)
+    half = copy(synthetic)
+    half.times = synthetic.times[::2]
+    half.body = synthetic.body[::2]
+    half.heading = synthetic.heading[::2]
+    half.seen = synthetic.seen[::2]
+    assert Score().add(half, tracked).f1 > 0.96
 
 
 def test_specks_are_looked_for_as_far_as_the_organism_swims():
@@ -70,8 +70,8 @@ def test_specks_are_looked_for_as_far_as_the_organism_swims():
 
 
 def test_numbers_are_kept_through_crossings():
-    made = film(seed=12, side=512, cells=4, seconds=4.0)
-    for numbers in Score().add(made, followed(made)).numbers.values():
+    synthetic = film(seed=12, side=512, cells=4, seconds=4.0)
+    for numbers in Score().add(synthetic, followed(synthetic)).numbers.values():
         assert max(numbers.count(n) for n in set(numbers)) >= 0.9 * len(numbers)
 
 
@@ -92,24 +92,24 @@ def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
 @pytest.mark.parametrize("bright", [False, True])
 def test_the_polarity_is_found_and_specks_are_no_cells(bright):
     look = {"bright": bright, "light": 50.0 if bright else 160.0}
-    made = film(seed=6, side=384, look=look, cells=3, crossings=0.0)
-    found = followed(made)
-    assert found.bright is bright
-    assert Score().add(made, found).f1 > 0.97
+    synthetic = film(seed=6, side=384, look=look, cells=3, crossings=0.0)
+    tracked = followed(synthetic)
+    assert tracked.bright is bright
+    assert Score().add(synthetic, tracked).f1 > 0.97
 
 
 @pytest.mark.long
 def test_a_resting_cell_is_not_lost_in_the_background():
-    made = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=0.0)
-    resting = np.flatnonzero((made.times > 0.42 * 6) & (made.times < 0.58 * 6))[10:]
-    if not made.seen[resting, 3].all():
+    synthetic = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=0.0)
+    resting = np.flatnonzero((synthetic.times > 0.42 * 6) & (synthetic.times < 0.58 * 6))[10:]
+    if not synthetic.seen[resting, 3].all():
         pytest.fail("the film does not show what it is for")
     places = {}
-    for path in followed(made).paths:
+    for path in followed(synthetic).paths:
         for k, cell in zip(path.frames.tolist(), path.seen, strict=True):
             places.setdefault(k, []).append((cell.x, cell.y))
     gaps = [
-        min(math.dist(place, made.body[k, 3, :2]) for place in places.get(k, [(1e9, 1e9)]))
+        min(math.dist(place, synthetic.body[k, 3, :2]) for place in places.get(k, [(1e9, 1e9)]))
         for k in resting.tolist()
     ]
     assert np.mean(np.array(gaps) < 15) > 0.95
@@ -129,16 +129,16 @@ def test_a_resting_cell_is_not_lost_in_the_background():
     ids=["black", "saturated", "noise", "checkerboard", "blobs"],
 )
 def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
-    made = film(seed=1, side=240, cells=2, seconds=1.0)
-    pictures = [picture[:200] for picture in made.pictures()]
+    synthetic = film(seed=1, side=240, cells=2, seconds=1.0)
+    pictures = [picture[:200] for picture in synthetic.pictures()]
     tracker = CellTracker(2.3, known=False)
     tracker.finder.learn(pictures)
     for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
-        shown = tracker.see(picture, k / 30, no_field)
+        tracked = tracker.see(picture, k / 30, no_field)
         assert len(tracker.finder.find(absurd)) <= BLOBS
-        assert all(np.isfinite((c.x, c.y, c.heading)).all() for c in shown)
+        assert all(np.isfinite((c.x, c.y, c.heading)).all() for c in tracked)
         if 20 < k < 30:
-            assert shown == []
+            assert tracked == []
 
 
 def test_light_that_changes_makes_no_blobs():
@@ -172,8 +172,8 @@ def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
     stated = []
     tracker.finder.learn([picture(12 * k) for k in range(9)])
     for k in range(80):
-        seen = [c for c in tracker.see(picture(k), k / 30, no_field) if c.wide_um > 34]
-        stated += [(k, cell.probability) for cell in seen]
+        looked = [c for c in tracker.see(picture(k), k / 30, no_field) if c.wide_um > 34]
+        stated += [(k, cell.probability) for cell in looked]
     assert {p for k, p in stated if k < 50} == {0.5}
     assert {p for k, p in stated if k > 60} == {1.0}
 
@@ -185,8 +185,8 @@ def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
     tracker = CellTracker(2.3, known=True, splits=True)
     tracker.finder.learn([picture(10 * k) for k in range(10)])
     before = {c.identity for k in range(40) for c in tracker.see(picture(k), k / 30, no_field)}
-    seen = [tracker.see(picture(k), k / 30, no_field) for k in range(40, 90)]
-    after = {cell.identity for cells in seen[-10:] for cell in cells}
+    looked = [tracker.see(picture(k), k / 30, no_field) for k in range(40, 90)]
+    after = {cell.identity for cells in looked[-10:] for cell in cells}
     assert len(before) == len(after) == 1 and before.isdisjoint(after)
 
 

@@ -101,7 +101,7 @@ def test_where_the_current_limit_binds_cells_turn_more_slowly():
 def test_the_slew_limit_is_kept_and_what_was_really_asked_is_told():
     actuator, clock = virtual(slew_max_a_s=10)
     before = (0.0, 0.0)
-    told = []
+    reports = []
     for k in range(60):
         clock.sleep_until(k * actuator.period_ns)
         sent = actuator.send(Steer(0.0 if k < 20 else 3.0), POSES, BOTH, 0)
@@ -112,11 +112,11 @@ def test_the_slew_limit_is_kept_and_what_was_really_asked_is_told():
         assert sent.outputs["field_direction_rad"] == pytest.approx(math.atan2(y, x))
         seen = A * math.hypot(x, y) / 2 * np.sin(math.atan2(y, x) - np.array([0.2, -2.0]))
         assert sent.turning == pytest.approx(seen)
-        told.append(sent.outputs["field_direction_rad"])
+        reports.append(sent.outputs["field_direction_rad"])
         before = now
-    assert gap(told[19], 0.0) == pytest.approx(0, abs=0.002)
-    assert abs(gap(told[20], 3.0)) > 1  # on its way
-    assert gap(told[59], 3.0) == pytest.approx(0, abs=0.002)
+    assert gap(reports[19], 0.0) == pytest.approx(0, abs=0.002)
+    assert abs(gap(reports[20], 3.0)) > 1  # on its way
+    assert gap(reports[59], 3.0) == pytest.approx(0, abs=0.002)
 
 
 def test_commands_in_quick_succession_do_not_beat_the_slew_limit():
@@ -267,8 +267,8 @@ def test_a_run_does_not_start_with_hot_coils(celsius, problems):
     stage.driver.temperature_dc = round(10 * celsius)
     with stage.opened(SETUP) as actuator:
         stage.clock.sleep_until(stage.clock.now() + SECOND // 100)  # it has measured
-        found = actuator.check().problems
-    assert found == ("the coils are at 60 °C: let them cool down",) * problems
+        health = actuator.check().problems
+    assert health == ("the coils are at 60 °C: let them cool down",) * problems
 
 
 @needs_compiler

@@ -52,10 +52,10 @@ def drifting(k, picture):
 )
 def test_disturbances_are_said(change, said, made, pictures):
     reel = Reel(made, [change(k, picture) for k, picture in enumerate(pictures)])
-    found = follow(reel, made.look.um_px, None, TETRAHYMENA).remarks
+    tracked = follow(reel, made.look.um_px, None, TETRAHYMENA).remarks
     lines = [
         line
-        for line in found
+        for line in tracked
         if any(word in line for word in ("wanders", "moves or grows", "does not swim"))
     ]
-    assert len(lines) == len(said) and all(map(str.__contains__, lines, said)), found
+    assert len(lines) == len(said) and all(map(str.__contains__, lines, said)), tracked

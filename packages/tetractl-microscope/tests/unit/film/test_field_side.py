@@ -10,7 +10,7 @@ pytestmark = pytest.mark.slow
 def turned_by(field, rates=(3.0, 4.0, 5.0, 3.5)):
     """Paths (K, 3) of cells that turn towards a field for 9 s, every 1/30 s."""
     times = np.arange(0, 9, 1 / 300)
-    found = []
+    gathered = []
     for start, a in enumerate(rates):
         heading = 1.5 * start
         headings = []
@@ -18,8 +18,8 @@ def turned_by(field, rates=(3.0, 4.0, 5.0, 3.5)):
             heading += a * (acts * np.exp(-1j * heading)).imag / 300
             headings.append(heading)
         places = np.cumsum(1.4 * np.exp(1j * np.array(headings)))
-        found.append(np.stack([times, places.real, places.imag], axis=1)[::10])
-    return found
+        gathered.append(np.stack([times, places.real, places.imag], axis=1)[::10])
+    return gathered
 
 
 @pytest.mark.parametrize(

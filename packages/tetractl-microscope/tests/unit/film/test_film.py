@@ -27,44 +27,44 @@ pytestmark = pytest.mark.slow
 @pytest.mark.long
 def test_a_speeds_and_biases_are_within_their_intervals():
     inside = []
-    found = 0
+    found_count = 0
     for seed in (31, 33, 35, 39):
-        made = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
-        seen, cells = fit_cells(followed(made), record(made))
-        for path, cell in zip(seen.paths, cells, strict=True):
-            i = who(made, path)
+        synthetic = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
+        fitted, cells = fit_cells(followed(synthetic), record(synthetic))
+        for path, cell in zip(fitted.paths, cells, strict=True):
+            i = who(synthetic, path)
             if cell.a is None or cell.seconds < 3 or i is None:
                 continue
-            found += 1
-            truth = made.cells.a[i], made.cells.speed[i]
+            found_count += 1
+            truth = synthetic.cells.a[i], synthetic.cells.speed[i]
             pairs = zip((cell.a, cell.speed), truth, strict=True)
             inside += [each.low < value < each.high for each, value in pairs]
             assert cell.speed.high - cell.speed.value < 0.05 * truth[1]
             assert cell.magnetised is bool(truth[0] > 0)
             assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
-    assert found >= 4
+    assert found_count >= 4
     assert np.mean(inside) >= 0.85
 
 
 @pytest.mark.long
 def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
-    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    before = followed(made)
+    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    before = followed(synthetic)
     path = max(before.paths, key=lambda path: len(path.seen))
     path = replace(path, times=path.times[:60], frames=path.frames[:60], seen=path.seen[:60])
-    seen, (cell,) = fit_cells(replace(before, paths=(path,)), record(made))
-    i, (path,) = who(made, path), seen.paths
+    fitted, (cell,) = fit_cells(replace(before, paths=(path,)), record(synthetic))
+    i, (path,) = who(synthetic, path), fitted.paths
     assert cell.pictures == 60
     assert cell.seconds == pytest.approx(2.0)
-    assert cell.speed.low < made.cells.speed[i] < cell.speed.high
+    assert cell.speed.low < synthetic.cells.speed[i] < cell.speed.high
     assert cell.spread < 0.05 * cell.speed.value  # this film's cells swim steadily
-    assert np.median(np.linalg.norm(path.places - made.body[path.frames, i, :2], axis=1)) < 1.0
+    assert np.median(np.linalg.norm(path.places - synthetic.body[path.frames, i, :2], axis=1)) < 1.0
 
 
 @pytest.mark.long
 def test_no_cell_responds_to_a_field_that_was_off():
-    made = film(seed=32, side=512, cells=0, strangers=6, crossings=False, seconds=4.0)
-    cells = fit_cells(followed(made), record(made))[1]
+    synthetic = film(seed=32, side=512, cells=0, strangers=6, crossings=False, seconds=4.0)
+    cells = fit_cells(followed(synthetic), record(synthetic))[1]
     fitted = [cell for cell in cells if cell.a is not None]
     assert fitted and not any(cell.magnetised for cell in fitted)
     assert all(cell.a.low < 0 < cell.a.high for cell in fitted)
@@ -72,8 +72,8 @@ def test_no_cell_responds_to_a_field_that_was_off():
 
 @pytest.mark.long
 def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
-    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    before = followed(made)
+    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    before = followed(synthetic)
 
     def turned(cell):  # as that of a round cell, or of one far out of focus
         x, y, axis, *deviations = cell.measured
@@ -84,8 +84,8 @@ def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
         for path in before.paths
     )
     off = []
-    for path in fit_cells(replace(before, paths=paths), record(made))[0].paths:
-        truth = made.body[path.frames, who(made, path), 2]
+    for path in fit_cells(replace(before, paths=paths), record(synthetic))[0].paths:
+        truth = synthetic.body[path.frames, who(synthetic, path), 2]
         off += np.abs(np.sin(np.array([cell.axis for cell in path.seen]) - truth)).tolist()
     assert np.mean(off) < 0.2
 
@@ -104,13 +104,13 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
     swing = np.arctan(0.8 * 8 * 6 * np.pi * np.sin(turn) / 330)
     axes = heading + swing + random.normal(0, 0.02, 160)
     state = np.zeros(15)
-    seen = []
+    gathered = []
     for x, y, axis in zip(places.real.tolist(), places.imag.tolist(), axes.tolist(), strict=True):
         own = (x, y, axis, 0.86, 0.86, 0.04), None
-        seen.append(
+        gathered.append(
             SeenCell(1, x, y, axis, 0.0, state, state, 1.0, True, False, 50.0, 25.0, 1, *own)
         )
-    path = CellPath(1, times, np.arange(160), tuple(seen))
+    path = CellPath(1, times, np.arange(160), tuple(gathered))
     made = SimpleNamespace(organism=TETRAHYMENA, size=(2000, 2000), um_px=2.3)
     fit = _Fit.of(_Measured.of(path, made, None), np.ones(3))
     off = np.angle(np.exp(1j * (fit.states[:, HEADING] - heading)))
@@ -119,14 +119,14 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
 
 @pytest.mark.long
 def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
-    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    sure = followed(made)
+    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    sure = followed(synthetic)
     doubtful = tuple(
         replace(path, seen=tuple(replace(cell, probability=0.5) for cell in path.seen))
         for path in sure.paths
     )
     before, after = (
-        fit_cells(each, record(made))[1] for each in (sure, replace(sure, paths=doubtful))
+        fit_cells(each, record(synthetic))[1] for each in (sure, replace(sure, paths=doubtful))
     )
     speeds = [cell.speed.value for cell in before if cell.speed]
     for narrow, wide in zip(before, after, strict=True):
@@ -152,23 +152,23 @@ def test_cells_that_fade_are_said():
     ],
 )
 def test_pictures_that_are_lost_or_doubled_are_said(numbers, said):
-    made = film(seed=31, side=512, cells=5, crossings=False, seconds=2.0)
-    pictures = list(made.pictures())
-    found = follow(Reel(made, [pictures[k] for k in numbers]), 2.3, None, TETRAHYMENA)
-    lines = [line for line in found.remarks if "pictures are" in line]
+    synthetic = film(seed=31, side=512, cells=5, crossings=False, seconds=2.0)
+    pictures = list(synthetic.pictures())
+    tracked = follow(Reel(synthetic, [pictures[k] for k in numbers]), 2.3, None, TETRAHYMENA)
+    lines = [line for line in tracked.remarks if "pictures are" in line]
     assert len(lines) == len(said) and all(map(str.__contains__, lines, said))
 
 
 def test_of_many_uncertain_meetings_a_few_are_listed():
-    seen = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
+    tracked = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
     for count, more in ((LISTED, []), (LISTED + 3, ["warning: 3 more"])):
-        lines = notes(replace(seen, doubtful=((1, 2),) * count), ())
+        lines = notes(replace(tracked, doubtful=((1, 2),) * count), ())
         assert sum("cells 1, 2 met" in line for line in lines) == LISTED
         assert [line[:15] for line in lines if "more meetings" in line] == more
 
 
 def test_how_long_numbers_and_the_tracks_under_them_last_is_said():
-    seen = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
+    tracked = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
 
     def path(number, first_s, last_s, track):
         times = np.arange(first_s, last_s + 0.5)
@@ -176,31 +176,31 @@ def test_how_long_numbers_and_the_tracks_under_them_last_is_said():
         return CellPath(number, times, times.astype(int), cells)
 
     # two numbers of 2 and 4 s in turn on one track of 7 s
-    twice = replace(seen, paths=(path(1, 0, 2, 7), path(2, 3, 7, 7)))
+    twice = replace(tracked, paths=(path(1, 0, 2, 7), path(2, 3, 7, 7)))
     assert (twice.number_lasts_s, twice.track_lasts_s) == (3.0, 7.0)
     assert sum(line.startswith("a number lasts 3.0 s") for line in notes(twice, ())) == 1
-    none = replace(seen, paths=())
+    none = replace(tracked, paths=())
     assert none.number_lasts_s is None and none.track_lasts_s is None
     assert not any("a number lasts" in line for line in notes(none, ()))
 
 
 @pytest.mark.long
 def test_without_a_field_there_is_no_a():
-    made = film(seed=34, side=512, cells=3, crossings=False)
-    seen = followed(made, known=False)
-    seen, cells = fit_cells(seen, None)
+    synthetic = film(seed=34, side=512, cells=3, crossings=False)
+    tracked = followed(synthetic, known=False)
+    tracked, cells = fit_cells(tracked, None)
     assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
-    assert as_items("reel", seen, cells)["cells"][0]["a_rad_s"] is None
+    assert as_items("reel", tracked, cells)["cells"][0]["a_rad_s"] is None
 
 
 def test_the_scale_is_guessed_from_bodies(tmp_path):
-    made = film(seed=35, side=512, cells=6, crossings=False, seconds=2.0)
-    for k, picture in enumerate(made.pictures()):
+    synthetic = film(seed=35, side=512, cells=6, crossings=False, seconds=2.0)
+    for k, picture in enumerate(synthetic.pictures()):
         cv2.imwrite(str(tmp_path / f"picture-{k}.png"), picture)
-    found = follow(open_film(tmp_path, 30.0), None, None)
-    assert found.guessed_scale
-    assert found.um_px == pytest.approx(2.3, rel=0.25)
-    assert len(found.paths) >= 3
+    opened = follow(open_film(tmp_path, 30.0), None, None)
+    assert opened.guessed_scale
+    assert opened.um_px == pytest.approx(2.3, rel=0.25)
+    assert len(opened.paths) >= 3
 
 
 def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
@@ -228,8 +228,8 @@ def test_films_are_read_by_their_own_rate(tmp_path, name):
             open_film(path)
     else:
         assert open_film(path).rate_hz == pytest.approx(15.0)
-    found = open_film(path, 15.0)
-    assert len(list(found)) == len(list(found)) >= 7
+    opened = open_film(path, 15.0)
+    assert len(list(opened)) == len(list(opened)) >= 7
     assert open_film(path, 60.0).rate_hz == 60.0
 
 
@@ -384,8 +384,8 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
         ]
         return {cell.track: cell for cell in cells[: 6 if k < 3 else 5]}
 
-    found = recorded([seen(k) for k in range(90)], np.arange(90) / 30.0).paths(TETRAHYMENA)
-    assert [path.identity for path in found] == ["moves"]
+    paths = recorded([seen(k) for k in range(90)], np.arange(90) / 30.0).paths(TETRAHYMENA)
+    assert [path.identity for path in paths] == ["moves"]
 
 
 def test_a_part_of_a_track_that_swims_needs_no_way_of_its_own():
@@ -398,8 +398,8 @@ def test_a_part_of_a_track_that_swims_needs_no_way_of_its_own():
         }
         for k in range(30)
     ]
-    found = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
-    assert [path.identity for path in found] == [1, 2]
+    paths = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
+    assert [path.identity for path in paths] == [1, 2]
 
 
 def test_an_uncertain_part_has_one_name_of_its_own_though_its_cell_meets_others_in_it():

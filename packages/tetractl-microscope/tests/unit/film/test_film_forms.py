@@ -91,9 +91,9 @@ def test_the_pictures_are_those_that_were_taken(name, write, remarks, tmp_path):
     first pictures of a CZI file whose times begin above 0 were black, the last ones lost; of a
     channel above 0 none was read."""
     write(tmp_path / name)
-    found = open_film(tmp_path / name, 30.0)
-    assert np.array_equal([picture for _, picture in found], PICTURES)
-    assert found.remarks == remarks
+    opened = open_film(tmp_path / name, 30.0)
+    assert np.array_equal([picture for _, picture in opened], PICTURES)
+    assert opened.remarks == remarks
 
 
 @pytest.mark.parametrize("write", [inverted_palette, palette])
@@ -105,8 +105,8 @@ def test_a_folder_of_pictures_with_a_palette_is_read_as_a_stack_is(write, tmp_pa
     for k, (pixels, colors) in enumerate(pages):
         file = tmp_path / "folder" / f"{k}.tif"
         tifffile.imwrite(file, pixels, photometric="palette", colormap=colors)
-    found = open_film(tmp_path / "folder", 30.0)
-    assert np.array_equal([picture for _, picture in found], PICTURES)
+    opened = open_film(tmp_path / "folder", 30.0)
+    assert np.array_equal([picture for _, picture in opened], PICTURES)
 
 
 def test_a_picture_in_which_zero_is_white_is_one_whatever_its_compression(tmp_path):
@@ -125,11 +125,11 @@ def test_a_plane_that_a_czi_file_does_not_have_is_no_picture(tmp_path):
     """Regression: the library made black pictures of them, which were counted as seen."""
     planes = [({"T": 2 * k}, {}, one) for k, one in enumerate(PICTURES)]
     czi(tmp_path / "gaps.czi", planes)
-    found = open_film(tmp_path / "gaps.czi", 30.0)
-    numbers, pictures = zip(*found, strict=True)
+    opened = open_film(tmp_path / "gaps.czi", 30.0)
+    numbers, pictures = zip(*opened, strict=True)
     assert numbers == tuple(range(0, 2 * len(PICTURES), 2))
     assert np.array_equal(pictures, PICTURES)
-    assert found.damaged == len(PICTURES) - 1
+    assert opened.damaged == len(PICTURES) - 1
 
 
 def test_a_tiff_file_that_is_cut_short_is_said_to_be(tmp_path):

@@ -71,10 +71,10 @@ def test_an_organism_is_recognised_by_its_size_and_speed(name):
     kind = named(name)
     um_px = kind.body_um[1] / 9
     film = swimming(kind, um_px)
-    found = recognised(film, um_px)
-    assert found.organism is kind and found.um_px == um_px and not found.guessed
-    assert found.remarks[0].startswith(f"cells are taken for {name}: ")
-    assert len(found.remarks) == 1
+    recognition = recognised(film, um_px)
+    assert recognition.organism is kind and recognition.um_px == um_px and not recognition.guessed
+    assert recognition.remarks[0].startswith(f"cells are taken for {name}: ")
+    assert len(recognition.remarks) == 1
 
 
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
@@ -166,9 +166,12 @@ def test_pictures_too_rare_to_tell_cells_apart_are_said():
 
 def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():
     film = swimming(EUGLENA, 1.5)
-    found = recognised(film, None, EUGLENA)
-    assert found.guessed and found.um_px == pytest.approx(1.5, rel=0.1)
-    assert "the scale is a guess" in found.remarks[0] and "euglena of 48 um" in found.remarks[0]
+    recognition = recognised(film, None, EUGLENA)
+    assert recognition.guessed and recognition.um_px == pytest.approx(1.5, rel=0.1)
+    assert (
+        "the scale is a guess" in recognition.remarks[0]
+        and "euglena of 48 um" in recognition.remarks[0]
+    )
     unknown = recognised(film, None)
     assert unknown.organism is TETRAHYMENA and "tetrahymena" in unknown.remarks[0]
 
@@ -177,8 +180,8 @@ def test_if_nothing_swims_the_scale_cannot_be_guessed_and_the_organism_is_said()
     still = Ellipses(20.0, 8.0, 0.0)
     with pytest.raises(TetractlError, match="nothing swims"):
         recognised(still, None)
-    found = recognised(still, 2.0)
-    assert found.organism is TETRAHYMENA and "nothing that swims" in found.remarks[0]
+    recognition = recognised(still, 2.0)
+    assert recognition.organism is TETRAHYMENA and "nothing that swims" in recognition.remarks[0]
 
 
 def test_drifting_specks_do_not_outvote_the_cells_that_swim():

@@ -50,8 +50,8 @@ def seconds_of(film):
     ],
 )
 def test_a_time_that_cannot_be_right_leaves_the_others(stated, times, said):
-    found, lines = increasing(stated)
-    assert found == (times if times is None else pytest.approx(times))
+    seconds, lines = increasing(stated)
+    assert seconds == (times if times is None else pytest.approx(times))
     assert len(lines) == len(said)
     assert all(text in line for line, text in zip(lines, said, strict=True))
 
@@ -156,12 +156,12 @@ def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
     ],
 )
 def test_only_what_is_like_most_files_is_a_picture(names, kept, places):
-    found = picture_names(names)
+    chosen = picture_names(names)
     if kept == "all":
-        assert found.names == names
+        assert chosen.names == names
     else:
-        assert found.names[: len(kept.split())] == kept.split()
-    assert found.places == places
+        assert chosen.names[: len(kept.split())] == kept.split()
+    assert chosen.places == places
 
 
 @pytest.mark.parametrize(
@@ -193,9 +193,11 @@ def test_pictures_of_two_channels_are_not_one_film(names, tmp_path):
 )
 def test_times_in_names_are_not_guessed_in_silence(names, tmp_path):
     require_one_film(tmp_path, names)
-    found = picture_names(names)
-    assert found.places is None
-    assert found.remarks == ["the names have several numbers that change: times do not follow them"]
+    chosen = picture_names(names)
+    assert chosen.places is None
+    assert chosen.remarks == [
+        "the names have several numbers that change: times do not follow them"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -234,8 +236,8 @@ def test_the_turning_rate_does_not_depend_on_an_uneven_rate():
     kept = [k for k in range(len(pictures)) if k < 120 or k % 2 == 0]
     timing = PictureTimes(len(kept) / 8.0, [k / 30 for k in kept])
     reel = Reel(even, [pictures[k] for k in kept], timing)
-    found, cells = fit_cells(follow(reel, 2.3, record(even), TETRAHYMENA), record(even))
-    assert any("0.0333 to 0.0667 s apart" in remark for remark in found.remarks)
+    fitted, cells = fit_cells(follow(reel, 2.3, record(even), TETRAHYMENA), record(even))
+    assert any("0.0333 to 0.0667 s apart" in remark for remark in fitted.remarks)
     intervals = [cell.a for cell in cells if cell.a is not None and cell.seconds > 3]
     truth = even.cells.a
     assert len(intervals) >= 2

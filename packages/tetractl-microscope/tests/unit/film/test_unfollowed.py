@@ -36,11 +36,11 @@ def picture(number):
 
 
 def path(lane):
-    seen = []
+    gathered = []
     for number in range(COUNT):
         column, row = middle(lane, number)
-        seen.append(seen_cell(lane, (column + 0.5) * UM_PX, (SIDE - 0.5 - row) * UM_PX, lane))
-    return CellPath(lane, np.arange(COUNT) / 30, np.arange(COUNT), tuple(seen))
+        gathered.append(seen_cell(lane, (column + 0.5) * UM_PX, (SIDE - 0.5 - row) * UM_PX, lane))
+    return CellPath(lane, np.arange(COUNT) / 30, np.arange(COUNT), tuple(gathered))
 
 
 @pytest.mark.parametrize(("lanes", "share"), [((0, 1), 0.0), ((0,), 0.5), ((0, 2), 0.5)])
@@ -68,17 +68,17 @@ def test_no_share_is_stated_of_few_blobs_or_without_a_path():
 
 @pytest.mark.long
 def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
-    made = film(seed=44, side=512, cells=6, crossings=False, seconds=4.0)
-    seen = followed(made)
-    assert seen.not_followed is not None and seen.not_followed < 0.1
-    assert not any("is not followed" in line for line in notes(seen, ()))
+    synthetic = film(seed=44, side=512, cells=6, crossings=False, seconds=4.0)
+    tracked = followed(synthetic)
+    assert tracked.not_followed is not None and tracked.not_followed < 0.1
+    assert not any("is not followed" in line for line in notes(tracked, ()))
     whole = following.Whereabouts.paths
 
     def half(where, organism):
         yield from list(whole(where, organism))[::2]
 
     monkeypatch.setattr(following.Whereabouts, "paths", half)
-    few = followed(made)
-    rows = [sum(len(path.seen) for path in each.paths) for each in (few, seen)]
+    few = followed(synthetic)
+    rows = [sum(len(path.seen) for path in each.paths) for each in (few, tracked)]
     assert few.not_followed == pytest.approx(1 - rows[0] / rows[1], abs=0.08)
     assert any("of what moves, " in line for line in notes(few, ()))

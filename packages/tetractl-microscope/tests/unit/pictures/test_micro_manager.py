@@ -74,8 +74,8 @@ def feed(monkeypatch, tmp_path):
     monkeypatch.setenv("MICROMANAGER_PATH", str(installed))
 
     def opened(text=CONFIG, **facts):
-        made = type("Core", (Core,), facts)
-        monkeypatch.setitem(sys.modules, "pymmcore", SimpleNamespace(CMMCore=made))
+        wire_class = type("Core", (Core,), facts)
+        monkeypatch.setitem(sys.modules, "pymmcore", SimpleNamespace(CMMCore=wire_class))
         (tmp_path / "scope.cfg").write_text(text)
         source = MicroManagerSource(type="micromanager", config=str(tmp_path / "scope.cfg"))
         return source.open(VirtualClock(), 1.0)

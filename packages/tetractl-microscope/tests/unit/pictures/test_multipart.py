@@ -68,8 +68,8 @@ def test_anything_may_come_and_little_is_held(pieces):
 
 def test_a_part_cut_short_is_counted_and_does_not_swallow_the_next():
     parser = Multipart(MARK)
-    whole = part(b"a" * 500)
-    assert fed(parser, whole[:300] + part(b"second") + part(b"third")) == [b"second", b"third"]
+    whole_part = part(b"a" * 500)
+    assert fed(parser, whole_part[:300] + part(b"second") + part(b"third")) == [b"second", b"third"]
     assert parser.damaged == 1
 
 

@@ -186,10 +186,10 @@ def test_a_stream_is_read_to_its_end():
 
 @given(st.integers(0, 10_000), st.binary(max_size=20))
 def test_a_jpeg_cut_short_is_none_and_a_spoiled_one_does_no_harm(cut, spoil):
-    whole = jpeg(PICTURE)
-    cut %= len(whole)
-    assert decoded(Picture(whole[:cut], 0)) is None
-    spoiled = whole[:cut] + spoil + whole[cut + len(spoil) :]
+    whole_jpeg = jpeg(PICTURE)
+    cut %= len(whole_jpeg)
+    assert decoded(Picture(whole_jpeg[:cut], 0)) is None
+    spoiled = whole_jpeg[:cut] + spoil + whole_jpeg[cut + len(spoil) :]
     grey = decoded(Picture(spoiled, 0))
     assert grey is None or grey.dtype == np.uint8
 
@@ -226,17 +226,17 @@ def test_a_jpeg_of_another_size_than_the_first_is_not_decoded(monkeypatch):
 def test_a_jpeg_cut_short_before_an_end_marker_is_damaged(colour, restarts):
     """Regression: it was decoded into a picture that is partly grey."""
     pixels = np.dstack([PICTURE, PICTURE[::-1], PICTURE]) if colour else PICTURE
-    whole = jpeg(pixels, restarts=restarts)
-    assert np.abs(decoded(Picture(whole, 0)).astype(int) - cv2grey(whole)).max() == 0
-    start = whole.index(b"\xff\xda") + 10
-    for cut in range(start, len(whole) - 24):
-        assert decoded(Picture(whole[:cut] + b"\xff\xd9", 0)) is None
+    whole_jpeg = jpeg(pixels, restarts=restarts)
+    assert np.abs(decoded(Picture(whole_jpeg, 0)).astype(int) - cv2grey(whole_jpeg)).max() == 0
+    start = whole_jpeg.index(b"\xff\xda") + 10
+    for cut in range(start, len(whole_jpeg) - 24):
+        assert decoded(Picture(whole_jpeg[:cut] + b"\xff\xd9", 0)) is None
 
 
 def test_bytes_behind_the_end_marker_are_no_damage():
-    whole = jpeg(PICTURE)
-    padded = decoded(Picture(whole + bytes(30), 0))
-    assert (padded == decoded(Picture(whole, 0))).all()
+    whole_jpeg = jpeg(PICTURE)
+    padded = decoded(Picture(whole_jpeg + bytes(30), 0))
+    assert (padded == decoded(Picture(whole_jpeg, 0))).all()
 
 
 def cv2grey(content):
@@ -246,9 +246,9 @@ def cv2grey(content):
 def test_exposure_and_gain_of_a_device_are_set_or_refused(monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
     DEVICE.model_copy(update={"exposure": 80.0, "gain": 5.0}).open(VirtualClock(), 1.0)
-    found = Capture.last.settings
-    assert (found[cv2.CAP_PROP_EXPOSURE], found[cv2.CAP_PROP_GAIN]) == (80.0, 5.0)
-    assert found[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
+    settings_used = Capture.last.settings
+    assert (settings_used[cv2.CAP_PROP_EXPOSURE], settings_used[cv2.CAP_PROP_GAIN]) == (80.0, 5.0)
+    assert settings_used[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
     with pytest.raises(AbortError, match="camera 2 does not take exposure 200: it has 100"):
         DEVICE.model_copy(update={"exposure": 200.0}).open(VirtualClock(), 1.0)
     assert Capture.last.released

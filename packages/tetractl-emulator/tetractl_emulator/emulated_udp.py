@@ -69,4 +69,5 @@ class UdpPlug(PseudoPort):
 
 def make_port(link: Path | str) -> PseudoPort:
     """Return the emulation's end of a port, from the name that programs open."""
-    return UdpPlug(str(link)) if str(link).startswith(SCHEME) else PseudoPort(Path(link))
+    name = str(link)
+    return UdpPlug(name) if name.startswith(SCHEME) else PseudoPort(Path(link))

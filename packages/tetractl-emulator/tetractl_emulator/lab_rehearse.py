@@ -114,7 +114,9 @@ def rehearse(
     style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
     said = table(played, kinds), reasons(played), summary(played), last
     print(*filter(None, said), sep="\n\n")
-    return Exit.FAILED if bad else Exit.INTERRUPTED if interrupted else Exit.DONE
+    if bad:
+        return Exit.FAILED
+    return Exit.INTERRUPTED if interrupted else Exit.DONE
 
 
 def _line_of(row: "DayRow", done: int, count: int, left_s: float) -> str:

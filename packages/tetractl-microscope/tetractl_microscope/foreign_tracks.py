@@ -187,7 +187,11 @@ def _poses(
     um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
     period = None if rate_hz is None else 1 / rate_hz
     seconds = _size(path, "--rate", "it states times", period, spots.time)
-    missing = ["a unit of length"] * (um is None) + ["the time of a picture"] * (seconds is None)
+    missing = list[str]()
+    if um is None:
+        missing.append("a unit of length")
+    if seconds is None:
+        missing.append("the time of a picture")
     if um is None or seconds is None:
         said = f"{path}: its tracks do not state {' and '.join(missing)}"
         raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")

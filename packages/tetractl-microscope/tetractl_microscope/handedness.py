@@ -105,7 +105,8 @@ def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
     turned = float(np.angle(vectors.sum()))
     # a cell without a magnet has a short vector, and so little weight
     across = (vectors * np.exp(-1j * turned)).imag
-    spread = float(np.linalg.norm(across) / max(abs(vectors.sum()), 1e-9))
+    total_length = max(abs(vectors.sum()), 1e-9)
+    spread = float(np.linalg.norm(across) / total_length)
     return Handedness(len(turns), bool(mirrored), turned, spread, explained)
 
 

@@ -159,7 +159,8 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
         for kind in CELL_FIGURES.names():
             with suppress(UsageError):  # this film has no field, or no cell
                 save(CELL_FIGURES.load(kind)(track), out / f"{kind}.png")
-        ui.tell(printable(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}"))
+        names = sorted(path.name for path in out.iterdir())
+        ui.tell(printable(f"wrote {out}: {', '.join(names)}"))
     return Exit.FAILED if track.damage else Exit.DONE
 
 

@@ -111,7 +111,8 @@ class EmulatedRadio(RobotRadio):
         return self._air_ns
 
     def _transmit(self, payload: bytes) -> None:
-        arrives = self._take_air(len(payload)) + uart_ns(len(payload), ROBOT_BAUD)
+        size = len(payload)
+        arrives = self._take_air(size) + uart_ns(size, ROBOT_BAUD)
         arrives += self.lateness_ns(self._random)
         for robot in self.robots:
             if self._random.random() >= max(self.loss, robot.deaf):

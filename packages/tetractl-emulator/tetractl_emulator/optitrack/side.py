@@ -235,7 +235,7 @@ def _tracked(
     noise = settings.noise_mm, settings.noise_rad
     truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
-    free = iter(sorted(set(range(1, 1000)) - taken))
+    free = (number for number in range(1, 1000) if number not in taken)
     tracked: list[TrackedBody] = []
     for body in bodies:
         robot = entry(section.robots, body.name)

@@ -310,7 +310,7 @@ class EmulatedField(PluggedDevice):
         born since the beginning [mm, rad], to be recorded.
         """
         parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
-        truth = {name: [round(value, 5) for value in values] for name, values in parts.items()}
+        truth = {name: _rounded(values) for name, values in parts.items()}
         born = range(len(self._bodies), len(self.dish.cells))
         daughters = [CellBody("", self.dish, row) for row in born]
         return truth | {"born": [[d.x, d.y, d.heading] for d in daughters]}
@@ -325,6 +325,10 @@ class EmulatedField(PluggedDevice):
 
     def tick(self) -> None:
         """Do nothing, since the driver replies at once."""
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [round(value, 5) for value in values]
 
 
 def _limits(section: FieldSection) -> DriverLimits:

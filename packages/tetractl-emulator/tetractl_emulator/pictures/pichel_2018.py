@@ -104,7 +104,8 @@ def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
     variance among cells. Tracks over OUTLIER deviations away are left out.
     """
     middle = float(np.median(slopes))
-    among = float(np.median(np.abs(slopes - middle))) / stats.norm.ppf(0.75)
+    deviation = float(np.median(np.abs(slopes - middle)))
+    among = deviation / stats.norm.ppf(0.75)
     weights = 1 / (among**2 + deviations**2)
     is_near = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
     for _ in range(ROUNDS):

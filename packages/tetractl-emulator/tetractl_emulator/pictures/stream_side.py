@@ -255,7 +255,8 @@ class StreamedCamera(ABC):
         """
         past = list(self._past)
         when = self._start_ns + t_ns
-        i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
+        times_ns = [time_ns for time_ns, _ in past]
+        i = min(max(bisect_left(times_ns, when), 1), len(past) - 1)
         if i == 0:
             return past[0][1]
         before_ns, before = past[i - 1]

@@ -63,7 +63,7 @@ class DayPlan:
 
     def script(self) -> dict[str, Any]:
         """Return the script of the day."""
-        faults = [{k: v for k, v in fault.items() if k not in OWN} for fault in self.sorted]
+        faults = [_scripted(fault) for fault in self.sorted]
         about = ", ".join(dict.fromkeys(fault["kind"] for fault in self.sorted)) or "no fault"
         return {"about": about, "emulation": dict(self.emulation), "faults": faults}
 
@@ -85,7 +85,13 @@ class Day:
     @property
     def digest(self) -> str:
         """The hash of all that truly happened, the same in each play of the plan."""
-        return hashlib.sha256(json.dumps(self.events).encode()).hexdigest()[:16]
+        events = json.dumps(self.events).encode()
+        return hashlib.sha256(events).hexdigest()[:16]
+
+
+def _scripted(fault: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a drawn fault as a script has it."""
+    return {key: value for key, value in fault.items() if key not in OWN}
 
 
 def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool = True) -> DayPlan:
@@ -116,7 +122,8 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     _load_ahead(folder / "modules.txt")
     record = folder / "truth-000.jsonl"
     lines = record.read_text().splitlines() if record.exists() else []
-    log = next(iter(sorted((folder / "log").glob("*.mcap*"))), None)
+    logs = sorted((folder / "log").glob("*.mcap*"))
+    log = logs[0] if logs else None
     left_file = folder / "left.txt"
     said = (folder / "said.txt").read_text()
     return Day(
@@ -213,5 +220,6 @@ def _wait(pid: int, ended: int) -> tuple[int, float]:
 
 def _used_s(pid: int) -> float:
     """Return the processor time that a process has used [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    stat = Path(f"/proc/{pid}/stat").read_text()
+    fields = stat.rpartition(")")[2].split()  # after the program's name
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -50,7 +50,9 @@ class Draw:
         """Return a vector of a length between two, in any direction."""
         angle = self.random.uniform(-math.pi, math.pi)
         length = self.between(low, high)
-        return [round(length * math.cos(angle), 5), round(length * math.sin(angle), 5)]
+        x = length * math.cos(angle)
+        y = length * math.sin(angle)
+        return [round(x, 5), round(y, 5)]
 
     def off(self, low: float, high: float) -> list[float]:
         """Return a way as `way`, in the robots' scale."""
@@ -217,7 +219,9 @@ def _ghost(d: Draw, angle: float | None) -> dict[str, Any]:
     direction = angle
     if direction is None:
         return d.robot() | {"by": _slow(d.off(3, 600))}
-    step = [round(speed * math.cos(direction), 6), round(speed * math.sin(direction), 6)]
+    x = speed * math.cos(direction)
+    y = speed * math.sin(direction)
+    step = [round(x, 6), round(y, 6)]
     return d.robot() | {"by": step, "axes": "robot"}
 
 
@@ -239,7 +243,9 @@ def _pushed(d: Draw, low: float, high: float, at_once: bool) -> dict[str, Any]:
 
 
 def _weak(d: Draw) -> dict[str, Any]:
-    return {"wheel": d.side(), "share": round(1 - min(1.0, d.between(0.02, 1.2)), 4)}
+    wheel = d.side()
+    lost = min(1.0, d.between(0.02, 1.2))
+    return {"wheel": wheel, "share": round(1 - lost, 4)}
 
 
 def _battery(d: Draw) -> dict[str, Any]:

@@ -215,7 +215,8 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     allowed = wrong + speed * _rolls_s(truth) + NOISE_MM / 2
     names = truth.setup.names
     yield from _outside(truth, truth.outside_mm - allowed - _pushed_mm(truth), names)
-    pairs = list(combinations(range(len(names)), 2))
+    robots = range(len(names))
+    pairs = list(combinations(robots, 2))
     if pairs:
         positions = truth.poses[..., 0] + 1j * truth.poses[..., 1]
         meets = [

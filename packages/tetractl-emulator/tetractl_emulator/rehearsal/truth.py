@@ -408,7 +408,8 @@ class Truth:
             # a counter that goes back repeats numbers: the nearest in time is meant
             rows = np.array(rows_of_number.get(number, ()), int)
             if len(rows):
-                row_of_frame.append(int(rows[np.abs(times_ns[rows] - frame_ns).argmin()]))
+                nearest = np.abs(times_ns[rows] - frame_ns).argmin()
+                row_of_frame.append(int(rows[nearest]))
             else:
                 row_of_frame.append(None)
         return row_of_frame

@@ -81,7 +81,7 @@ class Score:
     position: list = field(default_factory=list)
     axis: list = field(default_factory=list)
     heading: list = field(default_factory=list)
-    found_count: int = 0
+    found: int = 0
     missed: int = 0
     extra: int = 0
     numbers: dict = field(default_factory=dict)

@@ -15,21 +15,21 @@ RATES = 2.5, 3.0, 3.5, 4.0, 5.0, 0.0, 4.5  # turning rates a [rad/s]; one cell h
 def paths(direction, mirrored=False, rotated=0.0, seed=1):
     """Positions of cells that turn with the field for 8 s, as a camera sees them every 1/30 s."""
     random = np.random.default_rng(seed)
-    gathered = []
+    paths_of_cells = []
     for a in RATES:
         heading = random.uniform(-3, 3)
         x = 0.0
         y = 0.0
-        gathered = []
+        path = []
         for k in range(2400):
             heading += a * math.sin(direction(round(k / 300 * SECOND)) - heading) / 300
             x = x + 1.4 * math.cos(heading)
             y = y + 1.4 * math.sin(heading)
             place = (x + 1j * y) * np.exp(1j * rotated) + random.normal() + 1j * random.normal()
             if k % 10 == 0:
-                gathered.append((k / 300, -place.real if mirrored else place.real, place.imag))
-        gathered.append(np.array(gathered))
-    return gathered
+                path.append((k / 300, -place.real if mirrored else place.real, place.imag))
+        paths_of_cells.append(np.array(path))
+    return paths_of_cells
 
 
 def field_of(direction):

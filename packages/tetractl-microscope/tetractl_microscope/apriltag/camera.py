@@ -185,7 +185,9 @@ def _larger(ratio: float) -> str:
 
 
 def _tags(numbers: Sequence[int]) -> str:
-    return f"tag{'s' * (len(numbers) > 1)} {_listed(numbers)} {'are' if len(numbers) > 1 else 'is'}"
+    if len(numbers) > 1:
+        return f"tags {_listed(numbers)} are"
+    return f"tag {_listed(numbers)} is"
 
 
 def _listed(numbers: Sequence[int]) -> str:

@@ -196,7 +196,8 @@ class WhichIsWhich:
 
 def orders(tracks: int) -> np.ndarray:
     """Return all assignments (P, tracks) of as many cells to tracks."""
-    return np.array(list(permutations(range(tracks))), int).reshape(-1, tracks)
+    all_orders = list(permutations(range(tracks)))
+    return np.array(all_orders, int).reshape(-1, tracks)
 
 
 def normalised(logs: Floats) -> Floats:

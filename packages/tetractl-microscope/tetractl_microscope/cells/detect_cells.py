@@ -127,7 +127,8 @@ class BlobFinder:
         """Compute the background as the median of pictures (height, width), each shifted and scaled
         to fit the middle one; determine whether most cells are brighter or darker than it.
         """
-        levels = np.array([max(float(np.median(_sparse(picture))), 1.0) for picture in pictures])
+        medians = np.array([np.median(_sparse(picture)) for picture in pictures])
+        levels = np.maximum(medians, 1.0)
         gains = np.median(levels) / levels
         half = len(pictures) // 2
         near = slice(max(0, half - 2), half + 3)
@@ -193,7 +194,8 @@ class BlobFinder:
         cv2.convertScaleAbs(self.background, self._searched, gain)
         cv2.absdiff(self._smooth, self._searched, self._searched)
         # medians, and averages of what is near them: cells and debris do not count
-        noise = min(1.48 * float(np.median(np.abs(levels - gain * background_levels))), NOISE_MAX)
+        off = np.abs(levels - gain * background_levels)
+        noise = min(1.48 * float(np.median(off)), NOISE_MAX)
         size = _square(self.least_px2).shape
         cv2.boxFilter(self._searched, cv2.CV_32F, size, self._mean, borderType=cv2.BORDER_CONSTANT)
         sample = _sparse(self._mean)

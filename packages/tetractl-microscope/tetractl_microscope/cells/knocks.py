@@ -40,7 +40,9 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
 
 def _both(shift: float, size: int) -> slice:
     """Return what two pictures of a size, one shifted, both show."""
-    return slice(max(0, math.ceil(shift)), size + min(0, math.floor(shift)))
+    begin = max(0, math.ceil(shift))
+    end = size + min(0, math.floor(shift))
+    return slice(begin, end)
 
 
 def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:

@@ -82,7 +82,8 @@ def ranked(
     candidates = [
         RankedChoice(experiment, chosen, noise) for chosen in by_worth[: -COMPARED - 1 : -1]
     ]
-    counts = [min(max(5, round(share * len(candidates))), len(candidates)) for share, _ in ROUNDS]
+    most = len(candidates)
+    counts = [min(max(5, round(share * most)), most) for share, _ in ROUNDS]
     done = 0
     for count, (_, share) in zip(counts, ROUNDS, strict=True):
         for candidate in candidates[:count]:

@@ -44,7 +44,8 @@ def cells_figure(log: TrackLog) -> Figure:
     names: list[Any] = [name for name, panel in PANELS.items() if panel.is_known(log)]
     shape = log.record["height"] / log.record["width"]
     figure = style.figure(style.PAGE_IN, min(2 / 3 * style.PAGE_IN * shape, 5.2) + 2.2)
-    below = names[-3:] if len(names) > 5 else names[-2:] if len(names) > 2 else []
+    count_below = 3 if len(names) > 5 else 2
+    below = names[-count_below:] if len(names) > 2 else []
     right = names[1 : len(names) - len(below)] or below
     rows = [[names[0]] * 4 + [name] * 2 for name in (right * 2)[:2]] or [[names[0]] * 6]
     if below:

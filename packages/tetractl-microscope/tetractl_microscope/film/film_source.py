@@ -172,7 +172,8 @@ def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
     least = float(values.min())
     most = float(values.max())
     unit = least >= 0 and most <= 1
-    step = 1 / 255 if unit else 2.0 ** max(0, math.ceil(math.log2(max(most, 1) + 1)) - 8)
+    bits = math.ceil(math.log2(max(most, 1) + 1))
+    step = 1 / 255 if unit else 2.0 ** max(0, bits - 8)
     low, high = np.percentile(values, (SHARE, 100 - SHARE)).tolist()
     if high > low and (least < 0 or high - low < SPREAD_LEAST * step):
         step = (high - low) / SPREAD

@@ -90,7 +90,9 @@ def _alike(
     odd = [name for name in names if kind_of(name) != usual]
     if len(odd) > ODD_SHARE * len(names):
         return names
-    listed = ", ".join(odd[:LISTED]) + ", ..." * (len(odd) > LISTED)
+    listed = ", ".join(odd[:LISTED])
+    if len(odd) > LISTED:
+        listed += ", ..."
     files = "1 file is" if len(odd) == 1 else f"{len(odd)} files are"
     remarks.append(f"{files} {unlike}, and left out: {listed}")
     return [name for name in names if kind_of(name) == usual]

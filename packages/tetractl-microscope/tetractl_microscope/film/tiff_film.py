@@ -160,7 +160,9 @@ def _white_first(page: Any) -> bool:
 
 
 def _codec_missing(page: Any) -> UsageError:
-    names = [page.compression] + [page.predictor] * (page.predictor > 1)
+    names = [page.compression]
+    if page.predictor > 1:
+        names.append(page.predictor)
     coded = " with ".join(str(getattr(code, "name", code)) for code in names)
     return UsageError(
         f"{page.parent.filehandle.path}: its pictures are compressed by {coded}, which needs "

@@ -125,7 +125,7 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     class Wire(SerialPort):
         def open(self, alone=True): ...
 
-        questions = 0
+        asked = 0
 
         def write(self, data):
             self.asked += encode_notify(10) in data

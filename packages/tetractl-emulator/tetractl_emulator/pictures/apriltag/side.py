@@ -201,8 +201,10 @@ class Renderer:
     def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
         """Draw a card into the canvas, averaged over its positions during the exposure."""
         corners = np.concatenate(exposures)
-        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
-        high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, canvas.shape[::-1])
+        first = np.floor(corners.min(axis=0)).astype(int)
+        last = np.ceil(corners.max(axis=0)).astype(int)
+        low = np.maximum(first - 1, 0)
+        high = np.minimum(last + 2, canvas.shape[::-1])
         if (low >= high).any():
             return
         across, down = (high - low).tolist()

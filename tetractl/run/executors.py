@@ -6,7 +6,8 @@ after `end`, or after the first request of the interrupt. `called` does the same
 
 A worker process ends in one of four ways. Its pool ends, and with it the worker. The event `ending`
 is its interrupt's first request: the trial ends after its control step. SIGTERM is the second: the
-trial ends at once. If its parent ends, the worker sends SIGTERM to itself, and soon after ends.
+trial ends at once; before a request it ends the worker. If its parent ends, the worker sends
+SIGTERM to itself, and soon after ends.
 Signals of a terminal reach the workers too, which ignore them: only the parent reacts.
 """
 
@@ -197,6 +198,8 @@ class Processes:
         """Send SIGTERM to the workers after a second request to stop, again and again."""
         if self._interrupt.count < 2 or time.monotonic() < self._next_sigterm_s:
             return
+        assert self._ending is not None
+        self._ending.set()  # else workers take SIGTERM for that of a broken pool
         for process in living_workers():
             with suppress(ProcessLookupError):
                 os.kill(process, signal.SIGTERM)
@@ -253,7 +256,10 @@ class _SharedInterrupt(Interrupt):
         return self.count > 0 or self.ending.is_set()
 
     def end_at_once(self) -> None:
-        """Count SIGTERM as the second request."""
+        """Count SIGTERM as the second request. Without a first one it is of a pool whose server
+        was killed: the trial will be repeated, and this process ends without its log."""
+        if not self.ending.is_set():
+            os._exit(1)
         self.count = 2
         self._break()
 
@@ -275,14 +281,15 @@ def _start_worker(ending: Event, environment: dict[str, str]) -> None:
     sys.unraisablehook = interrupt.on_unraisable
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)  # delivers the blocked signals
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(ending,), name="parent", daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(ending: Event) -> None:
     """Wait for the parent process to end. Then end the trial and, shortly after, this process."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
+    ending.set()
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(CLOSE_LOG_S)
     os._exit(1)

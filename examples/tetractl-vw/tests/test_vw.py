@@ -123,7 +123,7 @@ def test_what_the_guide_shows_runs(tmp_path):
     played = tetractl("run vw.yaml --plant emulated --trials 1 --quiet --out logs")
     assert "1 of 1 trials valid" in played
     assert "bit-identical" in tetractl("verify logs")
-    assert "1 days, 0 violations" in tetractl(
+    assert "1 day, 0 violations" in tetractl(
         "lab rehearse vw.yaml --days 1 --jobs 1 --no-faults --out days"
     )
 

@@ -56,6 +56,7 @@ def rehearse(
     """
     from tetractl.control.build import warm_up
     from tetractl.core.plan import Outcome
+    from tetractl.core.table.table import plural
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.run.executors import called
@@ -109,7 +110,9 @@ def rehearse(
         ui.tell(f"interrupted; the same command with --out {folder} continues")
     played = [rows[day] for day in wanted if day in rows]
     bad = [row for row in played if broken(row)]
-    last = f"{len(played)} days, {len(bad)} violations"
+    last = (
+        f"{len(played)} {plural('day', len(played))}, {len(bad)} {plural('violation', len(bad))}"
+    )
     title = f"{loaded.name}, emulated, days of seed {seed}: {last}"
     style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
     said = table(played, kinds), reasons(played), summary(played), last

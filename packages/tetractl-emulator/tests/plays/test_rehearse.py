@@ -87,7 +87,7 @@ def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
     rehearse = ("lab", "rehearse", EXAMPLES / "tetrahymena_dish.yaml", "--days", "1", *DISH)
     done = tetractl(tmp_path, *rehearse, "--out", "days").ok()
-    assert done.stdout.endswith("1 days, 0 violations\n")
+    assert done.stdout.endswith("1 day, 0 violations\n")
     assert rows(tmp_path)[0]["reason"].startswith("no new camera frame")
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
     decide = Guard.decide
@@ -116,7 +116,7 @@ def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
     """A pose to which no cell can have swum ends the trial."""
     words = streamed_cells_that_jump(monkeypatch)
     done = tetractl(tmp_path, *words, "--out", "days").ok()
-    assert done.stdout.endswith("1 days, 0 violations\n")
+    assert done.stdout.endswith("1 day, 0 violations\n")
     assert rows(tmp_path)[0]["reason"].startswith("first is not tracked: its pose jumped")
 
 
@@ -152,7 +152,7 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
     assert rehearse(tmp_path / "two", "--days", "1", "--jobs", "2").returncode == done.returncode
     assert done.returncode == 1
     assert "driven blind: " in done.stderr
-    assert done.stdout.endswith("1 days, 1 violations\n")
+    assert done.stdout.endswith("1 day, 1 violation\n")
     script, other = (
         (folder / "days" / "seed-1-day-0.yaml").read_text()
         for folder in (tmp_path, tmp_path / "two")
@@ -177,11 +177,11 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
     assert done.returncode == 1
     assert "1 of 2, about " in done.stderr  # a line for each day, in a pipe
     assert "driven blind: " in done.stderr
-    assert done.stdout.endswith("1 days, 1 violations\n")
+    assert done.stdout.endswith("1 day, 1 violation\n")
     script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
     assert "untracked" in script and "doubled_packets" in script
     again = rehearse(tmp_path, "--days", "1")
-    assert again.stdout.endswith("1 days, 1 violations\n")
+    assert again.stdout.endswith("1 day, 1 violation\n")
 
 
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):

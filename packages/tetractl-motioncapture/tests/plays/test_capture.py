@@ -41,4 +41,4 @@ def test_a_rehearsed_day_of_slow_frames_knows_which_exposure_a_frame_shows(folde
     """Frames have no number: those that did not come must not be counted (day 13 of this seed)."""
     day = ("--first", "13", "--days", "1", "--seed", "20261128")
     played = tetractl(folder, "lab", "rehearse", "capture.yaml", *day).ok()
-    assert "1 days, 0 violations" in played.stdout
+    assert "1 day, 0 violations" in played.stdout

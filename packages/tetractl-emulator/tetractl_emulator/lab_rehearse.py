@@ -110,9 +110,7 @@ def rehearse(
         ui.tell(f"interrupted; the same command with --out {folder} continues")
     played = [rows[day] for day in wanted if day in rows]
     bad = [row for row in played if broken(row)]
-    last = (
-        f"{len(played)} {plural('day', len(played))}, {len(bad)} {plural('violation', len(bad))}"
-    )
+    last = f"{len(played)} {plural('day', len(played))}, {len(bad)} {plural('violation', len(bad))}"
     title = f"{loaded.name}, emulated, days of seed {seed}: {last}"
     style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
     said = table(played, kinds), reasons(played), summary(played), last

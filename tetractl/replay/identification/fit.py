@@ -27,7 +27,6 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tetractl.control.body_model import USUAL
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.passes import (
     UNKNOWN_S,
@@ -49,6 +48,7 @@ SEARCHED_UNTIL_S = 2.0
 SEARCHED_APART_S = 0.05
 """Dead times that are searched if it is unknown, and their spacing [s]. Below 0, times are of two
 clocks."""
+USUAL_S = 0.05  # dead time from which the fit begins if none is found [s]
 EARLY_S = 0.1
 """Time by which robots may seem to turn before they are sent a direction [s]."""
 FIRST_STD = np.array([0.5, 0.5, 0.2])
@@ -133,16 +133,13 @@ def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | 
 
 def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
     """Return the likeliest dead time of those that are possible [s], for robots `rows` (R,) with
-    each of RATES; UsageError if it is below 0 or at the end of these."""
+    each of RATES; USUAL_S if it is below 0 or at the end of these, as nothing then fits."""
     taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
     passed = run([frames], rows, belief, taus, SEARCHED_APART_S)
     best = _likeliest(passed)
     tau = float(taus[best])
     if tau < -EARLY_S or best == len(taus) - 1:
-        raise UsageError(
-            f"no dead time from 0 to {taus[-1]:.3g} s explains how the robots turn",
-            "are all times of one clock, and in s?",
-        )
+        return USUAL_S
     return max(0.0, tau)
 
 

@@ -74,7 +74,7 @@ def identify(
 
     `a` (N,) [rad/s] are the expected turning rates, right within a factor of about 5, or None if
     unknown; `dead_time` [s] is the expected dead time, right within 0.3 s, or None. UsageError if
-    the tracks contain too few data, or times of two clocks.
+    the tracks contain too few data.
     """
     require_same(tracks)
     frames = [TrackFrames.of(track) for track in tracks]

@@ -244,13 +244,13 @@ def found_in(folder: Path, name: str) -> list[Arm]:
 
 def report(folder: Path, names: Sequence[str], figure: Path | None) -> None:
     """Print the page of results, and draw the errors as distribution functions."""
-    drawn = {name: drawn_arms_arms for name in names if (drawn_arms_arms := found_in(folder, name))}
-    for name, drawn_arms_arms in drawn.items():
+    drawn = {name: drawn_arms for name in names if (drawn_arms := found_in(folder, name))}
+    for name, drawn_arms in drawn.items():
         spec = instance(name)
         least_s = bound_s(spec)
         bound = f"No trial can take less than {least_s:.2f} s."
         about = f"{spec.description} {bound}"
-        print("\n".join([f"### `{name}`", "", about, "", *table(drawn_arms_arms, least_s), ""]))
+        print("\n".join([f"### `{name}`", "", about, "", *table(drawn_arms, least_s), ""]))
     if figure:
         draw(drawn, figure)
 

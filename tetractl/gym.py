@@ -4,7 +4,7 @@ Importing this module registers the shipped benchmark specs, such as "tetractl/o
 `TrialEnv` takes any spec whose plant is simulated.
 
 Action: a vector (2,) in [-1, 1], which points in the direction that is sent: u = atan2(y, x). An
-angle would jump at pi.
+angle would jump at pi. What is greater is clipped, as a controller of type `policy` clips it.
 
 Observation (4 N + 2,) for N robots: gaps to the targets, headings and the last direction, all as
 measured, by `tetractl.control.policy.features`. Nothing of the truth is in it.
@@ -109,11 +109,11 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return self._observed(), {}
 
     def step(self, action: Features) -> tuple[Features, float, bool, bool, dict[str, Any]]:
-        """Send the direction of a vector for one control period.
+        """Send the direction of a vector, clipped to [-1, 1], for one control period.
 
         At the end of an episode, `info` has the `outcome` and the `total_error` e [length unit].
         """
-        along_x, along_y = np.asarray(action, dtype=np.float64)
+        along_x, along_y = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         observation = self.trial.step(math.atan2(along_y, along_x))
         self._ways.append(observation.poses.xy)
         if self.trial.failed and self.trial.result is None:

@@ -52,6 +52,16 @@ def test_the_checker_of_gymnasium_has_nothing_to_say(name):
         check_env(gymnasium.make(f"tetractl/{name}-v0").unwrapped)
 
 
+def test_an_action_out_of_its_range_is_clipped_as_a_policy_clips_it():
+    headings = []
+    for action in ([1.0, 0.5], [5.0, 0.5]):
+        env = TrialEnv(SPEC)
+        env.reset(options={"trial": 0})
+        env.step(np.array(action))
+        headings.append(env.trial.last_direction)
+    assert headings[0] == headings[1] == np.arctan2(0.5, 1.0)
+
+
 def test_a_picture_shows_the_arena_and_where_the_robots_have_been():
     env = TrialEnv(SPEC, render_mode="rgb_array")
     env.reset(seed=1)

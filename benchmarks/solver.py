@@ -26,7 +26,7 @@ PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
-    parser.add_argument("--only", default="a,b,c,d,e,f", help="parts, such as a,b")
+    parser.add_argument("--only", default="a,b,c,d,e", help="parts, such as a,b")
     parser.add_argument("--peers", help="rows of (b), without its sweep, such as PSO,Fatrop")
     parser.add_argument("--plot", type=Path, help="where to draw growth (.svg or .png)")
     chosen = parser.parse_args()
@@ -38,7 +38,6 @@ def main() -> None:
         "c": lambda: loop.closed(settings),
         "d": lambda: growth.growth(settings, chosen.plot),
         "e": lambda: speed.floor(settings),
-        "f": lambda: loop.disturbed(settings),
     }
     wanted = [part.strip() for part in chosen.only.split(",")]
     if unknown := [part for part in wanted if part not in parts]:

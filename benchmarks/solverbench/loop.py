@@ -1,4 +1,4 @@
-"""(c) closed loop and the time of whole control steps; (f) what disturbances do to the error."""
+"""(c) closed loop and the time of whole control steps."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -37,19 +37,6 @@ from .problems import (
 from .report import Report, Settings, load, progress, spread
 
 FRAME_MS = 8.33
-DISTURBED = (
-    "plant.dead_time=0.14",
-    "plant.a_error=0.1",
-    "plant.speed_error=0.1",
-    "plant.heading_noise=0.05",
-    "plant.lost_commands=0.05",
-)
-COMPENSATED = "controller.dead_time=0.14"
-FAST = (
-    "controller.period=0.008333333333333333",
-    "controller.signal_periods=24",
-    "controller.time_limit=120.05",
-)
 Times = Sequence[float] | np.ndarray
 Build = Callable[[Experiment, int], Controller]
 
@@ -233,32 +220,3 @@ def _control_step(problem: Problem, key: int) -> None:
 def _sweep(problem: Problem, key: int) -> None:
     for length in range(1, LONGEST + 1):
         SWARM.search(problem, length, None, key, Limits())
-
-
-def disturbed(settings: Settings) -> Report:
-    """Dead time, model error, noise and lost commands, and what helps against them."""
-    report = Report("(f) Final error under disturbances")
-    no_learning = "controller.estimate=false"
-    rows = []
-    for name, spec in (
-        ("paper, as published", [PAPER]),
-        ("the same, dead time compensated", [PAPER, COMPENSATED]),
-        ("ours, neither compensated nor estimated", [OURS, no_learning]),
-        ("ours, estimated only", [OURS]),
-        ("ours, dead time compensated only", [OURS, no_learning, COMPENSATED]),
-        ("**ours, compensated and estimated**", [OURS, COMPENSATED]),
-        ("ours, compensated and estimated, 120 Hz", [OURS, COMPENSATED, *FAST]),
-    ):
-        progress(f"(f) {name}")
-        file, *sets = spec
-        cut = ["controller.time_limit=0.2"] if settings.quick else []
-        batch = run(experiment(file, *DISTURBED, *sets, *cut), settings.trials)
-        rows.append([*_errors(name, batch.results), *_times(batch)])
-    listed = ", ".join(f"`{setting}`" for setting in DISTURBED)
-    report.say(
-        f"{settings.trials} trials of the reference experiment with {listed}; 120 Hz is "
-        f"{', '.join(f'`{setting}`' for setting in FAST)}; times of steps are p50 / p99 / max. "
-        f"{load()}."
-    )
-    report.table([*HEAD, *TIMES], rows)
-    return report

@@ -5,7 +5,6 @@ import re
 import tomllib
 from collections import defaultdict
 
-from solverbench.loop import DISTURBED
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
@@ -57,11 +56,6 @@ def test_a_film_is_a_recording_that_track_follows_and_a_video_shows_a_trial():
         if "film" in path.name + path.read_text("utf-8").lower()
     }
     assert said <= {f"tetractl/log/{name}.py" for name in ("format/channels", "read/raw_log")}
-
-
-def test_the_disturbances_of_the_solvers_figures_are_those_of_its_page():
-    page = (ROOT / "docs/reference/measured.md").read_text()
-    assert all(f"`{setting}`" in page for setting in DISTURBED)
 
 
 def test_both_controllers_run_on_one_bench():

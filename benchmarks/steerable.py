@@ -144,8 +144,8 @@ def right(setup, motion, verdict, judged_at, seed):
     still = {setup.names[i] for i in np.flatnonzero(setup.speed == 0)} == set(verdict.still)
     good = (same or (judged_at.near and verdict.barely > 0)) and named and still
     a = setup.a.copy()
-    for name, _, parted_name in verdict.parted:
-        a[setup.names.index(name)] = parted_name
+    for robot in verdict.parted:
+        a[setup.names.index(robot.name)] = robot.a_advised
     if verdict.parted:
         good &= not said & judged(replace(setup, a=a), motion, seed).alike
     return good, same, judged_at.near, verdict.barely > 0

@@ -37,8 +37,9 @@ the method of its name.
 
 What happens next, if
 
-    a plan fails: all collide     robots rest, and search from there; at rest they turn on the spot,
-    soon, or it leads astray      up to 12 times, and then give up: the trial ends in the step after
+    a plan fails: all collide     robots rest, and search from there; at rest, where the plan of
+    soon, or it leads astray      least value counts alone, they turn on the spot, up to 12 times,
+                                  and then give up: the trial ends in the step after
     a search takes too long       searches end at the spec's `deadline`; the first one is always
                                   done, and its plan is a candidate
     a step is late                the next one begins with the poses that robots have by then

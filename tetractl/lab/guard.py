@@ -31,8 +31,9 @@ steered while one is hidden. `abort` is final.
 
 What happens next, if
 
-    a pose jumps              it is refused; after UNTRACKED_STOP_S the robot is hidden, and stops;
-                              after `untracked_abort` it is lost, or the run is aborted (10)
+    a pose jumps              it is refused; after UNTRACKED_STOP_S (experiment/lab_section.py) the
+                              robot is hidden, and stops; after `untracked_abort` it is lost, or the
+                              run is aborted (10), at once if its poses disobey its commands
     no pose of a robot comes  the same
     no frame comes            all robots stop after `stale`; the run is aborted after `stream_lost`
                               (9)

@@ -23,11 +23,13 @@ What happens next, if
     a plan fails           the controller decides what robots do instead: rest, turn, or end the
                            trial by an outcome (`tetractl.control.mpc`); if it raises, the robots
                            stop, and the trial is aborted by row 1 below
-    a plan takes long      it is sent late, and counted as missed if robots drove; steps that follow
-    or a step is late      are due later if it was late by a period; a lab's guard aborts after some
-                           in a row
-    Ctrl-C                 the step is finished, the robots stop, the trial is interrupted (row 4);
-                           a second one breaks planning and sleeping off
+    a plan takes long      it is sent late; after a period or more it counts as missed if robots
+                           drove
+    a step is late         steps that follow are due later if it was late by a period; a lab's guard
+                           aborts after some in a row
+    Ctrl-C                 the step is finished: what is being planned is sent, and ends the trial
+                           if it is an outcome; else the robots stop, and the trial is interrupted
+                           (row 4); a second one breaks planning and sleeping off
     a robot does not move  it is reported; the trial goes on, or the controller ends it
     a frame is missing,    the plant raises an AbortError: rows 1 and 2
     a device fails
@@ -53,7 +55,8 @@ How a trial ends. The robots are stopped first, whatever happened. Then the firs
     1  an error in the loop              aborted      what it says, or which plug-in has raised it
     2  an error while robots stop        aborted      likewise
     3  robots that are not at rest       aborted      which
-    4  an interruption                   interrupted  whether the step was finished
+    4  an interruption, unless the step  interrupted  whether the step was finished
+       that was finished decided to end
     5  the controller's decision         its outcome  which robots do not move, if any
 
 An error that is no TetractlError and none of a plug-in is a bug: it is raised again once all

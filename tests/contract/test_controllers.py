@@ -102,7 +102,7 @@ def test_what_is_logged_is_verified_without_knowing_the_controller(fields, tmp_p
     run_trial(spec, tmp_path, 0, (), Interrupt())
     found = verify(log_path(tmp_path, 0))
     assert (found.problems, found.checked) == ((), 4)
-    assert recompute(read_trial(log_path(tmp_path, 0)), search_again=False) is None
+    assert recompute(read_trial(log_path(tmp_path, 0)), search_again=False).difference is None
 
 
 def test_poses_that_are_no_numbers_are_refused(fields):

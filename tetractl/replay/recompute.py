@@ -10,6 +10,7 @@ difference in the last bit of one cost may change the leading particle and then 
 """
 
 import copy
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from tetractl.core.protocols import Controller
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.format.codec import DRAWN_PRECISION, drawn
-from tetractl.log.read import limits
+from tetractl.log.read.limits import FACTOR, seconds_limit
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.comparison import (
     SAME_BITS,
@@ -45,9 +46,6 @@ ROUNDING = 1e-12
 much larger coordinates."""
 AFTER_EVERY_DEADLINE_NS = 1 << 62
 """A time that no deadline of a controller is after."""
-GOES_ON = "goes on"
-CANNOT_GO_ON = "cannot go on"
-"""What is said of a controller that plans, and of one that fails, in place of an outcome."""
 
 
 class NoSearchError(Exception):
@@ -75,7 +73,7 @@ class LoggedSearches:
 
     Call `begin` before each step. Then `asked` are the step's searches by their index in the log,
     and `contradiction` is the field and text of the first that contradicts its problem or its
-    optimiser. Processor time, read from `cpu` [s], may take `limits.seconds_limit`.
+    optimiser. The processor time, read from `cpu` [s], is limited to `seconds_limit`.
     """
 
     def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
@@ -83,7 +81,7 @@ class LoggedSearches:
         self.contradiction: tuple[str, str] | None = None
         self._to_come: list[tuple[int, Search]] = []
         self._cpu = cpu
-        self._until_s = cpu() + limits.seconds_limit()
+        self._until_s = cpu() + seconds_limit()
 
     def controller(self, log: TrialLog, key: int) -> Controller:
         """Return the controller of a log, whose searches come here, with the random key `key`."""
@@ -109,11 +107,6 @@ class LoggedSearches:
         self.asked[index] = asked
         return self._answer(asked, logged, f"searches.{index}")
 
-    def require_time(self) -> None:
-        """Raise TooLongError if the time limit is exceeded."""
-        if self.expired():
-            raise TooLongError
-
     def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
         """Return the logged search; note how it contradicts what was asked."""
         if logged.length != asked.length or len(logged.signals) != asked.length:
@@ -132,6 +125,11 @@ class LoggedSearches:
         """Return whether the time limit is exceeded."""
         return self._cpu() > self._until_s
 
+    def require_time(self) -> None:
+        """Raise TooLongError if the time limit is exceeded."""
+        if self.expired():
+            raise TooLongError
+
     def _time_ns(self) -> int:
         """Return the time for the controller's deadline: as the searches were logged before it or
         cut short by it, no time passes until the last of them, and then every deadline has passed.
@@ -149,6 +147,7 @@ class SearchesAgain(LoggedSearches):
     def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
         super().__init__(cpu)
         self._compiled = False
+        self._until_s = math.inf
 
     def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
         if not self._compiled:
@@ -164,11 +163,7 @@ class SearchesAgain(LoggedSearches):
         least = Limits(asked.optimizer.evaluations_min)
         asked.optimizer.search(asked.problem, 1, np.zeros(1), asked.key, least)
         self._compiled = True
-        self._until_s = self._cpu() + limits.seconds_limit()
-
-    def expired(self) -> bool:
-        """Return whether the time limit is exceeded."""
-        return self._compiled and super().expired()
+        self._until_s = self._cpu() + seconds_limit()
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +220,19 @@ class _Tolerances:
         return cls(decision, replace(decision, relative=2 * DRAWN_PRECISION))
 
 
+@dataclass(frozen=True, slots=True)
+class Recomputed:
+    """How far the decisions of a log agree: the number of steps before the first difference, and
+    this difference, None if all agree."""
+
+    agreeing: int
+    difference: Difference | None
+
+
 def recompute(
     log: TrialLog, search_again: bool, cpu: Callable[[], float] = time.thread_time
-) -> Difference | None:
-    """Compute every decision of a log again; return the first difference or None.
+) -> Recomputed:
+    """Compute every decision of a log again, up to the first that differs.
 
     `search_again` True runs the searches again and compares bits, False uses the logged searches.
     Steps after a gap are not checked, since the controller's state is lost. If the processor time,
@@ -237,21 +241,22 @@ def recompute(
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
-        return Difference(None, "seed", f"seed {log.start.seed} has no trial {log.start.trial}")
+        text = f"seed {log.start.seed} has no trial {log.start.trial}"
+        return Recomputed(0, Difference(None, "seed", text))
     searches = SearchesAgain(cpu) if search_again else LoggedSearches(cpu)
     controller = searches.controller(log, key)
     tolerances = _Tolerances.of(log, search_again)
     steps = first_steps(log)
     last: Step | None = None
-    for step in steps:
+    for number, step in enumerate(steps):
         difference = _step_difference(controller, searches, tolerances, log, last, step)
         if difference is not None:
-            return difference
+            return Recomputed(number, difference)
         last = step
     if len(steps) < len(log.steps):
-        return None
+        return Recomputed(len(steps), None)
     searches.begin(())
-    return _outcome_difference(log, controller, last)
+    return Recomputed(len(steps), _outcome_difference(log, controller, last))
 
 
 def _step_difference(
@@ -269,16 +274,16 @@ def _step_difference(
         decision = plan_again(controller, log, last, step.observation)
         searches.require_time()
     except (TooLongError, MemoryError):
-        limit_s = f"{limits.seconds_limit():g} s"
-        text = f"not computed again: the rest takes over {limit_s} or much memory"
-        return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
+        text = f"not computed again: the rest takes over {seconds_limit():g} s or much memory"
+        return Difference(step.k, "plan", f"{text}; {FACTOR}=2 allows twice as much")
     except NoSearchError:
         too_few = ("searches", f"only {len(step.plan.searches)} logged")
         return Difference(step.k, *(searches.contradiction or too_few))
     except TetractlError as error:
         return Difference(step.k, "plan", error.message)
     if not isinstance(decision, Plan):
-        return Difference(step.k, "plan", f"the controller ends the trial: {_named(decision)}")
+        outcome = _outcome_of(decision)
+        return Difference(step.k, "plan", f"the controller ends the trial: {outcome.value}")
     if decision.generator != step.plan.generator:
         text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
         return Difference(step.k, "generator", text)
@@ -323,10 +328,11 @@ def first_steps(log: TrialLog) -> list[Step]:
     first_missing = np.inf
     if _lost_more_than_its_end(log):
         first_missing = min((gap.first for gap in frame_gaps(log)), default=np.inf)
-    steps = []
+    steps: list[Step] = []
     for number, step in enumerate(log.steps):
-        if step.k == number and step.observation.frame < first_missing:
-            steps.append(step)
+        if step.k != number or step.observation.frame >= first_missing:
+            break
+        steps.append(step)
     return steps
 
 
@@ -354,20 +360,17 @@ def _outcome_difference(
         return None
     if not result.outcome.complete and not _stopped_by_itself(log, result):
         return None
-    decisions: list[str] = []
+    ends: list[_LastDecision] = []
     for frame in _last_frames(log, last, log.stop.sent_ns):
-        observation = log.sample(frame).observation
-        decision = _decided(copy.deepcopy(controller), log, last, observation)
-        if decision == result.outcome.value:
+        end = _decide_last(controller, log, last, log.sample(frame).observation)
+        if end.outcome is result.outcome:
             return None
-        decisions.append(decision)
-    does_not_end = not decisions or decisions[0] in (GOES_ON, CANNOT_GO_ON)
-    if not result.outcome.complete and does_not_end:
+        ends.append(end)
+    newest = ends[0] if ends else _LastDecision(None, "there is no frame to decide on")
+    if newest.outcome is None and not result.outcome.complete:
         return None
-    why = "there is no frame to decide on"
-    if decisions:
-        why = f"the controller decides {decisions[0]!r}"
-    return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
+    logged = result.outcome.value
+    return Difference(None, "outcome", f"logged {logged!r}, but {newest.text}")
 
 
 def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
@@ -390,23 +393,33 @@ def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
     return newest_first.tolist()
 
 
-def _decided(
+@dataclass(frozen=True, slots=True)
+class _LastDecision:
+    """The outcome with which a controller ends a trial, None if it does not end it, in words."""
+
+    outcome: Outcome | None
+    text: str
+
+
+def _decide_last(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
-) -> str:
-    """Return the outcome that a controller decides, GOES_ON or CANNOT_GO_ON."""
+) -> _LastDecision:
+    """Return what a copy of a controller, for which the log has no more searches, decides."""
     try:
-        return _named(plan_again(controller, log, last, observation))
+        decision = plan_again(copy.deepcopy(controller), log, last, observation)
     except NoSearchError:
-        return GOES_ON
+        return _LastDecision(None, "the controller goes on")
     except TetractlError:
-        return CANNOT_GO_ON
-
-
-def _named(decision: Plan | Outcome | End) -> str:
-    """Return the outcome that a controller decides, GOES_ON for a plan."""
+        return _LastDecision(None, "the controller cannot go on")
     if isinstance(decision, Plan):
-        return GOES_ON
-    return decision.outcome.value if isinstance(decision, End) else decision.value
+        return _LastDecision(None, "the controller goes on")
+    outcome = _outcome_of(decision)
+    return _LastDecision(outcome, f"the controller decides {outcome.value!r}")
+
+
+def _outcome_of(decision: Outcome | End) -> Outcome:
+    """Return the outcome with which a controller ends a trial."""
+    return decision.outcome if isinstance(decision, End) else decision
 
 
 def _stopped_by_itself(log: TrialLog, result: Result) -> bool:

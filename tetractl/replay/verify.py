@@ -31,7 +31,7 @@ from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.replay import run_again
 from tetractl.replay.comparison import Difference
 from tetractl.replay.lab_result import error_differences, lab_differences
-from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
+from tetractl.replay.recompute import TOLERANCE, Recomputed, recompute
 
 DECIDES_BITS = (
     "cpu",
@@ -139,8 +139,8 @@ def verify(path: Path) -> Verification:
     raw = scan(path)
     log = trial_of(raw)
     case = _Case(raw, log, host_differences(log))
-    method, decision = _decisions(case)
-    problems = [] if decision is None else [decision]
+    method, decisions = _decisions(case)
+    problems = [] if decisions.difference is None else [decisions.difference]
     for compare in COMPARISONS:
         problems += compare(case)
     rewritten = ""
@@ -150,7 +150,7 @@ def verify(path: Path) -> Verification:
         log=str(path),
         rewritten=rewritten,
         steps=len(log.steps),
-        checked=_checked(log, decision),
+        checked=decisions.agreeing,
         method=method,
         elsewhere=case.elsewhere,
         problems=tuple(problems),
@@ -159,25 +159,17 @@ def verify(path: Path) -> Verification:
     )
 
 
-def _checked(log: TrialLog, decision: Difference | None) -> int:
-    """Return the number of steps whose decision was repeated and agrees: those before the first
-    one that differs."""
-    if decision is not None and decision.step is not None:
-        return decision.step
-    return len(first_steps(log))
-
-
-def _decisions(case: _Case) -> tuple[Method, Difference | None]:
-    """Return how decisions are checked, and the first one that differs.
+def _decisions(case: _Case) -> tuple[Method, Recomputed]:
+    """Return how decisions are checked, and how far they agree.
 
     Searches are repeated on another host too: if none differs, that is the stricter check; else the
     hosts may be the cause, and the logged searches are evaluated.
     """
     if case.raw.brief:
-        return Method.RECOMPUTED, None
-    decision = recompute(case.log, search_again=True)
-    if decision is None or not case.elsewhere:
-        return Method.RECOMPUTED, decision
+        return Method.RECOMPUTED, Recomputed(0, None)
+    decisions = recompute(case.log, search_again=True)
+    if decisions.difference is None or not case.elsewhere:
+        return Method.RECOMPUTED, decisions
     return Method.REEVALUATED, recompute(case.log, search_again=False)
 
 

@@ -110,7 +110,7 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
     assert found.notes == ("the trial is not run again: a deadline ended a search",) * ended
     assert found.checked == found.steps > 0
     log = read_trial(tmp_path / "trial-001.mcap")
-    assert recompute(log, search_again=False) is None
+    assert recompute(log, search_again=False).difference is None
 
 
 class Late:
@@ -258,8 +258,8 @@ def test_a_log_of_other_instruction_sets_is_honest(tmp_path, settings, key):
 def test_the_time_that_verifying_takes_is_bounded(log):
     ticks = iter(range(0, 100_000, 4))
     found = recompute(read_trial(log), search_again=True, cpu=lambda: next(ticks))
-    assert found is not None
-    assert "not computed again: the rest takes over 15 s" in found.message
+    assert found.difference is not None
+    assert "not computed again: the rest takes over 15 s" in found.difference.message
 
 
 def test_on_another_processor_a_history_has_to_fall(tmp_path, contents):
@@ -331,3 +331,18 @@ def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
     assert first_steps(ended) == list(whole.steps)
     torn = replace(ended, damage=Damage((), ("a chunk", "the result")))
     assert len(first_steps(torn)) == 2
+
+
+def test_no_step_after_a_gap_is_a_first_step():
+    """Regression: one whose number was that of its place was, where a number was repeated."""
+    whole = three_robots()
+    first, second, third, *_ = whole.steps
+    assert first_steps(replace(whole, steps=(first, third, replace(second, k=2)))) == [first]
+
+
+def test_no_step_of_a_seed_that_has_no_trial_counts_as_checked():
+    whole = three_robots()
+    decisions = recompute(replace(whole, start=replace(whole.start, seed=-1)), search_again=False)
+    assert decisions.agreeing == 0
+    assert decisions.difference is not None
+    assert decisions.difference.field == "seed"

@@ -3,11 +3,15 @@
 `OptitrackSettings` holds for a whole run. `FAULTS`, at the end, is the table of faults: what each
 sets while it lasts is the server's `Trouble` or `ServerClock`, one robot's `TrackedBody`, or the
 `View` of all. Lengths are in mm, angles in rad, times in s; displacements are complex, x + iy.
+
+When a fault ends, all is as it would be without it: after `clock_rate`, too, the server's clock
+is right again, so it jumps back by what it has gained. Faults of the clock, of the whole picture
+and of a body's reported pose add up; of others that set the same attribute, the newest holds.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Annotated, Any, Literal
 
@@ -30,8 +34,9 @@ from tetractl_emulator.faults import (
 )
 from tetractl_emulator.optitrack.tracked_body import (
     Change,
-    Creep,
+    PictureChange,
     TrackedBody,
+    View,
     halved,
     nowhere,
     rolled,
@@ -121,24 +126,36 @@ class Trouble:
     """Most frames that are sent in a second."""
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class ServerClock:
-    """The server's clock. Up to the host time `since_ns` it is `ahead_ns` ahead of the host's
-    clock; from then on it advances by `rate` seconds per second.
+@dataclass(frozen=True, eq=False, slots=True)
+class ClockError:
+    """An error of the server's clock from the host time `since_ns` on: it is set forward by
+    `ahead_ns`, and advances by `rate` seconds per second.
     """
 
+    since_ns: int
     ahead_ns: int = 0
     rate: float = 1.0
-    since_ns: int = 0
+
+    def gained_ns(self, when_ns: int) -> int:
+        """Return what the clock has gained by a time on the host's clock [ns]."""
+        return self.ahead_ns + round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
+
+
+@dataclass(eq=False, slots=True)
+class ServerClock:
+    """The server's clock, with the errors that faults have added and not yet taken back."""
+
+    errors: list[ClockError] = field(default_factory=list)
 
     def ticks(self, when_ns: int) -> int:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
-        gained_ns = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
-        return CLOCK_START + (when_ns + self.ahead_ns + gained_ns) * CLOCK_HZ // SECOND
+        gained_ns = sum(error.gained_ns(when_ns) for error in self.errors)
+        return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
 
 # Kinds of faults, by what they act on: `sets` are attributes and their values, or functions of the
-# fault that give them; `fields` are what a script has to say of the fault.
+# fault that give them; `fields` are what a script has to say of the fault. A name that the object
+# does not have is an AttributeError when the fault begins: the tests begin one of each kind.
 
 SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
@@ -174,10 +191,7 @@ def _pose_fault(
     """
 
     def begin(fault: Any, device: Any) -> Undo:
-        changes = _body(fault, device).changes
-        change = change_of(fault)
-        changes.append(change)
-        return lambda: changes.remove(change)
+        return _adding(_body(fault, device).changes, change_of(fault))
 
     return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields})
 
@@ -205,25 +219,28 @@ def _twin_ids(fault: Any, device: Any) -> Undo:
 
 
 def _set_clock(fault: Any, device: Any) -> Undo:
-    clock: ServerClock = device.clock
-    return setting(clock, ahead_ns=clock.ahead_ns + round(fault.by * SECOND))
+    error = ClockError(device.timeline.now_ns, ahead_ns=round(fault.by * SECOND))
+    return _adding(device.clock.errors, error)
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
-    return setting(device.clock, rate=fault.rate, since_ns=device.timeline.now_ns)
+    return _adding(device.clock.errors, ClockError(device.timeline.now_ns, rate=fault.rate))
+
+
+def _adding(running: list[Any], one: object) -> Undo:
+    """Add one to what runs; return the function that removes it again."""
+    running.append(one)
+    return lambda: running.remove(one)
 
 
 def _change_picture(fault: Any, device: Any) -> Undo:
     """Change the picture at once, or let it creep from now on, in place of how it crept before."""
-    view = device.view
+    view: View = device.view
+    change = PictureChange(_displacement(fault), fault.scale, fault.turn)
     if fault.creeps:
-        return setting(view, creeps=Creep(_displacement(fault), fault.scale, fault.turn))
-    return setting(
-        view,
-        shift=view.shift + _displacement(fault),
-        grown=view.grown * fault.scale,
-        turned=view.turned + fault.turn,
-    )
+        return setting(view, creeps=change)
+    view.change(change)
+    return lambda: view.change_back(change)
 
 
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -323,7 +340,7 @@ FAULTS = (
             "step": _displacement,
             "own": lambda fault: fault.axes == "robot",
             "turn": attrgetter("turn"),
-            "shift": 0j,
+            "strayed": 0j,
             "turned": 0.0,
         },
         fields={"by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},

@@ -16,9 +16,9 @@ Change = Callable[[RigidBody], RigidBody]
 
 
 @dataclass(frozen=True, slots=True)
-class Creep:
-    """By how much a picture changes from one exposure to the next: it is displaced by `shift` [mm],
-    grown by a factor and turned by an angle [rad].
+class PictureChange:
+    """A change of the picture: it is displaced by `shift` [mm], grown by a factor and turned by an
+    angle [rad].
     """
 
     shift: complex = 0j
@@ -32,7 +32,7 @@ class View:
     `origin` [mm] and `rotation` [rad].
 
     Faults set the other fields: the picture is turned about the origin by `turned` [rad], `grown`
-    by a factor and displaced by `shift` [mm]; each changes by `creeps` at an exposure.
+    by a factor and displaced by `shift` [mm]; it changes by `creeps` at each exposure.
     """
 
     up: UpAxis = UpAxis.Y
@@ -41,13 +41,23 @@ class View:
     shift: complex = 0j
     grown: float = 1.0
     turned: float = 0.0
-    creeps: Creep = Creep()
+    creeps: PictureChange = PictureChange()
 
     def creep(self) -> None:
         """Let the picture change as it does from one exposure to the next."""
-        self.shift += self.creeps.shift
-        self.grown *= self.creeps.factor
-        self.turned += self.creeps.angle
+        self.change(self.creeps)
+
+    def change(self, change: PictureChange) -> None:
+        """Change the picture."""
+        self.shift += change.shift
+        self.grown *= change.factor
+        self.turned += change.angle
+
+    def change_back(self, change: PictureChange) -> None:
+        """Take a change back; others that came since remain."""
+        self.shift -= change.shift
+        self.grown /= change.factor
+        self.turned -= change.angle
 
     def body(self, number: int, x: float, y: float, heading: float, height: float) -> RigidBody:
         """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
@@ -72,8 +82,9 @@ class TrackedBody:
     `noise` are the standard deviations of a pose [mm, rad]; the noise is drawn from `random`.
     Faults set the other fields: the body is not tracked, or in a share of frames that is `missing`;
     not streamed; frozen at its last pose
-    (`repeats`); displaced by `shift` [mm], which grows by `step` [mm] per exposure, along the
-    robot's own axes if `own`; turned by `turned` [rad], which grows by `turn` [rad] per exposure;
+    (`repeats`); displaced by `shift` [mm], and by `strayed` [mm], which grows by `step` [mm] per
+    exposure, along the robot's own axes if `own`; turned by `turned` [rad], which grows by `turn`
+    [rad] per exposure;
     at another `height` [mm]; its plate slipped on the robot by `plate` [mm] along the robot's axes,
     and turned by `plate_turned` [rad]; or its pose is changed by each of `changes`.
     """
@@ -89,6 +100,7 @@ class TrackedBody:
     missing: float = 0.0
     repeats: bool = False
     shift: complex = 0j
+    strayed: complex = 0j
     step: complex = 0j
     own: bool = False
     turned: float = 0.0
@@ -112,9 +124,9 @@ class TrackedBody:
     def _look(self, view: View) -> None:
         robot = self.robot
         robot_axes = cmath.rect(1.0, robot.heading)
-        self.shift += self.step * (robot_axes if self.own else 1.0)
+        self.strayed += self.step * (robot_axes if self.own else 1.0)
         self.turned += self.turn
-        off = self.shift + self.plate * robot_axes
+        off = self.shift + self.strayed + self.plate * robot_axes
         turned = self.turned + self.plate_turned - self.offset
         noise_mm, noise_rad = self.noise
         draw = self.random.gauss

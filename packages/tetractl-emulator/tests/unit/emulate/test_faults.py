@@ -165,6 +165,60 @@ def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained):
     assert (lab.camera.clock.ticks(then) - before) / 1e7 == pytest.approx(gained)
 
 
+def test_faults_of_the_servers_clock_add_up_and_each_takes_its_own_back(tmp_path):
+    """Regression: of two that overlapped, the first one's end changed nothing, and a change of rate
+    took back what the one before had gained."""
+    lab, jump, device = begun(tmp_path, "{fault: clock_jump, by: 1}")
+    fast = type(begun(tmp_path, "{fault: clock_rate, rate: 3}")[1])(fault="clock_rate", rate=3)
+    clock = lab.camera.clock
+    then = lab.timeline.now_ns + SECOND
+    right = clock.ticks(then)
+
+    def gained_s():
+        return (clock.ticks(then) - right) / 1e7
+
+    ends = [jump.begin(device), fast.begin(device), jump.begin(device), fast.begin(device)]
+    assert gained_s() == pytest.approx(6.0)
+    ends[0]()
+    assert gained_s() == pytest.approx(5.0)
+    ends[1]()
+    assert gained_s() == pytest.approx(3.0)
+    ends[3]()
+    ends[2]()
+    assert clock.ticks(then) == right
+
+
+def test_a_change_of_the_picture_takes_only_itself_back(tmp_path):
+    """Regression: of two that overlapped, the first one's end changed nothing, and the end of a
+    change took back how the picture had crept during it."""
+    lab, change, device = begun(tmp_path, "{fault: picture, by: [40, 0], scale: 2, turn: 0.5}")
+    other = type(change)(fault="picture", by=(0, 10))
+    creeping = type(change)(fault="picture", by=(1, 0), turn=0.25, creeps=True)
+    view = lab.camera.view
+    end = change.begin(device)
+    end_other = other.begin(device)
+    end_creeping = creeping.begin(device)
+    view.creep()
+    assert (view.shift, view.grown, view.turned) == (41 + 10j, 2.0, 0.75)
+    end()
+    assert (view.shift, view.grown, view.turned) == (1 + 10j, 1.0, 0.25)
+    end_other()
+    end_creeping()
+    assert (view.shift, view.grown, view.turned) == (1 + 0j, 1.0, 0.25)
+
+
+def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
+    """Regression: after a jump, the body was where it had been when it jumped."""
+    body = TrackedBody(SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0), 1, "green")
+    device = SimpleNamespace(tracked_body=lambda name: body)
+    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
+    kinds["ghost"](fault="ghost", robot="green", by=(1, 0)).begin(device)
+    end_jump = kinds["jump"](fault="jump", robot="green", by=(100, 0)).begin(device)
+    assert body.expose(View()).position[0] == pytest.approx(0.101)
+    end_jump()
+    assert body.expose(View()).position[0] == pytest.approx(0.002)
+
+
 def test_a_robot_with_another_number_obeys_that_one(tmp_path):
     lab, fault, device = begun(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
     fault.begin(device)

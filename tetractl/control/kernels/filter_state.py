@@ -1,9 +1,27 @@
 """What the filters of `tetractl.control.filter` know of robots, and what they assume; without the
 compiler.
 
-A robot has the states below, one slot each. All have a variance except SWING and PACE. Robots on
-wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's slots 0.
-Cells have all states, but their LN_SATURATION stays 0.
+**State.** Of each robot a filter follows the position (x, y) and the heading theta in which it
+travels, its turning rate a and speed v, a turn bias beta, a marker bias m that is added to the
+measured heading, and the flow (f_x, f_y) that carries the robot, or with which it slides. Under a
+direction u
+
+    dx/dt = v cos theta + f_x,   dy/dt = v sin theta + f_y,   dtheta/dt = a sin(u + beta - theta).
+
+A cell also swims on a helix of the angular frequency w, with a sideways swing of sine p and cosine
+q. (Robots on wheels have none: p = q = 0.)
+
+    dp/dt = w q,   dq/dt = -w p.
+
+All parameters drift as random walks, so that old measurements lose their weight. Robots may turn
+faster to one side, and motors of wheels may saturate: they turn no faster than at some rate
+(`tetractl.model.motion.turn_rate`). If the lag T of the wheels is given, turning rate and speed
+approach the commanded ones with the time constant T, and the direction acts on the heading theta +
+T dtheta/dt, in which the robot would come to rest. What a camera measures is in `filter_measure`.
+
+**Arrays.** A robot has the states below, one slot each. All have a variance except SWING and PACE.
+Robots on wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's
+slots 0. Cells have all states, but their LN_SATURATION stays 0.
 
 The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N; those of
 hypotheses also one for each slot s of S: a robot that drives may follow one of some commands, the

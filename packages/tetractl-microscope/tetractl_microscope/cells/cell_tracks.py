@@ -10,7 +10,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Entry
 from tetractl_microscope.cells.detect_cells import Blob
-from tetractl_microscope.cells.helix import SPEED, HelixFilter
+from tetractl_microscope.cells.helix import HelixFilter
 
 SURE = 0.998  # probability at which a question ends
 LEAST_S = 0.5  # shortest time for which a question is open
@@ -26,11 +26,6 @@ TAIL = 2.0
 WIDER = 1.4
 SIZE_SD = 0.1  # scale of the log of a size
 SIZED = 6  # number of pictures in which sizes count
-AWAY = 0.77  # standard deviation of a lost cell's place, in addition to the filter's [lengths]
-REACH = 1.15  # largest distance of a lost cell from its last place, besides speed times time
-SAME = 0.08  # standard deviation of log(size) of one cell
-ALIKE = 0.25  # among cells
-RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
 TURNS = 0.2  # probability that a cell has turned by itself while it was with others
 
 
@@ -65,9 +60,8 @@ class CellTrack:
     # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough
     begun: tuple[float, float, float] | None = None
     meeting: "Meeting | None" = None
-    together_s: float = (
-        -math.inf
-    )  # last time when it was too near to another cell to be distinguished
+    # last time when it was too near to another cell to be distinguished
+    together_s: float = -math.inf
     question: "WhichIsWhich | None" = None
     last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
 
@@ -87,44 +81,46 @@ class CellTrack:
         return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Known:
     """A cell that a track may be: its `name`, the probability `certainty` that it is that cell, and
     its length and width `size` [um].
-
-    The filter's `row` is predicted without measurements, until the cell needs none any more. A
-    lost cell was `last` seen at x, y [um], at the time `lost_s` [s].
     """
 
     name: int
-    row: int | None
-    certainty: float = 1.0
-    size: tuple[float, float] = (math.nan, math.nan)
-    last: Floats | None = None
-    lost_s: float = 0.0
+    certainty: float
+    size: tuple[float, float]
 
-    @property
-    def filter_row(self) -> int:
-        """The cell's row in the filter."""
-        assert self.row is not None, "the cell has no row in the filter any more"
-        return self.row
 
-    def drop_row(self, bank: HelixFilter) -> None:
-        """Free the cell's row in the filter, if it still has one."""
-        if self.row is not None:
-            bank.drop(self.row)
-            self.row = None
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """A track in a meeting, and the cell that it showed when it joined; the filter's `row` predicts
+    that cell without measurements.
+    """
+
+    track: CellTrack
+    cell: Known
+    row: int
 
 
 @dataclass(slots=True, eq=False)
 class Meeting:
-    """Tracks that are too near to tell which of the `cells` is on which. `met` is whether something
-    unknown may have joined them.
+    """Tracks that are too near to tell which cell is on which. Something unknown may have joined
+    them.
     """
 
-    tracks: list[CellTrack]
-    cells: list[Known]
-    met: bool
+    members: list[Member]
+    with_unknown: bool
+
+    @property
+    def tracks(self) -> list[CellTrack]:
+        """The tracks in it now."""
+        return [member.track for member in self.members]
+
+    @property
+    def rows(self) -> list[int]:
+        """The filter's rows that predict the members' cells."""
+        return [member.row for member in self.members]
 
 
 @dataclass(slots=True, eq=False)
@@ -206,40 +202,14 @@ def normalised(logs: Floats) -> Floats:
     return shares / shares.sum()
 
 
-def return_density(
-    bank: HelixFilter, cell: Known, place: Floats, size: Floats, now: float, body_um: float
-) -> float:
-    """Return the probability density [1/um^2] that a lost cell reappears at a time [s] at
-    `place` (2,), with the length and width `size` [um]; a cell is `body_um` long.
-
-    The cell has swum on as the signal predicts, rests at its last place, or has turned by
-    itself.
-    """
-    assert cell.last is not None, "the cell is a lost one"
-    away_um = AWAY * body_um
-    reach = REACH * body_um
-    off = place - bank.mean[cell.filter_row, :2]
-    spread = bank.covariance[cell.filter_row, :2, :2] + away_um**2 * np.eye(2)
-    ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
-    ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
-    away = float(np.linalg.norm(place - cell.last))
-    rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
-    reach += max(0.0, float(bank.mean[cell.filter_row, SPEED])) * (now - cell.lost_s)
-    within = (away < reach) / (math.pi * reach**2)
-    apart = float(np.square(np.log(size / cell.size)).sum())
-    alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
-    return RETURNS * (ahead + rests + within) * alike
-
-
 def log_densities(
-    bank: HelixFilter, cells: Sequence[Known], places: Floats, sd_um: Floats, unknown: float
+    bank: HelixFilter, rows: Sequence[int], places: Floats, sd_um: Floats, unknown: float
 ) -> Floats:
-    """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further standard
-    deviations (K,) of the places. `unknown` is that of a cell that may have been anywhere: a cell
-    may have turned by itself.
+    """Return the log-density [1/um^2] of the cells in the filter's `rows` at places (K, 3), as
+    (K, M), with further standard deviations (K,) of the places. `unknown` is that of a cell that
+    may have been anywhere: a cell may have turned by itself.
     """
-    rows = np.array([cell.filter_row for cell in cells], int)
-    expected, spread = bank.expected(rows)
+    expected, spread = bank.expected(np.array(rows, int))
     spread = WIDER**2 * (spread + np.square(sd_um)[:, None, None, None] * np.eye(2))
     off = places[:, None, :2] - expected[None, :, :2]
     squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)

@@ -4,29 +4,24 @@ A *track* is an object that is followed from picture to picture. Its *identity* 
 cell that it most probably shows, its *certainty* the probability of that number.
 
 - A *meeting* begins when tracks share a blob (`Names.meet`), so that they may exchange their cells.
-  A copy of each cell's filter row is then predicted without measurements. If such a copy expects
-  cell n at place z of track t with the density f_n(z_t) [1/um^2], then the assignment of cell
-  s(t) to each track t has the probability
-
-      p(s) ~ product over t of f_s(t)(z_t)
-
-  The *share* of a track is the sum of p(s) over all s in which it still has its own cell. If
-  something that is not followed may have been in the blob, too, the share is multiplied by
-  f / (f + u), with the density u of something unknown that comes out of a blob.
+  `meetings` computes each track's *share*: the probability that it still has its own cell.
 - When tracks are apart again (`Names.part`), those with a share above ASSERTED keep their names.
   The others are asked about by a *question*: each track is followed by one filter row per cell that
   it may be, with that cell's turning rate, bias, speed and helix. The likelihoods of later
-  measurements, above all of the response to the field, multiply p(s).
+  measurements, above all of the response to the field, multiply the probability of each
+  assignment of cells to tracks.
 - A question ends once one assignment is certain, or after a time (`Names.answer`).
 - A *doubt* multiplies the certainty of a track by a share about which nothing can be asked later.
   In a film's table, a track of a certainty below PASSED_ON gets a new number.
 
-K is the number of tracks, M that of cells. Places are (K, 3): x, y [um] and axis [rad]. Tables of
-log-densities [1/um^2] are (K, M): a row for each track, a column for each cell.
+Each row of the filter has one owner, which frees it: a track without an open question, a cell of a
+meeting, a lost cell, or an open question; a track's `row` then is one of its question's.
+
+K is the number of tracks, M that of cells. Places are (K, 3): x, y [um] and axis [rad].
 """
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -37,26 +32,19 @@ from tetractl_microscope.cells.cell_tracks import (
     Known,
     Meeting,
     WhichIsWhich,
-    log_densities,
-    normalised,
     orders,
 )
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
-from tetractl_microscope.cells.lost_cells import LostCells
-from tetractl_microscope.cells.readings import MERGED
+from tetractl_microscope.cells.lost_cells import LostCell, LostCells
+from tetractl_microscope.cells.meetings import ORDERED_MOST, PLACE_SD, Meetings
 
-TOGETHER = 4  # most tracks that one question is about
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
 ASSERTED = 0.99  # probability above which no question is asked, and a name is called sure
 PASSED_ON = 0.9  # least probability with which a film goes on with a name
-FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
+FIRST_SD = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
-PLACE = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
-FROM = 1.5  # distance from a blob within which what comes out of it is first seen [lengths]
-EITHER = 0.02  # probability that something unknown has been in a blob that it may have entered
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
 EITHER_OF_TWO = 0.5  # share of a track whose cell is one of two, of which nothing more is known
-RATIO_MOST = 50.0  # largest logarithm of a ratio of densities, so that its exponential is finite
 
 
 class Names:
@@ -74,7 +62,7 @@ class Names:
         self._body_um = body_um
         self._splits = splits
         self._last_number = 0
-        self._meetings: list[Meeting] = []
+        self._meetings = Meetings(bank, body_um)
         self._questions: list[WhichIsWhich] = []
         self._lost = LostCells(bank, body_um)
         self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
@@ -86,48 +74,22 @@ class Names:
 
     # ---- tracks that meet and part ----
 
-    def meet(self, together: Sequence[CellTrack], seconds: float, met: bool) -> None:
+    def meet(self, together: Sequence[CellTrack], seconds: float, with_unknown: bool) -> None:
         """Record that tracks are not distinguished at a time [s]: they share a blob, or that of a
-        single one is too large. `met` is whether something unknown may be with them.
+        single one is too large. Something unknown may be with them.
         """
         for question in {id(t.question): t.question for t in together if t.question}.values():
             self._end(question)
-        meeting = self._merged_meeting(together)
-        meeting.met = meeting.met or met
         for track in together:
             track.together_s = seconds
-            if track not in meeting.tracks:
-                self._join(meeting, track)
-        for track in meeting.tracks:
-            track.meeting = meeting
-
-    def _merged_meeting(self, together: Sequence[CellTrack]) -> Meeting:
-        """Make one meeting of all those in which some tracks are, a new one if they are in none."""
-        meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
-        if not meetings:
-            meeting = Meeting([], [], False)
-            self._meetings.append(meeting)
-            return meeting
-        first, *others = meetings
-        for other in others:
-            first.tracks += other.tracks
-            first.cells += other.cells
-            first.met = first.met or other.met
-            self._meetings.remove(other)
-        return first
-
-    def _join(self, meeting: Meeting, track: CellTrack) -> None:
-        """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
-        copy = self._bank.copied(track.filter_row)
-        meeting.tracks.append(track)
-        meeting.cells.append(Known(track.identity, copy, track.certainty, (track.long, track.wide)))
+        self._meetings.bring(together, with_unknown)
 
     def part(self, places: dict[int, Floats], awaited: Sequence[CellTrack], seconds: float) -> None:
         """End the meetings of tracks that are apart again at a time [s]; `places` gives x, y [um]
         and axis [rad] of the blob of each track. Something new, which may prove to be a cell, was
         first seen near the tracks `awaited`.
         """
-        for meeting in list(self._meetings):
+        for meeting in self._meetings.running:
             waits = len(meeting.tracks) == 1 or any(track in awaited for track in meeting.tracks)
             apart_since_s = seconds - (REMEMBERED_S if waits else 0.0)
             apart = [
@@ -143,31 +105,32 @@ class Names:
     def _let_go(self, meeting: Meeting, apart: Collection[CellTrack]) -> None:
         """Let the tracks leave that are apart and surely follow their own cells, or that are alone.
 
-        Nothing is sure as long as something unknown may be with those that stay.
+        The shares are those before any has left. Nothing is sure as long as something unknown may
+        be with those that stay.
         """
-        shares = self._own_shares(meeting).tolist()
+        shares = self._meetings.own_shares(meeting).tolist()
         is_alone = len(meeting.tracks) == 1
         some_stay = any(track not in apart for track in meeting.tracks)
-        for track, share in zip(list(meeting.tracks), shares, strict=True):
+        for track, share in zip(meeting.tracks, shares, strict=True):
             if track not in apart:
                 continue
             if is_alone:
-                self._leave(meeting, track)
+                self._meetings.leave(meeting, track)
                 if share < ASSERTED:
                     self._doubt(track, share)
-            elif share > ASSERTED and not (meeting.met and some_stay):
-                self._leave(meeting, track)
+            elif share > ASSERTED and not (meeting.with_unknown and some_stay):
+                self._meetings.leave(meeting, track)
 
     def _resolve(self, meeting: Meeting, places: dict[int, Floats], seconds: float) -> None:
         """End a meeting whose tracks are all apart: ask which is which, or, if they are too many,
         doubt each.
         """
         tracks = meeting.tracks
-        if len(tracks) <= TOGETHER:
+        if len(tracks) <= ORDERED_MOST:
             self._ask(meeting, np.array([places[track.number] for track in tracks]), seconds)
             return
-        shares = self._own_shares(meeting).tolist()
-        self._forget(meeting)
+        shares = self._meetings.own_shares(meeting).tolist()
+        self._meetings.end(meeting)
         for track, share in zip(tracks, shares, strict=True):
             self._doubt(track, share)
 
@@ -199,12 +162,13 @@ class Names:
         meeting = near.meeting
         if meeting is not None and len(meeting.tracks) > 1:
             return None
-        if meeting is not None and meeting.met:
+        if meeting is not None and meeting.with_unknown:
             # the two tracks show the cell and something unknown: the nearer to its copy is the cell
             here, _ = self._bank.expected(np.array([near.filter_row, track.filter_row]))
-            log_own, log_other = self._table(meeting.cells, here, np.full(2, PLACE))[:, 0].tolist()
+            log_densities = self._meetings.log_densities(meeting, here, np.full(2, PLACE_SD))
+            log_own, log_other = log_densities[:, 0].tolist()
             near.together_s = since_s
-            self._forget(meeting)
+            self._meetings.end(meeting)
             self._doubt(near, 1 / (1 + math.exp(log_other - log_own)))
             return None
         if entered or near.question is not None:
@@ -221,12 +185,13 @@ class Names:
         if back is None or back.probability <= least:
             return
         x, y, axis = place.tolist()
+        cell = back.lost.cell
         self._bank.drop(track.filter_row)
-        track.row = self._bank.moved(back.cell.filter_row, x, y, axis)
-        track.identity = back.cell.name
-        track.certainty = back.cell.certainty * back.probability
-        track.long, track.wide = back.cell.size
-        self._lost.remove(back.cell)
+        track.row = self._bank.moved(back.lost.row, x, y, axis)
+        track.identity = cell.name
+        track.certainty = cell.certainty * back.probability
+        track.long, track.wide = cell.size
+        self._lost.remove(back.lost)
 
     def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
         """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is
@@ -239,29 +204,23 @@ class Names:
         if not may_return:
             self._bank.drop(track.filter_row)
             return
-        lost = Known(
-            name=track.identity,
-            row=track.row,
-            certainty=track.certainty,
-            size=(track.long, track.wide),
-            last=track.last,
-            lost_s=seconds - track.missed_s,
-        )
-        self._lost.add(lost)
+        cell = Known(track.identity, track.certainty, (track.long, track.wide))
+        since_s = seconds - track.missed_s
+        self._lost.add(LostCell(cell, track.filter_row, track.last, since_s))
 
     def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track that is given up out of a meeting."""
-        shares = self._own_shares(meeting).tolist()
+        shares = self._meetings.own_shares(meeting).tolist()
         others = [
             (other, share)
             for other, share in zip(meeting.tracks, shares, strict=True)
             if other is not track
         ]
-        self._leave(meeting, track)
+        self._meetings.leave(meeting, track)
         if len(others) == 1:
             last, share = others[0]
             if share < ASSERTED:
-                self._forget(meeting)
+                self._meetings.end(meeting)
                 self._doubt(last, share)
 
     def shift(self, x: float, y: float) -> None:
@@ -282,12 +241,12 @@ class Names:
 
     def finish(self, seconds: float) -> None:
         """End all meetings and questions: there are no pictures after this time [s]."""
-        for meeting in list(self._meetings):
-            shares = self._own_shares(meeting).tolist()
+        for meeting in self._meetings.running:
+            shares = self._meetings.own_shares(meeting).tolist()
             for track, share in zip(meeting.tracks, shares, strict=True):
                 if len(meeting.tracks) > 1 and track.together_s < seconds:
                     self._doubt(track, share)
-            self._forget(meeting)
+            self._meetings.end(meeting)
         for question in list(self._questions):
             self._end(question)
 
@@ -298,8 +257,8 @@ class Names:
             order, shares = question.best()
             for t, track in enumerate(question.tracks):
                 by_number[track.number] = float(shares[t] * question.cells[order[t]].certainty)
-        for meeting in self._meetings:
-            shares = self._own_shares(meeting)
+        for meeting in self._meetings.running:
+            shares = self._meetings.own_shares(meeting)
             for track, share in zip(meeting.tracks, shares.tolist(), strict=True):
                 if track.question is None:
                     by_number[track.number] = track.certainty * share
@@ -307,37 +266,35 @@ class Names:
 
     def _ask(self, meeting: Meeting, places: Floats, seconds: float) -> None:
         """Ask which cell is on which track after a meeting, by where the tracks are (K, 3)."""
-        tracks = meeting.tracks
-        cells = meeting.cells
-        table = self._table(cells, places, np.full(len(tracks), PLACE))
-        known = self._known(meeting, table)
+        tracks = tuple(meeting.tracks)
+        cells = tuple(member.cell for member in meeting.members)
+        table = self._meetings.log_densities(meeting, places, np.full(len(tracks), PLACE_SD))
+        known = self._meetings.known(meeting, table)
         prior = table[np.arange(len(tracks)), orders(len(tracks))].sum(axis=1)
-        meeting.cells = []  # the question needs their rows
-        self._forget(meeting)
-        rows = self._rows_of_question(tracks, cells, places)
-        question = WhichIsWhich(tuple(tracks), tuple(cells), rows, prior, known, seconds)
-        self._drop(cells)
+        rows = self._rows_of_question(meeting, places)
+        question = WhichIsWhich(tracks, cells, rows, prior, known, seconds)
+        self._meetings.end(meeting)
         self._questions.append(question)
         for track in tracks:
             self._bank.drop(track.filter_row)
             track.question = question
         self._name_by(question)
 
-    def _rows_of_question(
-        self, tracks: Sequence[CellTrack], cells: Sequence[Known], places: Floats
-    ) -> np.ndarray:
-        """Return new filter rows (K, M) that follow each track as each cell from `places` (K, 3)
-        on. A cell that was expected far away, or the other way round, is moved to the track.
+    def _rows_of_question(self, meeting: Meeting, places: Floats) -> np.ndarray:
+        """Return new filter rows (K, K) that follow each track of a meeting as each of its cells
+        from `places` (K, 3) on. A cell that was expected far away, or the other way round, is moved
+        to the track.
         """
         bank = self._bank
         places = places.copy()
-        heading = bank.mean[[track.filter_row for track in tracks], HEADING]
+        heading = bank.mean[[track.filter_row for track in meeting.tracks], HEADING]
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
-        rows = np.zeros((len(tracks), len(cells)), int)
+        cells = len(meeting.members)
+        rows = np.zeros((cells, cells), int)
         for t, place in enumerate(places):
-            rows[t] = [bank.copied(cell.filter_row) for cell in cells]
-            values = np.tile(place, (len(cells), 1))
-            deviations = np.tile(FIRST, (len(cells), 1))
+            rows[t] = [bank.copied(row) for row in meeting.rows]
+            values = np.tile(place, (cells, 1))
+            deviations = np.tile(FIRST_SD, (cells, 1))
             _, distance = bank.update(rows[t], values, deviations)
             backwards = np.cos(bank.mean[rows[t], HEADING] - place[2]) < 0
             for n in np.flatnonzero((distance > FAR) | backwards).tolist():
@@ -394,65 +351,3 @@ class Names:
             for track in tracks
         )
         self.answers.append(CellAnswer(named, probability, tuple(asked)))
-
-    # ---- meetings: probabilities, and their end ----
-
-    def _own_shares(self, meeting: Meeting) -> Floats:
-        """Return the probability (K,) that each of the tracks of a meeting still follows the cell
-        that it did before, by where the cells are.
-        """
-        tracks = meeting.tracks
-        places, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
-        deviations = [MERGED[0] if track.merged else PLACE for track in tracks]
-        table = self._table(meeting.cells, places, np.array(deviations))
-        known = np.diagonal(self._known(meeting, table))
-        if len(tracks) > TOGETHER:
-            # only exchanges of two cells are counted, as ratios to the assignment without any
-            own = np.diagonal(table)
-            exchanged = np.exp(np.minimum(table + table.T - own[:, None] - own, RATIO_MOST))
-            return known / exchanged.sum(axis=1)
-        order = orders(len(tracks))
-        likely = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
-        return known * (likely @ (order == np.arange(len(tracks))))
-
-    def _known(self, meeting: Meeting, table: Floats) -> Floats:
-        """Return the probability (K, M) that a cell, rather than something unknown that has joined
-        a meeting, is where its log-density is that of `table`.
-        """
-        if not meeting.met:
-            return np.ones(table.shape)
-        return 1 / (1 + np.exp(np.minimum(self._log_unknown() - table, RATIO_MOST)))
-
-    def _table(self, cells: Sequence[Known], places: Floats, deviations: Floats) -> Floats:
-        """Return the log-density [1/um^2] of cells at places (K, 3), as (K, M), with further
-        standard deviations (K,) of the places [lengths of a cell].
-        """
-        sd_um = self._body_um * deviations
-        return log_densities(self._bank, cells, places, sd_um, self._log_unknown())
-
-    def _log_unknown(self) -> float:
-        """Return the log-density [1/um^2] of something unknown that comes out of a blob."""
-        return math.log(EITHER / (math.pi * (FROM * self._body_um) ** 2))
-
-    def _leave(self, meeting: Meeting, track: CellTrack) -> None:
-        """Take a track and its cell out of a meeting."""
-        place = meeting.tracks.index(track)
-        del meeting.tracks[place]
-        cell = meeting.cells.pop(place)
-        cell.drop_row(self._bank)
-        track.meeting = None
-        if not meeting.tracks:
-            self._forget(meeting)
-
-    def _forget(self, meeting: Meeting) -> None:
-        """End a meeting."""
-        if meeting in self._meetings:
-            self._meetings.remove(meeting)
-        self._drop(meeting.cells)
-        for track in meeting.tracks:
-            track.meeting = None
-
-    def _drop(self, cells: Iterable[Known]) -> None:
-        """Free the filter's rows of cells."""
-        for cell in cells:
-            cell.drop_row(self._bank)

@@ -28,7 +28,8 @@ from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import Blob, BlobFinder
 from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl_microscope.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
-from tetractl_microscope.cells.names import FROM, LIKELIER, Names
+from tetractl_microscope.cells.meetings import FROM_BLOB
+from tetractl_microscope.cells.names import LIKELIER, Names
 from tetractl_microscope.cells.readings import (
     MERGED,
     PATH,
@@ -328,7 +329,7 @@ class CellTracker:
             x, y = self.bank.mean[cell.row, :2].tolist()
             if cell.begun is not None or self._to_edge(x, y, now) < ENTERED * self._body_um:
                 return True
-            if any(math.dist(speck, (x, y)) < FROM * self._body_um for speck in specks):
+            if any(math.dist(speck, (x, y)) < FROM_BLOB * self._body_um for speck in specks):
                 return True
         return False
 
@@ -355,7 +356,7 @@ class CellTracker:
             gaps = np.linalg.norm(cells_at - place[:2], axis=1)
             nearest_um = float(gaps.min(initial=np.inf))
             if speck is None:
-                is_near = nearest_um < FROM * self._body_um
+                is_near = nearest_um < FROM_BLOB * self._body_um
                 near = cells[int(gaps.argmin())] if is_near else None
                 self._last_number += 1
                 self._tracks.append(CellTrack(self._last_number, [entry], near=near))

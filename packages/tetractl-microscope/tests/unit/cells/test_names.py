@@ -124,10 +124,34 @@ def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
 def test_a_cell_is_uncertain_where_something_unknown_is_likelier():
     dish = Dish()
     track = dish.track(500.0, 500.0)
-    dish.names.meet([track], 1.0, met=True)
+    dish.names.meet([track], 1.0, with_unknown=True)
     assert dish.names.probabilities([track])[0] > ASSERTED
     dish.bank.mean[track.row, Y] += 150.0  # its row has followed another cell
     assert dish.names.probabilities([track])[0] < 0.5
+
+
+@pytest.mark.parametrize("number", [1, 6])
+def test_shares_are_finite_however_far_a_track_is_from_its_cell(number):
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0 + 60.0 * i) for i in range(number)]
+    dish.names.meet(tracks, 1.0, with_unknown=True)
+    dish.bank.mean[tracks[0].row, Y] = 1e150
+    with np.errstate(all="raise", under="ignore"):
+        probability = dish.names.probabilities(tracks)[0]
+    assert 0.0 < probability < 0.5
+
+
+@pytest.mark.parametrize("far", ["near", "new"])
+def test_of_two_out_of_one_blob_the_nearer_to_the_cell_has_its_name_however_far_the_other(far):
+    dish = Dish()
+    near = dish.track(500.0, 500.0)
+    dish.names.meet([near], 1.0, with_unknown=True)
+    new = dish.track(500.0, 510.0)
+    new.near = near
+    dish.bank.mean[{"near": near, "new": new}[far].row, Y] = 1e150
+    dish.names.appear(new, np.array([500.0, 510.0, 0.0]), 1.5, RARE, False)
+    assert 0.0 < near.certainty <= 1.0
+    assert (near.certainty > 0.5) is (far == "new")
 
 
 def test_the_end_of_a_film_says_nothing_new_of_who_is_who():
@@ -160,7 +184,7 @@ def test_each_meeting_lowers_the_certainty_of_who_is_who():
 def test_cells_of_other_sizes_are_distinguished_by_them():
     tracks = CellTrack(1, []), CellTrack(2, [])
     sizes = (60.0, 26.0), (48.0, 29.0)
-    cells = tuple(Known(name, None, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
+    cells = tuple(Known(name, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
     question = WhichIsWhich(tracks, cells, np.zeros((2, 2), int), np.zeros(2), np.ones((2, 2)), 0.0)
     assert question.probabilities() == pytest.approx([0.5, 0.5])
     for _ in range(20):

@@ -1,0 +1,147 @@
+"""Meetings of tracks: who still follows which cell while tracks share a blob.
+
+A copy of each cell's filter row is predicted without measurements from when its track joins. If
+such a copy expects cell n at place z of track t with the density f_n(z_t) [1/um^2], then the
+assignment of cell s(t) to each track t has the probability
+
+    p(s) ~ product over t of f_s(t)(z_t)
+
+The *share* of a track is the sum of p(s) over all s in which it still has its own cell. If
+something that is not followed may have been in the blob, too, the share is multiplied by
+f / (f + u), with the density u of something unknown that comes out of a blob.
+
+The logarithms of densities differ by 11 at most, so their exponentials are finite: f is never
+above its peak with the deviation PLACE_SD, nor below u times the chance that a cell turned by
+itself.
+
+K is the number of tracks, M that of cells. Places are (K, 3): x, y [um] and axis [rad]. Tables of
+log-densities [1/um^2] are (K, M): a row for each track, a column for each cell.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl_microscope.cells.cell_tracks import (
+    CellTrack,
+    Known,
+    Meeting,
+    Member,
+    log_densities,
+    normalised,
+    orders,
+)
+from tetractl_microscope.cells.helix import HelixFilter
+from tetractl_microscope.cells.readings import MERGED
+
+ORDERED_MOST = 4  # most tracks of which all assignments of cells are compared
+PLACE_SD = 0.06  # deviation of a place, unless it is in a shared blob [lengths of a cell]
+FROM_BLOB = 1.5  # distance from a blob within which what comes out is first seen [lengths]
+UNKNOWN_JOINS = 0.02  # probability that something unknown was in a blob that it may have entered
+
+
+class Meetings:
+    """The meetings that go on. `bank` is the filter, a cell is `body_um` long.
+
+    A meeting owns the filter rows of its members' cells: each is made when a track joins, and freed
+    when the track leaves or the meeting ends. The tracks' own rows are not touched.
+    """
+
+    def __init__(self, bank: HelixFilter, body_um: float) -> None:
+        self._bank = bank
+        self._body_um = body_um
+        self._running: list[Meeting] = []
+
+    @property
+    def running(self) -> Sequence[Meeting]:
+        """The meetings that go on now, in the order in which they began."""
+        return tuple(self._running)
+
+    def bring(self, together: Sequence[CellTrack], with_unknown: bool) -> None:
+        """Put tracks into one meeting, with all those that they were in; whether something unknown
+        may have joined it.
+        """
+        meeting = self._merged(together)
+        meeting.with_unknown = meeting.with_unknown or with_unknown
+        for track in together:
+            if track not in meeting.tracks:
+                self._join(meeting, track)
+        for track in meeting.tracks:
+            track.meeting = meeting
+
+    def _merged(self, together: Sequence[CellTrack]) -> Meeting:
+        """Make one meeting of all those in which some tracks are, a new one if they are in none."""
+        meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
+        if not meetings:
+            meeting = Meeting([], False)
+            self._running.append(meeting)
+            return meeting
+        first, *others = meetings
+        for other in others:
+            first.members += other.members
+            first.with_unknown = first.with_unknown or other.with_unknown
+            self._running.remove(other)
+        return first
+
+    def _join(self, meeting: Meeting, track: CellTrack) -> None:
+        """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
+        cell = Known(track.identity, track.certainty, (track.long, track.wide))
+        meeting.members.append(Member(track, cell, self._bank.copied(track.filter_row)))
+
+    def leave(self, meeting: Meeting, track: CellTrack) -> None:
+        """Take a track and its cell out of a meeting, which ends with its last track."""
+        (member,) = [member for member in meeting.members if member.track is track]
+        meeting.members.remove(member)
+        self._release(member)
+        if not meeting.members:
+            self._running.remove(meeting)
+
+    def end(self, meeting: Meeting) -> None:
+        """End a meeting; its members can still be read, but their rows are free."""
+        self._running.remove(meeting)
+        for member in meeting.members:
+            self._release(member)
+
+    def _release(self, member: Member) -> None:
+        """Free a member's filter row, since its track is in the meeting no more."""
+        self._bank.drop(member.row)
+        member.track.meeting = None
+
+    def own_shares(self, meeting: Meeting) -> Floats:
+        """Return the probability (K,) that each of the tracks of a meeting still follows the cell
+        that it did before, by where the cells are.
+        """
+        tracks = meeting.tracks
+        places, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
+        deviations = [MERGED[0] if track.merged else PLACE_SD for track in tracks]
+        table = self.log_densities(meeting, places, np.array(deviations))
+        known = np.diagonal(self.known(meeting, table))
+        if len(tracks) > ORDERED_MOST:
+            # only exchanges of two cells are counted, as ratios to the assignment without any
+            own = np.diagonal(table)
+            exchanged = np.exp(table + table.T - own[:, None] - own)
+            return known / exchanged.sum(axis=1)
+        order = orders(len(tracks))
+        likely = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
+        return known * (likely @ (order == np.arange(len(tracks))))
+
+    def known(self, meeting: Meeting, table: Floats) -> Floats:
+        """Return the probability (K, M) that a cell, rather than something unknown that has joined
+        a meeting, is where its log-density is that of `table`.
+        """
+        if not meeting.with_unknown:
+            return np.ones(table.shape)
+        return 1 / (1 + np.exp(self._log_unknown() - table))
+
+    def log_densities(self, meeting: Meeting, places: Floats, deviations: Floats) -> Floats:
+        """Return the log-density [1/um^2] of a meeting's cells at places (K, 3), as (K, M), with
+        further standard deviations (K,) of the places [lengths of a cell].
+        """
+        sd_um = self._body_um * deviations
+        return log_densities(self._bank, meeting.rows, places, sd_um, self._log_unknown())
+
+    def _log_unknown(self) -> float:
+        """Return the log-density [1/um^2] of something unknown that comes out of a blob."""
+        return math.log(UNKNOWN_JOINS / (math.pi * (FROM_BLOB * self._body_um) ** 2))

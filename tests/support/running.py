@@ -57,18 +57,18 @@ def environment():
 
 
 class Started:
-    """A command in a session of its own, with what it prints in files."""
+    """A command in a session of its own, with what it prints in files, but for the standard
+    `streams` that are given."""
 
-    def __init__(self, cwd, *words):
+    def __init__(self, cwd, *words, **streams):
         self.out, self.err = cwd / "out-said", cwd / "err-said"
         with self.out.open("w") as out, self.err.open("w") as err:
             self.process = subprocess.Popen(
                 [TETRACTL, *map(str, words)],
                 cwd=cwd,
                 env=environment(),
-                stdout=out,
-                stderr=err,
                 start_new_session=True,
+                **{"stdout": out, "stderr": err} | streams,
             )
 
     def until(self, condition):
@@ -101,10 +101,10 @@ class Started:
 class Running(Started):
     """A run of a spec, with its logs in `logs`."""
 
-    def __init__(self, folder, spec, *args):
+    def __init__(self, folder, spec, *args, **streams):
         self.logs = folder / "logs"
         (folder / "spec.yaml").write_text(spec)
-        super().__init__(folder, "run", "spec.yaml", "--out", "logs", *args)
+        super().__init__(folder, "run", "spec.yaml", "--out", "logs", *args, **streams)
 
     def until_logging(self, trials, size=0):
         """Until so many trials have written more than `size` bytes of log."""

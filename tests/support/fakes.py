@@ -1,8 +1,8 @@
 """A plant, a controller and an observer that write down what happens, in one list."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 from support.recorder import Recorder
@@ -23,21 +23,20 @@ FINAL = np.array([[1700.0, 510, 0], [1703, 1504, 0], [1700, 2000, 0]])  # misses
 
 @dataclass
 class Happenings:
-    """What was called, in order; `faults` maps a name to what is raised at its n-th call."""
+    """What was called, in order of the `names`, and what is `planned` for the n-th call of a name.
+
+    The names are the methods of the plant and `plan`; those of an observer have its name before
+    them, as `log.step`.
+    """
 
     names: list[str] = field(default_factory=list)
-    faults: dict[tuple[str, int], BaseException] = field(default_factory=dict)
-    actions: dict[tuple[str, int], Any] = field(default_factory=dict)
+    planned: dict[tuple[str, int], Callable[[], object]] = field(default_factory=dict)
 
     def note(self, name: str) -> None:
         self.names.append(name)
-        nth = self.names.count(name)
-        action = self.actions.get((name, nth))
-        if action:
+        action = self.planned.pop((name, self.names.count(name)), None)
+        if action is not None:
             action()
-        fault = self.faults.get((name, nth))
-        if fault:
-            raise fault
 
 
 class FakePlant:
@@ -148,8 +147,24 @@ class Bench:
     observers: list[FakeObserver]
     interrupt: Interrupt
 
+    def do_at(self, name, nth, action):
+        """Plan a call of `action` in the n-th call of a name (see `Happenings`)."""
+        self.happenings.planned[name, nth] = action
+
+    def fail_at(self, name, nth, error):
+        """Plan that the n-th call of a name raises `error`."""
+
+        def fail():
+            raise error
+
+        self.do_at(name, nth, fail)
+
     def run(self):
-        return self.trial.run()
+        """Run the trial; all that was planned must have happened by its end."""
+        try:
+            return self.trial.run()
+        finally:
+            assert self.happenings.planned == {}, "never called"
 
 
 def bench(

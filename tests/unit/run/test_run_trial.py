@@ -1,6 +1,9 @@
+"""A trial of a fake plant, controller and observers: its order of calls, faults, and ends."""
+
 import threading
 import time
-from contextlib import nullcontext, suppress
+from contextlib import suppress
+from functools import partial
 from itertools import pairwise
 
 import pytest
@@ -8,15 +11,19 @@ from support.fakes import bench
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Turn
-from tetractl.core.errors import AbortError, ControlError, LogError, TetractlError
+from tetractl.core.errors import AbortError, ControlError, LogError
 from tetractl.core.plan import Outcome
 
 PERIOD = SECOND // 5
 DECIDED = [Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.STEPS_MAX]
 
 
+PATIENCE_S = 60
+"""Before a test gives up on another thread; no test waits for it to pass."""
+
+
 class BugError(Exception):
-    pass
+    """Stands for an error in the code, which is no TetractlError."""
 
 
 def assert_ended_well(fakes, outcome):
@@ -33,9 +40,22 @@ def assert_ended_well(fakes, outcome):
     return fakes.observers[0].stops[0][1] if fakes.observers else None
 
 
+def assert_stopped_next(names, where, nth):
+    """The robots were stopped next after the n-th call of `where`."""
+    calls = [i for i, name in enumerate(names) if name == where]
+    assert names[calls[nth - 1] + 1] == "stop"
+
+
 def twice(fakes):
     fakes.interrupt.request()
     fakes.interrupt.request()
+
+
+def until(event):
+    assert event.wait(PATIENCE_S), "another thread did not come so far"
+
+
+# ---- The course of a trial ----
 
 
 @pytest.mark.parametrize("outcome", DECIDED)
@@ -55,7 +75,7 @@ def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
 def test_a_trial_lasts_from_its_first_direction():
     """Not from the moment the lab was opened: the first plan may take a while."""
     fakes = bench(2)
-    fakes.happenings.actions["plan", 1] = lambda: fakes.trial.clock.sleep_until(20 * SECOND)
+    fakes.do_at("plan", 1, lambda: fakes.trial.clock.sleep_until(20 * SECOND))
     assert fakes.run().duration_s == pytest.approx(0.4)
     assert fakes.plant.steered[0][0] == 20 * SECOND
 
@@ -88,58 +108,98 @@ def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
     assert frames == list(range(8 + 10 + 1))  # 0.8 s of steps, 1 s to settle
 
 
-@pytest.mark.parametrize("error", [ControlError("no finite cost"), BugError("off by one")])
-@pytest.mark.parametrize(
-    ("where", "nth"),
-    [
-        *(("plan", 1), ("plan", 2), ("send", 1), ("observe", 2)),
-        *(("log.start", 1), ("log.step", 1), ("log.samples", 2)),
-    ],
-)
-def test_a_fault_stops_the_robots_and_is_the_reason_and_a_bug_is_raised_again(where, nth, error):
+def test_each_turn_on_the_spot_after_driving_is_reported():
+    """Regression: after turn, drive, turn only the first turn was in the log."""
+    fakes = bench(6)
+    fakes.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
+    fakes.run()
+    turns = [note for note in fakes.observers[0].notes if "turn on the spot" in note.text]
+    sent = {step.k: step.command.sent_ns for step in fakes.observers[0].steps}
+    assert [note.t_ns for note in turns] == [sent[1], sent[4]]
+
+
+# ---- Faults ----
+
+IN_A_STEP = [
+    ("plan", 1),
+    ("plan", 2),
+    ("send", 1),
+    ("observe", 2),
+    ("log.start", 1),
+    ("log.step", 1),
+    ("log.samples", 2),
+]
+"""Calls during a trial, and which of them."""
+AT_THE_END = [("log.samples", 3), ("log.stop", 1)]
+"""Calls of an observer after a trial of two steps."""
+
+
+@pytest.mark.parametrize(("where", "nth"), IN_A_STEP)
+def test_a_fault_stops_the_robots_and_is_the_reason(where, nth):
     fakes = bench(observers=("log", "view"))
-    fakes.happenings.faults[where, nth] = error
-    bug = isinstance(error, BugError)
-    with pytest.raises(BugError, match="off by one") if bug else nullcontext():
+    fakes.fail_at(where, nth, ControlError("no finite cost"))
+    assert fakes.run().reason == "no finite cost"
+    assert_ended_well(fakes, Outcome.ABORTED)
+    assert_stopped_next(fakes.happenings.names, where, nth)
+
+
+@pytest.mark.parametrize(("where", "nth"), IN_A_STEP)
+def test_a_bug_stops_the_robots_and_is_raised_again(where, nth):
+    fakes = bench(observers=("log", "view"))
+    fakes.fail_at(where, nth, BugError("off by one"))
+    with pytest.raises(BugError, match="off by one"):
         fakes.run()
-    result = assert_ended_well(fakes, Outcome.ABORTED)
-    assert result.reason == ("BugError: off by one" if bug else "no finite cost")
-    names = fakes.happenings.names
-    fault = [i for i, name in enumerate(names) if name == where][nth - 1]
-    assert names[fault + 1] == "stop"
+    assert assert_ended_well(fakes, Outcome.ABORTED).reason == "BugError: off by one"
+    assert_stopped_next(fakes.happenings.names, where, nth)
 
 
-@pytest.mark.parametrize("error", [LogError("the disk is full"), BugError("in the view")])
-@pytest.mark.parametrize("where", ["log.samples", "log.stop"])
-def test_an_observer_that_fails_at_the_end_keeps_nothing_from_the_others(where, error):
+@pytest.mark.parametrize(("where", "nth"), AT_THE_END)
+def test_a_log_that_fails_at_the_end_keeps_nothing_from_the_view(where, nth):
     fakes = bench(2, observers=("log", "view"))
-    fakes.happenings.faults[where, 3 if where == "log.samples" else 1] = error
-    if isinstance(error, TetractlError):
-        result = fakes.run()
-        assert (result.outcome, result.reason) == (Outcome.ABORTED, str(error))
-    else:
-        with pytest.raises(BugError):
-            fakes.run()
-    assert len(fakes.observers[0].stops) == len(fakes.observers[1].stops) == 1
-    assert fakes.observers[1].samples[-1].observation.frame == 14
+    fakes.fail_at(where, nth, LogError("the disk is full"))
+    result = fakes.run()
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "the disk is full")
+    assert_both_notified(fakes)
 
 
-@pytest.mark.parametrize(("kind", "raises"), [(ControlError, nullcontext()), (BugError, None)])
-def test_the_first_fault_is_the_one_reported(kind, raises):
-    fakes = bench(observers=("log", "view"))
-    fakes.happenings.faults["plan", 2], fakes.happenings.faults["log.stop", 1] = (
-        kind("1st"),
-        kind("2nd"),
-    )
-    with raises or pytest.raises(BugError, match="1st"):
-        result = fakes.run()
-        assert (result.outcome, result.reason) == (Outcome.ABORTED, "1st")
+@pytest.mark.parametrize(("where", "nth"), AT_THE_END)
+def test_a_bug_of_a_log_at_the_end_keeps_nothing_from_the_view(where, nth):
+    fakes = bench(2, observers=("log", "view"))
+    fakes.fail_at(where, nth, BugError("off by one"))
+    with pytest.raises(BugError):
+        fakes.run()
+    assert_both_notified(fakes)
+
+
+def assert_both_notified(fakes):
+    """Log and view were notified of the end once, the view after the last frame."""
+    log, view = fakes.observers
+    assert len(log.stops) == len(view.stops) == 1
+    assert view.samples[-1].observation.frame == 14
+
+
+def test_of_two_faults_the_first_is_the_reason():
+    fakes = bench()
+    fakes.fail_at("plan", 2, ControlError("1st"))
+    fakes.fail_at("log.stop", 1, ControlError("2nd"))
+    result = fakes.run()
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "1st")
+
+
+def test_of_two_bugs_the_first_is_raised():
+    fakes = bench()
+    fakes.fail_at("plan", 2, BugError("1st"))
+    fakes.fail_at("log.stop", 1, BugError("2nd"))
+    with pytest.raises(BugError, match="1st"):
+        fakes.run()
+    ((_, result),) = fakes.observers[0].stops
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "BugError: 1st")
 
 
 @pytest.mark.parametrize("error", [AbortError("no robot answers"), BugError("typo")])
 def test_a_plant_that_does_not_open_is_stopped_closed_and_nobody_is_told(error):
     fakes = bench()
-    fakes.happenings.faults["open", 1] = error
+    fakes.fail_at("open", 1, error)
     with pytest.raises(type(error)):
         fakes.run()
     assert fakes.happenings.names == ["open", "stop", "close"]
@@ -147,8 +207,8 @@ def test_a_plant_that_does_not_open_is_stopped_closed_and_nobody_is_told(error):
 
 def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
     fakes = bench()
-    fakes.happenings.faults["open", 1] = BugError("the reason")
-    fakes.happenings.faults["stop", 1] = AssertionError("never opened")
+    fakes.fail_at("open", 1, BugError("the reason"))
+    fakes.fail_at("stop", 1, AssertionError("never opened"))
     with pytest.raises(BugError, match="the reason"):
         fakes.run()
     assert fakes.happenings.names == ["open", "stop", "close"]
@@ -159,7 +219,7 @@ def test_a_course_that_is_closed_closes_its_plant_even_if_robots_cannot_be_stopp
     fakes = bench()
     course = fakes.trial.course()
     next(course)
-    fakes.happenings.faults["stop", 1] = AbortError("the radio is gone")
+    fakes.fail_at("stop", 1, AbortError("the radio is gone"))
     with pytest.raises(AbortError, match="the radio is gone"):
         course.close()
     assert fakes.happenings.names[-2:] == ["stop", "close"]
@@ -173,7 +233,7 @@ class MuteError(Exception):
 @pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), MuteError()])
 def test_robots_stop_whatever_a_controller_raises(error):
     fakes = bench()
-    fakes.happenings.faults["plan", 2] = error
+    fakes.fail_at("plan", 2, error)
     with pytest.raises(type(error)):
         fakes.run()
     result = assert_ended_well(fakes, Outcome.ABORTED)
@@ -182,7 +242,7 @@ def test_robots_stop_whatever_a_controller_raises(error):
 
 def test_a_plant_that_cannot_settle_is_closed_and_its_log_ends():
     fakes = bench()
-    fakes.happenings.faults["settle", 1] = BugError("lost")
+    fakes.fail_at("settle", 1, BugError("lost"))
     with pytest.raises(BugError):
         fakes.run()
     names = fakes.happenings.names
@@ -222,10 +282,13 @@ def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
     assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
 
 
+# ---- Interruptions ----
+
+
 @pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step"])
 def test_a_first_interruption_finishes_the_step(where):
     fakes = bench(5)
-    fakes.happenings.actions[where, 2] = fakes.interrupt.request
+    fakes.do_at(where, 2, fakes.interrupt.request)
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.steps == 2  # the step in which it came was recorded, and no other was begun
@@ -236,8 +299,7 @@ def test_a_first_interruption_finishes_the_step(where):
 @pytest.mark.parametrize("where", ["plan", "send", "log.step"])
 def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     fakes = bench(5)
-
-    fakes.happenings.actions[where, 2] = lambda: twice(fakes)
+    fakes.do_at(where, 2, lambda: twice(fakes))
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     planning = where == "plan"  # steering and recording are never torn
@@ -259,32 +321,22 @@ def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
             fakes.interrupt.request()
         raise error
 
-    fakes.happenings.actions["plan", 2] = torn
+    fakes.do_at("plan", 2, torn)
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.reason == "stopped at once by a second interruption"
 
 
-def test_each_turn_on_the_spot_after_driving_is_reported():
-    """Regression: after turn, drive, turn only the first turn was in the log."""
-    fakes = bench(6)
-    fakes.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
-    fakes.run()
-    turns = [note for note in fakes.observers[0].notes if "turn on the spot" in note.text]
-    sent = {step.k: step.command.sent_ns for step in fakes.observers[0].steps}
-    assert [note.t_ns for note in turns] == [sent[1], sent[4]]
-
-
 def test_interruptions_while_the_robots_stop_tear_nothing():
     fakes = bench(2)
     for where in ("stop", "settle", "log.stop"):
-        fakes.happenings.actions[where, 1] = fakes.interrupt.request
+        fakes.do_at(where, 1, fakes.interrupt.request)
     assert fakes.run().outcome is Outcome.SEQUENCE_COMPLETED
     assert_ended_well(fakes, Outcome.SEQUENCE_COMPLETED)
 
 
-@pytest.mark.parametrize("where", ["log.step", "stop"])
-def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raised(where):
+@pytest.mark.parametrize(("where", "nth"), [("log.step", 2), ("stop", 1)])
+def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raised(where, nth):
     """Regression: one in the loop was taken for what a library makes of an interruption."""
     fakes = bench(5)
 
@@ -292,40 +344,59 @@ def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raise
         with suppress(KeyboardInterrupt):
             twice(fakes)
 
-    fakes.happenings.actions["plan", 2] = catch
-    fakes.happenings.faults[where, 2 if where == "log.step" else 1] = BugError("off by one")
+    fakes.do_at("plan", 2, catch)
+    fakes.fail_at(where, nth, BugError("off by one"))
     with pytest.raises(BugError):
         fakes.run()
     ended = fakes.observers[0].stops[0][1]
     assert (ended.outcome, ended.reason) == (Outcome.ABORTED, "BugError: off by one")
 
 
-@pytest.fixture
-def watch(monkeypatch):
-    """A stop watch: each plan takes as long as the test says, in ns."""
-    taken = []
-    now = [0]
-
-    def read():
-        if len(taken) and watch_reads[0] % 2:
-            now[0] += taken.pop(0)
-        watch_reads[0] += 1
-        return now[0]
-
-    watch_reads = [0]
-    monkeypatch.setattr(time, "perf_counter_ns", read)
-    return taken
+# ---- Time ----
 
 
-def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(watch):
-    watch += [9 * PERIOD, PERIOD, PERIOD + 1, 5]
+class StopWatch:
+    """Stands for the clock by which plans are timed."""
+
+    def __init__(self):
+        self.now_ns = 0
+
+    def read(self):
+        return self.now_ns
+
+    def advance(self, by_ns):
+        self.now_ns += by_ns
+
+
+def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(monkeypatch):
+    watch = StopWatch()
+    monkeypatch.setattr(time, "perf_counter_ns", watch.read)
     fakes = bench(4)
+    for nth, taken_ns in enumerate([9 * PERIOD, PERIOD, PERIOD + 1, 5], start=1):
+        fakes.do_at("plan", nth, partial(watch.advance, taken_ns))
     result = fakes.run()
     assert result.solve_ns == (9 * PERIOD, PERIOD, PERIOD + 1, 5)
     assert result.deadline_misses == 1  # the first plan has no deadline
     missed = [step.deadline_missed for step in fakes.observers[0].steps]
     assert missed == [False, False, True, False]
 
+
+@pytest.mark.parametrize("slow", [PERIOD, 5 * PERIOD // 2])
+def test_after_an_overrun_the_steps_keep_their_distance(slow):
+    """A step that takes one period, or 2.5: it is late, and those after it come a period apart.
+
+    Regression: after a period to the nanosecond two steps were sent at once.
+    """
+    fakes = bench(5)
+    clock = fakes.trial.clock
+    fakes.do_at("plan", 2, lambda: clock.sleep_until(clock.now() + slow))
+    fakes.run()
+    sent = [when for when, _ in fakes.plant.steered]
+    gaps = [later - earlier for earlier, later in pairwise(sent)]
+    assert gaps == [PERIOD + slow, *[PERIOD] * 3]
+
+
+# ---- Squares that are driven until the first plan is there ----
 
 SQUARE = {"type": "square", "side": 2.0}
 
@@ -351,8 +422,8 @@ def test_the_square_is_driven_while_the_first_plan_is_made():
 def test_in_the_lab_squares_go_on_until_the_plan_is_there():
     fakes = bench(1, simulated=False, first_plan=SQUARE)
     enough = threading.Event()
-    fakes.happenings.actions["plan", 1] = enough.wait
-    fakes.happenings.actions["send", 101] = enough.set  # in the third square of 40 commands
+    fakes.do_at("plan", 1, lambda: until(enough))
+    fakes.do_at("send", 101, enough.set)  # in the third square of 40 commands
     fakes.run()
     commands = len(fakes.observers[0].commands)
     assert commands >= 120
@@ -361,7 +432,7 @@ def test_in_the_lab_squares_go_on_until_the_plan_is_there():
 
 def test_one_interruption_ends_the_square_after_its_side():
     fakes = bench(first_plan=SQUARE)
-    fakes.happenings.actions["send", 2] = fakes.interrupt.request
+    fakes.do_at("send", 2, fakes.interrupt.request)
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.reason == "interrupted before the first step"
@@ -371,38 +442,22 @@ def test_one_interruption_ends_the_square_after_its_side():
 
 def test_two_interruptions_end_the_square_at_once():
     fakes = bench(first_plan=SQUARE)
-
-    fakes.happenings.actions["log.command", 12] = lambda: twice(fakes)
+    fakes.do_at("log.command", 12, lambda: twice(fakes))
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.reason == "stopped at once by a second interruption"
     assert result.duration_s == 2.2  # the second side was not driven to its end
 
 
-@pytest.mark.parametrize("slow", [PERIOD, 5 * PERIOD // 2])
-def test_after_an_overrun_the_steps_keep_their_distance(slow):
-    """A step that takes one period, or 2.5: it is late, and those after it come a period apart.
-
-    Regression: after a period to the nanosecond two steps were sent at once.
-    """
-    fakes = bench(5)
-    clock = fakes.trial.clock
-    fakes.happenings.actions["plan", 2] = lambda: clock.sleep_until(clock.now() + slow)
-    fakes.run()
-    sent = [when for when, _ in fakes.plant.steered]
-    gaps = [later - earlier for earlier, later in pairwise(sent)]
-    assert gaps == [PERIOD + slow, *[PERIOD] * 3]
-
-
 def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     """They are in the log then, should the program be killed before the first step."""
     fakes = bench(steps=1, simulated=False)
     reported = threading.Event()
-    fakes.happenings.actions["log.samples", 1] = reported.set
+    fakes.do_at("log.samples", 1, reported.set)
     plan = fakes.controller.plan
 
     def slow(*arguments):
-        assert reported.wait(60), "nothing was reported before the plan was there"
+        until(reported)
         return plan(*arguments)
 
     fakes.controller.plan = slow

@@ -7,7 +7,7 @@ most room straight ahead: that for which the mean over t in (0, AHEAD_S] of
 
     the least clearance of any robot at x_i + v_i t (cos u, sin u)   to obstacles, walls and robots
 
-is greatest (`Margins.room`). Robots in a row along a wall so drive away from it or, if the fastest
+is greatest (`roomiest`). Robots in a row along a wall so drive away from it or, if the fastest
 is in front, also along it. After a turn in vain robots turn to the direction EVERY places on,
 because other headings and another picture allow other plans.
 """
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.margins import Margins
+from tetractl.control.discs import Discs
 from tetractl.core.plan import Problem
 from tetractl.core.poses import wrap
 
@@ -43,7 +43,7 @@ class Turning(NamedTuple):
 NOT_TURNING = Turning()
 
 
-def next_facing(problem: Problem, margins: Margins, apart: float, turning: Turning) -> float | None:
+def next_facing(problem: Problem, discs: Discs, apart: float, turning: Turning) -> float | None:
     """Return the direction [rad] to which standing robots turn in the next control step, None if
     TURNS_IN_VAIN turns were in vain; `apart` is the least distance of two robots.
 
@@ -51,7 +51,7 @@ def next_facing(problem: Problem, margins: Margins, apart: float, turning: Turni
     them would turn to the left and to the right of that unstable point in turn.
     """
     if turning.facing is None:
-        return roomiest(problem, margins, apart)
+        return roomiest(problem, discs, apart)
     turns, steps = divmod(turning.steps, STEPS)
     if steps > 0:
         return turning.facing
@@ -60,7 +60,7 @@ def next_facing(problem: Problem, margins: Margins, apart: float, turning: Turni
     return float(wrap(np.array(turning.facing + EVERY * 2 * np.pi / FACINGS)))
 
 
-def roomiest(problem: Problem, margins: Margins, apart: float) -> float:
+def roomiest(problem: Problem, discs: Discs, apart: float) -> float:
     """Return the direction [rad] in which all robots have most room straight ahead, with `apart` as
     the least distance of two robots."""
     directions = np.linspace(-np.pi, np.pi, FACINGS, endpoint=False)
@@ -68,5 +68,5 @@ def roomiest(problem: Problem, margins: Margins, apart: float) -> float:
     way = seconds[:, None, None] * problem.speed  # (M, 1, N)
     x = problem.poses.x + way * np.cos(directions)[:, None]  # (M, U, N)
     y = problem.poses.y + way * np.sin(directions)[:, None]
-    clearances = margins.least_clearance(x, y, apart)
+    clearances = discs.least_clearance(x, y, apart)
     return float(directions[np.argmax(clearances.mean(axis=0))])

@@ -1,47 +1,45 @@
-"""The distances that a plan keeps to obstacles and walls, and between robots.
+"""The margin by which a plan keeps clear of each obstacle, and the separation of its robots.
 
-A robot can deviate from its plan because its state is uncertain. The margin is the sum of the
-robot's radius, the spec's margin and, if the margin is adaptive, the greatest deviation of any
-robot,
+Robots deviate from a plan, because commands are lost and what is known of the robots is uncertain.
+While a robot follows a command, it comes off its course by at most (`off_course`)
 
-    LOST_SHARE v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
+    off = LOST_SHARE v T + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
 
-with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
-identified values. The first term is due to a lost command, the others to uncertain values. The
-centres of two robots keep a distance of the spec's separation plus twice that deviation.
+    v    speed [length unit/s]             T    time for which a command is followed [s]
+    a    turning rate [rad/s], above 0     tau  dead time: from a command to its effect [s]
+    r    radius of a robot [length unit]   sigma_v, sigma_a, sigma_tau  standard deviations
 
-An adaptive margin does not always fit. If a robot or a target is nearer to an obstacle than that,
-no plan could keep it, and it is reduced to a little less (REDUCED) than the gap:
+and with the greatest off of any robot, a plan is to keep (`Margins.applied`)
 
-    least gap of a robot or target    margin
-    more than the full margin         the full margin
-    less than that                    REDUCED times the gap, but at least the radius; if a target is
-                                      nearer than a radius, at least REDUCED times the target's gap
+    full margin m       = collision.margin + r + off    of a centre to an obstacle or wall
+    full separation s   = collision.separation + 2 off  of two centres; 0 if robots may meet
 
-A robot whose body touches something keeps the margin of a radius: its plan leads outward first. The
-separation is reduced in the same way, and to less than two radii only if two robots or targets are
-nearer already.
+Where robots or targets are nearer than that already, no plan could keep it. Less is kept there:
 
-Four questions are asked of a way that robots may go; bodies are discs of the radius:
+    fit(m, g)           = m if it is less than the gap g, else REDUCED max(g, 0)
+    margin of obstacle  = max(fit(m, g), min(m, fit(r, g_target)))
+    separation          = min(s, max(REDUCED d, min(2 r, d)))
 
-    Margins.enters           does a body touch something along a path, whatever the margins are?
-    Margins.enters_if_held   does it, if robots follow the same directions for some time?
-    Silence.keeps_clear      do robots keep clear if they receive nothing after a signal of a plan?
-    Margins.least_clearance  how far are bodies from everything, in some places?
+    g_target  gap between the obstacle and the target nearest to it [length unit], negative inside
+    g         gap between it and the robot or target nearest to it
+    d         least distance of two robots or of two targets
+
+So a grown obstacle contains no target, and no robot unless its body touches the obstacle: the
+margin of a radius stays, and a plan first leads this robot outward. Two robots that are farther
+apart than two radii are to stay so.
+
+With `collision.adaptive: false` the margins are the paper's: off = 0, and nothing is reduced.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from tetractl.control.collision import Collision
-from tetractl.control.evaluate import compiled_drive
-from tetractl.control.kernels import clearance
-from tetractl.control.kernels.motion import Flat, flat
-from tetractl.control.kernels.prediction import unheard
-from tetractl.core.plan import Estimate, Problem, Region
+from tetractl.control.discs import gaps
+from tetractl.control.kernels.clearance import least_apart
+from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
@@ -51,183 +49,82 @@ LOST_SHARE = 0.75
 """Deviation by a lost command, as a fraction of the path that it was to act for; chosen."""
 SIGMAS = 2.0
 """Standard deviations by which uncertain values are taken into account; chosen."""
-HELD_MOMENTS = np.linspace(0, 1, 5)
-"""Moments at which `enters_if_held` looks, as fractions of the time: it also tests the straight
-lines between them."""
-SILENCE_STEP_S = 0.15
-"""Longest time step of the paths of robots that receive nothing [s]; chosen."""
+REDUCED = 0.98
+"""Fraction of a gap that is kept where more does not fit into it; chosen."""
 
 
 def off_course(
     speed: Floats, heard_s: float, dead_time_s: float, estimate: Estimate | None
 ) -> float:
-    """Return the greatest deviation of any robot from its plan while it follows a command, which
-    takes `heard_s` [length unit]; `estimate` is None for a certain motion.
+    """Return the greatest deviation of any robot from its course while it follows a command, which
+    takes `heard_s` [length unit]. Without an estimate the motion is certain: all sigma are 0.
     """
+    lost = LOST_SHARE * speed * heard_s
     if estimate is None:
-        return LOST_SHARE * max(speed.tolist()) * heard_s
-    a = estimate.a.tolist()
-    a_std = estimate.a_std.tolist()
-    v_std = estimate.speed_std.tolist()
-    tau_std_s = estimate.dead_time_std or 0.0
-    blind_s = dead_time_s + heard_s
-    greatest = 0.0
-    for i, v in enumerate(speed.tolist()):
-        lost = LOST_SHARE * v * heard_s
-        uncertain = v * tau_std_s + (v * a_std[i] / a[i] + v_std[i]) * blind_s
-        greatest = max(greatest, lost + SIGMAS * uncertain)
-    return greatest
+        return float(lost.max())
+    of_dead_time = speed * (estimate.dead_time_std or 0.0)
+    # a is above 0: a spec states no other, and the filter estimates ln a
+    of_rates = speed * estimate.a_std / estimate.a + estimate.speed_std
+    uncertain = of_dead_time + of_rates * (dead_time_s + heard_s)
+    return float((lost + SIGMAS * uncertain).max())
 
 
-@dataclass(frozen=True, slots=True)
-class Silence:
-    """A while in which robots receive no command, and keep their direction: `steps` time steps of
-    `step_s` [s]. Meanwhile they are to keep clear of `obstacles`, which have grown by a margin, and
-    to keep the `separation` from each other [length unit]."""
-
-    motion: Flat
-    step_s: float
-    steps: int
-    obstacles: Obstacles
-    separation: float
-
-    def keeps_clear(self, path: Floats, signals: Floats) -> bool:
-        """Return whether robots keep clear, whichever of the signals (L,) is the one after which
-        they receive nothing; path (at least L, N, 3) are the poses before each signal.
-
-        A robot that is nearer to something at the beginning is not to come nearer still.
-        """
-        return unheard(
-            signals,
-            self.motion.parameters,
-            self.motion.drift,
-            self.step_s,
-            self.steps,
-            self.motion.rest,
-            path,
-            self.obstacles.rows,
-            self.obstacles.walls,
-            self.separation,
-        )
+def fit(margin: float, gap: Floats) -> Floats:
+    """Return how much of a margin fits into gaps (O,) [length unit]."""
+    return np.where(gap > margin, margin, REDUCED * np.maximum(gap, 0.0))
 
 
 class Margins:
-    """The margins of a trial around O obstacles, the `shapes` and, if given, the four walls of the
-    arena; a grown obstacle contains none of the N targets. The robots' bodies have the radius
-    `radius` [length unit]. It never changes."""
+    """The margins by which robots with N `targets` (N, 2) keep clear of the O obstacles: `shapes`
+    and, if given, the four `walls` of the arena. It never changes."""
 
     def __init__(
-        self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats, radius: float = 0.0
+        self,
+        collision: Collision,
+        shapes: Sequence[Shape],
+        walls: Bounds | None,
+        targets: Floats,
     ) -> None:
-        self._bare = Obstacles.of(shapes, 0.0, walls)
-        self._bodies = Obstacles.of(shapes, radius, walls)
-        self._radius = radius
-        self._number = len(targets)
+        self._collision = collision
+        self._obstacles = Obstacles.of(shapes, 0.0, walls)
         x = targets[:, 0].copy()
         y = targets[:, 1].copy()
-        self._targets_apart = clearance.least_apart(x, y)
-        # (O,) gap between each obstacle and the target nearest to it, and the margin that it keeps
-        # however near robots are: a radius, unless this target is nearer
-        self._target_gaps = self._gaps(x, y).min(axis=1)
-        below_target = clearance.REDUCED * np.maximum(self._target_gaps, 0.0)
-        self._least_margins = np.where(self._target_gaps > radius, radius, below_target)
+        self._targets_apart = least_apart(x, y)
+        self._target_gaps = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)  # (O,)
 
-    def around(
-        self,
-        problem: Problem,
-        collision: Collision,
-        heard_s: float,
-        dead_time_s: float,
-        estimate: Estimate | None,
-    ) -> tuple[Region, float]:
-        """Return the obstacles of a problem, grown by the margins of `collision`, and the
-        separation of its robots, which follow each command for `heard_s`.
-
-        Margins that are not adaptive are those of the paper: they are the same everywhere, and
-        never reduced. Adaptive ones grow by the distance that robots may leave their course, given
-        the estimate, which is None for a certain motion."""
+    def applied(
+        self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
+    ) -> Problem:
+        """Return a problem with its obstacles grown by the margins and its robots' separation,
+        given that robots follow each command for `heard_s`, and the estimate, None for a certain
+        motion."""
+        collision = self._collision
+        margin = collision.margin + collision.radius
         if not collision.adaptive:
-            margin = np.full(self._bare.count, collision.margin + collision.radius)
-            return self._bare.grown(margin), problem.separation
+            everywhere = self._obstacles.grown(np.full(self._obstacles.count, margin))
+            return replace(problem, obstacles=everywhere, separation=collision.separation)
         off = off_course(problem.speed, heard_s, dead_time_s, estimate)
-        apart = collision.separation + 2 * off if collision.separation else 0.0
-        grown = self.obstacles(problem.poses, collision.margin + collision.radius + off)
-        return grown, self.separation(problem.poses, apart)
-
-    def obstacles(self, poses: Poses, margin: float) -> Obstacles:
-        """Return the obstacles grown by the margin, or less so that they contain no target, and no
-        robot unless its body touches them."""
-        bare = self._bare
-        grown = Obstacles(np.empty_like(bare.rows), np.empty_like(bare.walls), bare.boxes)
-        clearance.grow(
-            bare.rows,
-            bare.walls,
-            bare.boxes,
-            np.array(poses.x),  # a copy: an observation's are read-only, which is another type
-            np.array(poses.y),
-            self._target_gaps,
-            self._least_margins,
-            margin,
-            grown.rows,
-            grown.walls,
-        )
-        return grown
-
-    def _gaps(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance of each point (P,) to each obstacle, (O, P), negative inside."""
-        gaps = np.empty((self._bare.count, len(x)))
-        clearance.gaps(self._bare.rows, self._bare.walls, x, y, gaps)
-        return gaps
-
-    def enters(self, path: Floats) -> bool:
-        """Return whether a body touches an obstacle or another body, margins ignored, on the way
-        along path (M, N, 3), or goes deeper if it touches one at the beginning.
-        """
-        return clearance.enters(
-            self._bare.rows,
-            self._bare.walls,
-            self._bodies.rows,
-            self._bodies.walls,
-            self._radius,
-            path,
+        separation = collision.separation + 2 * off if collision.separation else 0.0
+        return replace(
+            problem,
+            obstacles=self.grown(problem.poses, margin + off),
+            separation=self.separation(problem.poses, separation),
         )
 
-    def enters_if_held(self, problem: Problem, directions: Floats, seconds: float) -> bool:
-        """Return whether a body touches something within `seconds`, in which robots follow their
-        directions (N,) [rad], NaN for a robot that stands still."""
-        return self.enters(compiled_drive(problem, directions, seconds * HELD_MOMENTS))
-
-    def silence(self, problem: Problem, seconds: float, margin: float, apart: float) -> Silence:
-        """Return a silence of some seconds in which the robots of a problem are to stay `margin`
-        away from obstacles, or as far as they are now if that is less, and `apart` from each other,
-        or the problem's separation if that is less."""
-        steps = max(1, math.ceil(seconds / SILENCE_STEP_S))
-        return Silence(
-            motion=flat(problem),
-            step_s=seconds / steps,
-            steps=steps,
-            obstacles=self.obstacles(problem.poses, margin),
-            separation=min(apart, problem.separation),
-        )
-
-    def least_clearance(self, x: Floats, y: Floats, apart: float) -> Floats:
-        """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
-        of a body to obstacles and walls, negative inside, and of all distances of two robots minus
-        `apart`.
-        """
-        gaps = self._gaps(x.ravel(), y.ravel())
-        to_obstacles = gaps.min(axis=0, initial=np.inf).reshape(x.shape).min(axis=-1)
-        i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
-        between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
-        to_robots = between.min(axis=-1, initial=np.inf)
-        return np.minimum(to_obstacles - self._radius, to_robots - apart)
+    def grown(self, poses: Poses, margin: float) -> Obstacles:
+        """Return the obstacles grown by the margin, or by what fits between them and robots."""
+        x = np.array(poses.x)  # a copy: an observation's are read-only, which is another type
+        y = np.array(poses.y)
+        robot_gaps = gaps(self._obstacles, x, y)
+        nearest = np.minimum(self._target_gaps, robot_gaps.min(axis=1, initial=np.inf))
+        at_least = fit(self._collision.radius, self._target_gaps)
+        return self._obstacles.grown(np.maximum(fit(margin, nearest), np.minimum(margin, at_least)))
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: `wanted`, or the least present distance between two robots
-        or two targets if that is less, but two radii if robots and targets are so far apart.
-        """
-        if self._number < 2 or wanted <= 0:
+        """Return the wanted separation, or what fits between robots and between targets; 0 if it
+        is not wanted."""
+        present = min(least_apart(poses.x, poses.y), self._targets_apart)
+        if wanted <= 0 or present == np.inf:  # a single robot
             return 0.0
-        present = min(clearance.least_apart(poses.x, poses.y), self._targets_apart)
-        bodies = min(2 * self._radius, present)
-        return min(wanted, max(clearance.REDUCED * present, bodies))
+        bodies = min(2 * self._collision.radius, present)
+        return min(wanted, max(REDUCED * present, bodies))

@@ -70,6 +70,7 @@ import numpy as np
 
 from tetractl.control.corners import NOT_TURNING, Turning, next_facing
 from tetractl.control.cost import Foreseen
+from tetractl.control.discs import Discs
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import (
@@ -81,10 +82,11 @@ from tetractl.control.fixed_sequence import (
 )
 from tetractl.control.holding import CircleSearch
 from tetractl.control.lengths import Searcher, least_length, longer
-from tetractl.control.margins import Margins, Silence
+from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
+from tetractl.control.silence import Silence
 from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
@@ -151,10 +153,11 @@ class Leg:
 @dataclass(frozen=True, slots=True)
 class Course:
     """Where robots go in a leg: `present` tells which of all robots are not lost, `targets` (N, 2)
-    are those of these N robots, and `margins` the distances that they keep to everything."""
+    are those of these N robots, `discs` their bodies, and `margins` what plans keep clear by."""
 
     present: Bools
     targets: Floats
+    discs: Discs
     margins: Margins
 
 
@@ -343,13 +346,17 @@ class Mpc:
         """Return the course of a leg. Lost robots on wheels, at `poses`, are obstacles."""
         present = self.estimator.left
         targets = self.legs[min(index, len(self.legs) - 1), present]  # a hold is at the targets
-        walls = self.setup.arena if self.section.collision.walls else None
-        radius = self.section.collision.radius
-        bodies = []
-        if radius and self.setup.wheel_radius:
-            bodies = [Shape(place, radius) for place in poses.xy[~present, None]]
-        margins = Margins([*self.setup.obstacles, *bodies], walls, targets, radius)
-        return Course(present, targets, margins)
+        collision = self.section.collision
+        walls = self.setup.arena if collision.walls else None
+        shapes = list(self.setup.obstacles)
+        if collision.radius and self.setup.wheel_radius:
+            shapes += [Shape(place, collision.radius) for place in poses.xy[~present, None]]
+        return Course(
+            present,
+            targets,
+            discs=Discs(collision.radius, shapes, walls),
+            margins=Margins(collision, shapes, walls, targets),
+        )
 
     @property
     def _holds(self) -> bool:
@@ -568,7 +575,7 @@ class Mpc:
         if stop.delay_ns == 0 or not self.stands:
             return stop
         seconds = stop.delay_ns / SECOND + REACTION_S
-        if self.course.margins.enters_if_held(problem, held, seconds):
+        if self.course.discs.enters_if_held(problem, held, seconds):
             return best_stop(problem, held, 0.0)
         return stop
 
@@ -684,7 +691,7 @@ class Mpc:
             return None
         apart = self.section.collision.separation
         turning = self.progress.turning
-        facing = next_facing(searched.problem, self.course.margins, apart, turning)
+        facing = next_facing(searched.problem, self.course.discs, apart, turning)
         if facing is None:
             return None
         standing = self._standing(searched.problem, State.TURNING, searched.searches)
@@ -805,21 +812,16 @@ class Mpc:
 
     def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `estimate`, None if certain."""
-        grown, apart = self.course.margins.around(
-            problem,
-            self.section.collision,
-            self.section.period,
-            self.estimator.dead_time_s,
-            estimate,
+        return self.course.margins.applied(
+            problem, self.section.period, self.estimator.dead_time_s, estimate
         )
-        return replace(problem, obstacles=grown, separation=apart)
 
     def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters something before a stop can act, which the next step may
         send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])
-        return self.course.margins.enters_if_held(problem, directions, seconds)
+        return self.course.discs.enters_if_held(problem, directions, seconds)
 
     def _silence(self, problem: Problem) -> Silence | None:
         """Return the silence in which robots of a problem are to keep clear, None if this is not
@@ -827,11 +829,12 @@ class Mpc:
         collision = self.section.collision
         if not collision.silence:
             return None
-        return self.course.margins.silence(
+        margin = SILENT_ROOM * collision.radius
+        return Silence.during(
+            min(collision.silence + self.section.period, self.setup.watchdog_s),
             problem,
-            seconds=min(collision.silence + self.section.period, self.setup.watchdog_s),
-            margin=SILENT_ROOM * collision.radius,
-            apart=collision.separation,
+            obstacles=self.course.margins.grown(problem.poses, margin),
+            separation=min(collision.separation, problem.separation),
         )
 
     def _is_clear_in_silence(self, step: ControlStep, signals: Floats, foreseen: Foreseen) -> bool:

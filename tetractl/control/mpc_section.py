@@ -265,16 +265,19 @@ class RecommendedMpc(SearchFields):
     def warm_up(self, setup: Setup) -> None:
         """Call the functions of the planner, of the margins and of the tree once, so that they are
         compiled, and what they import is loaded: loading it in a run kept frames waiting."""
+        from tetractl.control.discs import Discs
         from tetractl.control.evaluate import compiled_branches, compiled_drive
         from tetractl.control.margins import Margins
         from tetractl.control.passage import ways
+        from tetractl.control.silence import Silence
 
         super().warm_up(setup)
         problem = self.problem(setup)
-        margins = Margins(setup.obstacles, setup.arena, setup.targets)
         path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
         compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load
             next(ways(problem, setup.arena, 0, 0), None)
-        margins.enters(path)
-        margins.silence(problem, 0.0, 0.0, 0.0).keeps_clear(path, np.zeros(1))
+        Discs(self.collision.radius, setup.obstacles, setup.arena).enters(path)
+        margins = Margins(self.collision, setup.obstacles, setup.arena, setup.targets)
+        obstacles = margins.grown(problem.poses, 0.0)
+        Silence.during(0.0, problem, obstacles, 0.0).keeps_clear(path, np.zeros(1))

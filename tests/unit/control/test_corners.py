@@ -15,7 +15,7 @@ from tetractl.control.corners import (
     next_facing,
     roomiest,
 )
-from tetractl.control.margins import Margins
+from tetractl.control.discs import Discs
 from tetractl.core.poses import Poses, wrap
 
 SETUP = experiment().setup
@@ -25,11 +25,11 @@ STEP = 2 * math.pi / FACINGS
 
 
 def standing(xy):
-    """Three robots that stand at xy (3, 2) with headings of 0, and their margins."""
-    margins = Margins(SETUP.obstacles, SETUP.arena, SETUP.targets, BODY)
+    """Three robots that stand at xy (3, 2) with headings of 0, and their bodies."""
+    discs = Discs(BODY, SETUP.obstacles, SETUP.arena)
     section = experiment(controller={"type": "mpc"}).controller
     poses = Poses.of(np.column_stack([xy, np.zeros(3)]))
-    return replace(section.problem(SETUP), poses=poses), margins
+    return replace(section.problem(SETUP), poses=poses), discs
 
 
 def in_a_row(left, bottom):
@@ -38,10 +38,10 @@ def in_a_row(left, bottom):
     return np.column_stack([x, np.full(3, SETUP.arena.bottom + bottom)])
 
 
-def turns(problem, margins):
+def turns(problem, discs):
     """The directions of one step after another until there is none."""
     turning = NOT_TURNING
-    while (facing := next_facing(problem, margins, APART, turning)) is not None:
+    while (facing := next_facing(problem, discs, APART, turning)) is not None:
         turning = turning.then(facing)
         yield facing
 
@@ -64,13 +64,13 @@ def test_robots_whose_bodies_touch_a_wall_turn_away_from_it():
 
 def test_a_direction_is_kept_for_some_steps_also_if_poses_are_measured_anew():
     """Regression: a robot opposite to it dithered, as each step chose another one: 1,769 turns."""
-    problem, margins = standing(in_a_row(700.0, 60.0))
-    turning = NOT_TURNING.then(next_facing(problem, margins, APART, NOT_TURNING))
-    moved, margins = standing(in_a_row(60.0, 700.0))
+    problem, discs = standing(in_a_row(700.0, 60.0))
+    turning = NOT_TURNING.then(next_facing(problem, discs, APART, NOT_TURNING))
+    moved, discs = standing(in_a_row(60.0, 700.0))
     for _ in range(1, STEPS):
-        assert next_facing(moved, margins, APART, turning) == turning.facing
+        assert next_facing(moved, discs, APART, turning) == turning.facing
         turning = turning.then(turning.facing)
-    assert next_facing(moved, margins, APART, turning) != turning.facing
+    assert next_facing(moved, discs, APART, turning) != turning.facing
 
 
 def test_turns_in_vain_are_followed_by_turns_to_other_directions_and_end():

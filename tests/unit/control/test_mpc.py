@@ -16,7 +16,6 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.lengths import SPREAD, VAIN
-from tetractl.control.margins import Margins
 from tetractl.control.mpc import LATE, RESTED_S, ControlStep
 from tetractl.control.value import Worth
 from tetractl.core.commands import Command, Steer, Stop
@@ -242,11 +241,16 @@ def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(mor
 
 
 class AskedSilence:
-    """Stands for a silence in which any plan keeps clear, and writes down how many signals are
-    `tested` of plans by their length."""
+    """Stands for a silence in which any plan keeps clear. It writes down what it is asked: how many
+    signals are `tested` of plans by their length, and for how long."""
 
-    def __init__(self, tested):
-        self.tested = tested
+    def __init__(self):
+        self.tested = {}
+        self.seconds = set()
+
+    def during(self, seconds, problem, obstacles, separation):
+        self.seconds.add(round(seconds, 9))
+        return self
 
     def keeps_clear(self, path, signals):
         length = len(path) - 1  # before each signal, and after the last
@@ -254,49 +258,42 @@ class AskedSilence:
         return True
 
 
-class AskedMargins(Margins):
-    """Stands for margins that any plan keeps. It writes down what it is asked of robots that
-    receive nothing: how many signals are `tested`, and for how long."""
-
-    def __init__(self):
-        super().__init__([], None, TARGETS[:, :2])
-        self.tested = {}
-        self.seconds = set()
-
-    def silence(self, problem, seconds, margin, apart):
-        self.seconds.add(round(seconds, 9))
-        return AskedSilence(self.tested)
+@pytest.fixture
+def silence(monkeypatch):
+    asked = AskedSilence()
+    monkeypatch.setattr("tetractl.control.mpc.Silence", asked)
+    return asked
 
 
-def asked_margins(left, watchdog_s=math.inf):
-    """The margins after a step in which a plan of `left` signals is under way and robots are to
-    keep clear for 0.6 s of silence."""
+def step_before_silence(left, watchdog_s=math.inf):
+    """Step while a plan of `left` signals is under way and robots are to keep clear for 0.6 s of
+    silence."""
     controller, _ = driving({}, left=left, collision=POINTS | {"silence": 0.6})
     controller.setup = replace(controller.setup, watchdog_s=watchdog_s)
-    margins = AskedMargins()
-    controller.course = replace(controller.course, margins=margins)
     step(controller)
-    return margins
 
 
 @pytest.mark.parametrize(
     ("left", "tested"),
     [(5, {4: 2, 5: 2, 6: 2, 7: 5, 8: 6}), (2, {3: 1, 4: 2, 5: 3}), (1, {3: 1, 4: 2})],
 )
-def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(left, tested):
+def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
+    left, tested, silence
+):
     """Two signals of the plan under way, which may become one longer; of a new plan, two signals
     longer or more, all but the last two. A plan of two signals has none to test."""
-    tested_by_length = asked_margins(left).tested
-    shortest_asked = sorted(tested_by_length)[: len(tested)]
-    assert {length: tested_by_length[length] for length in shortest_asked} == tested
+    step_before_silence(left)
+    shortest_asked = sorted(silence.tested)[: len(tested)]
+    assert {length: silence.tested[length] for length in shortest_asked} == tested
 
 
 @pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, 0.6 + PERIOD_S), (0.5, 0.5)])
 def test_robots_that_receive_nothing_drive_on_until_the_silence_or_their_watchdog_ends_it(
-    watchdog_s, seconds
+    watchdog_s, seconds, silence
 ):
     """A silence that begins just after a command has lasted a period when the next one is due."""
-    assert asked_margins(5, watchdog_s).seconds == {seconds}
+    step_before_silence(5, watchdog_s)
+    assert silence.seconds == {seconds}
 
 
 def beside_a_wall(gap, stop=True, radius=0.0, left=1, **fields):

@@ -9,7 +9,7 @@ from support.trials import experiment
 
 from tetractl.control import passage
 from tetractl.control.cost import predict
-from tetractl.control.margins import Margins
+from tetractl.control.discs import Discs
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.passage import Squares, ways
 from tetractl.core.plan import Limits, State
@@ -49,8 +49,8 @@ def walled(gap, middle=1200.0, robots=3):
 
 def problem_of(spec):
     setup = spec.setup
-    margins = Margins(setup.obstacles, setup.arena, setup.targets, RADIUS)
-    return spec.controller.problem(setup), margins, setup.arena
+    discs = Discs(RADIUS, setup.obstacles, setup.arena)
+    return spec.controller.problem(setup), discs, setup.arena
 
 
 def test_the_lengths_of_ways_are_those_round_what_is_not_free():
@@ -71,14 +71,14 @@ def test_the_lengths_of_ways_are_those_round_what_is_not_free():
 
 
 def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
-    problem, margins, arena = problem_of(walled(260))
+    problem, discs, arena = problem_of(walled(260))
     signals, again = (next(ways(problem, arena, 200, key=5)) for _ in range(2))
     assert np.array_equal(signals, again)
     path = predict(problem, signals)
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
     assert missed < passage.WAYS_LEFT * (problem.speed / problem.a).sum()
     assert (
-        margins.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > -1.0
+        discs.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > -1.0
     )  # between moments
     passed = (path[..., 0] > 1300).argmax(axis=0)
     assert len(set(passed.tolist())) == 3
@@ -120,12 +120,12 @@ def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
     arena = {"left": 0, "bottom": 0, "width": 3000, "height": 3000}
     controller = {"type": "mpc", "collision": {"radius": RADIUS, "separation": SEPARATION}}
     spec = experiment(robots=shapes, arena=arena, obstacles=(), controller=controller)
-    problem, margins, arena = problem_of(spec)
+    problem, discs, arena = problem_of(spec)
     *_, signals = ways(problem, arena, 200, key=2)
     path = predict(problem, signals)
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
     assert missed < 0.2 * problem.poses.distances(problem.targets).sum()
-    assert margins.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > 0
+    assert discs.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > 0
 
 
 @pytest.mark.parametrize("key", range(3))

@@ -1,5 +1,6 @@
-"""The clearance of robots from obstacles, walls and each other: what `tetractl.control.margins`
-asks at every control step. Obstacles are `rows` and `walls` of `tetractl.model.obstacles`.
+"""The clearance of robots from obstacles, walls and each other, which `tetractl.control.margins`
+and `discs` ask at every control step. Obstacles are `rows` and `walls` of
+`tetractl.model.obstacles`.
 """
 
 import math
@@ -16,9 +17,6 @@ from tetractl.control.kernels.obstacles import (
 )
 from tetractl.core.kernels.kernel_cache import compiled
 from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
-
-REDUCED = 0.98
-"""Fraction of a distance to which a margin is reduced that does not fit into it; chosen."""
 
 
 @compiled(**INLINE_EXACT)
@@ -80,32 +78,10 @@ def crosses(rows, walls, x0, y0, x1, y1):
 
 @compiled(**ENTRY)
 def gaps(rows, walls, x, y, distances):
-    """Write the distance of each point x, y (P,) to each obstacle to found (O, P)."""
+    """Write the distance of each point x, y (P,) to each obstacle to distances (O, P)."""
     for o in range(distances.shape[0]):
         for n in range(x.size):
             distances[o, n] = _gap(rows, walls, o, x[n], y[n])
-
-
-@compiled(**ENTRY)
-def grow(rows, walls, boxes, x, y, nearest, least, margin, grown_rows, grown_walls):
-    """Fill grown_rows and grown_walls with obstacles that have grown by the margin, or less so that
-    they contain no point x, y (N,) and none that is at the distance `nearest` (O,), but by `least`
-    (O,) in any case; boxes (M, 4) are those of the polygons of rows."""
-    for o in range(nearest.size):
-        gap = nearest[o]
-        for n in range(x.size):
-            gap = min(gap, _gap(rows, walls, o, x[n], y[n]))
-        more = max(margin if gap > margin else REDUCED * max(gap, 0.0), min(margin, least[o]))
-        if o < rows.shape[0]:
-            for k in range(rows.shape[1]):
-                grown_rows[o, k] = rows[o, k]
-            grown_rows[o, RADIUS] += more
-            for k in range(4):
-                side = -grown_rows[o, RADIUS] if k < 2 else grown_rows[o, RADIUS]
-                grown_rows[o, LEFT + k] = boxes[o, k] + side
-        else:
-            w = o - rows.shape[0]
-            grown_walls[w] = walls[w] + (more if w < 2 else -more)
 
 
 @compiled(**ENTRY)

@@ -310,6 +310,8 @@ def _conclude(
         unwritten = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
     for (_, trial), result in report.aborted.items():
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
+    if unwritten is not None and end is not RunEnd.COMPLETE:  # there, it is the error of the run
+        ui.tell(f"error: the statistics were not written: {unwritten.strerror or unwritten}")
     _tell_where(folder, _not_run(report, planned))
 
     match end:
@@ -318,7 +320,8 @@ def _conclude(
         case RunEnd.ABORTED:
             return Exit.FAILED
         case RunEnd.INTERRUPTED:
-            ui.tell(f"interrupted; continue with the same command and --out {folder} --resume")
+            resume = f"--out {quote(str(folder))} --resume"
+            ui.tell(f"interrupted; continue with the same command and {resume}")
             return Exit.INTERRUPTED
         case RunEnd.COMPLETE:
             first = min((trial for _, trial in report.results), default=0)
